@@ -93,7 +93,7 @@ def _gap(osc: Oscillator, h: Array, t: float) -> float:
 
 def _physical(osc: Oscillator, h: Array, t: float) -> Array:
     """Physical state (2n,) of block coordinates at a time since the section."""
-    full = h + np.sum(np.array(osc.gap.forced) * _waves(osc, t), axis=(2, 3)) + osc.rest
+    full = h + np.sum(np.array(osc.gap.forced) * _waves(osc, t), axis=(2, 3)) + osc.gap.rest
     return np.asarray(np.array(osc.to_physical) @ full.ravel())
 
 
@@ -181,7 +181,7 @@ def _recheck_orbit(found: Findings, cell: Drawn, osc: Oscillator, start: Array) 
     affordable = ORBIT_COST * min(1.0, (2.0 / len(cell.gap)) ** 2)
     periods = min(ORBIT_PERIODS, int(affordable / (rate * osc.period)))
     weights = np.column_stack([np.sqrt(osc.gap.metric), np.ones(len(osc.gap.metric))])
-    forced = float(np.linalg.norm((np.array(osc.swing) + np.abs(osc.rest)) * weights))
+    forced = float(np.linalg.norm((np.array(osc.gap.swing) + np.abs(osc.gap.rest)) * weights))
     motion = motion_from(osc, start)
     states, norms, scales = [], [], []
     partial: list[Array] = []

@@ -43,7 +43,7 @@ def solved(cell: Drawn, settings: Settings) -> dict[str, Any]:
     machine: Any = cell.machine
     hybrids, reasons = build_hybrid(machines_of([machine]))
     arrays = result_arrays(result_variables(settings), settings, 1, len(cell.start))
-    solve_cells(Cells(hybrids, reasons, np.array([cell.start]), settings, arrays))  # type: ignore[arg-type]
+    solve_cells(Cells(hybrids, reasons, np.array([cell.start]), settings, arrays))
     return {name: array[0] for name, array in arrays.items()}
 
 

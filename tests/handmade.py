@@ -14,7 +14,7 @@ from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Conditio
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.oscillator import Family, ModalOscillator, family_of
 from workers.continuation.stability import pieces
-from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Mode, make_blocks
+from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, OF_GUARD, Mode, make_blocks
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
@@ -113,10 +113,10 @@ def oscillator(
     kick1 = np.stack([k[..., 1], -lam * k[..., 0] - 2.0 * eta * k[..., 1]], axis=-1)
     blocks = make_blocks(eta, lam)
     blocks[..., COLUMN.load] = load
-    blocks[..., OF_FLOW:] = np.concatenate([c, row1, k, kick1, np.zeros((N, n, 2))], axis=-1)
+    blocks[..., OF_FLOW:OF_GUARD] = np.concatenate([c, row1, k, kick1, np.zeros((N, n, 2))], axis=-1)
     numbers = np.full((N, len(NUMBER)), np.nan)
     numbers[:, NUMBER.omega] = omega
-    gap = Mode(blocks, lam, np.stack(waves, axis=-1), numbers, np.zeros((N, n, 2, waves.shape[2], 2)))
+    gap = Mode(blocks, np.stack(waves, axis=-1), numbers, np.zeros((N, n, 2, waves.shape[2], 2)))
     return ModalOscillator(gap, *stops, tau, R)
 
 

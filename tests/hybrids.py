@@ -19,13 +19,13 @@ from workers.continuation.itinerary import many_orbits
 from workers.continuation.recording import recorded_modes
 from workers.continuation.switching import SwitchingMotion
 from workers.kernel.hybrid.motion import through_modes
-from workers.kernel.hybrid.notes import NOTED
+from workers.kernel.hybrid.notes import LEG_STATE
 from workers.kernel.hybrid.state import shown_number
 from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
-from workers.model.hybrid import Hybrid, build_hybrid, build_missing
+from workers.model.hybrid import build_hybrid
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS, Code
-from workers.model.oscillator import each
+from workers.model.oscillator import Oscillator, one_of
 from workers.results import NO_REASON
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ def _fields_of(machine: Machine, H: int) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def built(machine: Machine) -> Hybrid:
+def built(machine: Machine) -> Oscillator:
     """A machine as the kernels run it, without a mode yet; it is fit for that."""
     found, reasons = build_hybrid(machines_of([machine]))
     assert reasons[0] == NO_REASON
@@ -118,14 +118,14 @@ class Followed:
         return int(self.tally[STATUS])
 
 
-def shown(hybrid: Hybrid, state: Array | Sequence[float]) -> int:
+def shown(hybrid: Oscillator, state: Array | Sequence[float]) -> int:
     """The number of the mode that a section state shows."""
-    elements = each(hybrid.table.elements, lambda field: field[0])
+    elements = one_of(hybrid, 0).table.elements
     return int(shown_number(elements, np.array(state, dtype=np.float64)))
 
 
 def follow(
-    hybrid: Hybrid,
+    hybrid: Oscillator,
     state: Array | Sequence[float],
     number: int | None = None,
     periods: int = 1,
@@ -141,7 +141,7 @@ def follow(
     """
     z = np.array(state, dtype=np.float64)
     W = np.eye(len(z)) if frame is None else frame
-    period = 2.0 * math.pi / hybrid.machines.omega[0]
+    period = 2.0 * math.pi / hybrid.table.machines.omega[0]
     start = shown(hybrid, z) if number is None else number
     growth = np.zeros(len(W) if framed else 0)
     found = Followed(z, W.T, start, [start], [z], [], np.zeros((0, 3)), NOTHING_COUNTED.copy(), growth)
@@ -152,17 +152,17 @@ def follow(
     return found
 
 
-def _go_on(hybrid: Hybrid, found: Followed, since: float, duration: float) -> None:
+def _go_on(hybrid: Oscillator, found: Followed, since: float, duration: float) -> None:
     """Take a motion on from a section, again from there each time that a mode had to be built."""
-    table = each(hybrid.table, lambda field: field[0])
+    table = one_of(hybrid, 0).table
     going = True
     while going:
         z, W, growth, tally = (array.copy() for array in (found.state, found.jacobian.T, found.growth, found.tally))
         W, code = np.ascontiguousarray(W), np.array([found.number])
-        hits, events = np.zeros((EVENTS, 3)), np.empty((EVENTS, NOTED + table.pieces.ends.shape[1]))
+        hits, events = np.zeros((EVENTS, 3)), np.empty((EVENTS, LEG_STATE + len(z) + table.pieces.ends.shape[1]))
         tally[WORK], tally[RECORDED] = WORK_OF_A_TRIAL, 0.0
-        through_modes(table, z, W, code, growth, np.zeros((0, 0)), tally, hits, events, np.empty((0, 0)), duration)
-        going = tally[STATUS] == MODE_MISSING and len(build_missing(hybrid, np.zeros(1, dtype=np.int64))) > 0
+        through_modes(table, z, W, code, growth, np.zeros((0, 0)), tally, hits, events, duration)
+        going = tally[STATUS] == MODE_MISSING and len(hybrid.table.build_missing(np.zeros(1, dtype=np.int64))) > 0
     hits = hits[: int(tally[RECORDED])]
     hits[:, 0] += since
     found.state, found.jacobian, found.number, found.tally, found.growth = z, W.T, int(code[0]), tally, growth
@@ -172,9 +172,9 @@ def _go_on(hybrid: Hybrid, found: Followed, since: float, duration: float) -> No
     found.events += [_event(hybrid, row, since) for row in events[events[:, 1] >= 0.0]]
 
 
-def _event(hybrid: Hybrid, row: Array, since: float) -> Event:
+def _event(hybrid: Oscillator, row: Array, since: float) -> Event:
     t, signal, side, rate = row[:4].tolist()
-    first_friction = SIGNALS * hybrid.machines.sizes[1]
+    first_friction = SIGNALS * hybrid.table.machines.sizes[1]
     if signal >= first_friction:
         return Event(since + t, "friction", int(signal) - first_friction, int(side), rate, False)
     index, force = divmod(int(signal), SIGNALS)

@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from workers.model.oscillator import make_blocks
 from workers.orbit.attraction import falls_into, shrinking_norm
+
+
+def blocks_of(metric: np.ndarray) -> np.ndarray:
+    """Undamped blocks in which states have this metric."""
+    return make_blocks(np.zeros_like(metric), metric)
 
 
 def naive_norm(metric: np.ndarray, J: np.ndarray, contraction: float) -> np.ndarray:
@@ -33,7 +39,7 @@ def test_the_norm_is_the_sum_that_defines_it(n: int, modulus: float) -> None:
     rng = np.random.default_rng(n)
     for skew in (0.0, 0.3, 1.0):
         metric, J = 10.0 ** rng.uniform(-2, 2, n), contracting(rng, n, modulus, skew)
-        P = shrinking_norm(metric, J, 1.0 - modulus)
+        P = shrinking_norm(blocks_of(metric), J, 1.0 - modulus)
         naive = naive_norm(metric, J, 1.0 - modulus)
         assert np.allclose(P, naive, rtol=1e-6, atol=1e-10 * np.abs(naive).max())
 
@@ -48,7 +54,7 @@ def test_in_its_norm_the_jacobian_shrinks_all_deviations(n: int, modulus: float,
     J[:, -1] = 0.0  # a direction that is lost
     modulus = float(np.abs(np.linalg.eigvals(J)).max())
     metric = 10.0 ** rng.uniform(-2, 2, n)
-    P, q = shrinking_norm(metric, J, 1.0 - modulus), 0.5 * (1.0 + modulus)
+    P, q = shrinking_norm(blocks_of(metric), J, 1.0 - modulus), 0.5 * (1.0 + modulus)
     deviations = np.concatenate([rng.normal(size=(300, 2 * n)), np.linalg.svd(J)[2]])
     squares, images = (np.einsum("ki,ij,kj->k", x, P, x) for x in (deviations, deviations @ J.T))
     assert np.all(squares > 0.0)
@@ -63,8 +69,8 @@ def test_there_is_no_such_norm_where_deviations_do_not_shrink() -> None:
         np.full((2, 2), math.nan),
         np.array([[0.0, 1e200], [1e200, 0.0]]),
     ):
-        assert np.isnan(shrinking_norm(metric, J, 1e-12)).all()
-        P = shrinking_norm(metric, J, 1e-12)
+        assert np.isnan(shrinking_norm(blocks_of(metric), J, 1e-12)).all()
+        P = shrinking_norm(blocks_of(metric), J, 1e-12)
         assert not falls_into(P, J, 1e-12, np.zeros((1, 2)), np.full((1, 2), 1e-9), np.zeros((1, 2)))
 
 
@@ -80,9 +86,8 @@ def test_motion_falls_in_where_less_than_half_of_the_contraction_is_not_explaine
         d *= rng.choice([0.99, 1.01])
         inside = np.sqrt(r @ P @ r) < 0.5 * contraction * np.sqrt(d @ P @ d)
         h, image = fixed + d, fixed + J @ d + r
-        found = falls_into(
-            shrinking_norm(metric, J, contraction), J, contraction, *(x.reshape(2, 2) for x in (fixed, h, image))
-        )
+        norm = shrinking_norm(blocks_of(metric), J, contraction)
+        found = falls_into(norm, J, contraction, *(x.reshape(2, 2) for x in (fixed, h, image)))
         assert found == inside
         seen.append(found)
     assert 50 < sum(seen) < 150

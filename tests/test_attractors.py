@@ -10,6 +10,7 @@ from workers.attractors.same import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, dis
 from workers.attractors.search import Known
 from workers.attractors.starts import Starts, initial_states
 from workers.attractors.waves import Coexistence, solve_attractors
+from workers.model.oscillator import make_blocks
 from workers.model.system import find_system
 from workers.results import CHAOTIC, INVALID, NO_IMPACT, PENDING, PERIODIC
 
@@ -200,7 +201,7 @@ def test_the_distance_is_the_largest_difference_of_means_over_its_standard_error
 def test_a_motion_is_settled_from_where_its_sections_return_after_a_turn() -> None:
     sections = np.zeros((9, 1, 2))
     sections[:, 0, 1] = [9.0, 9.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0]  # period 2 from the third on
-    assert periods_to_settle(np.ones(1), np.zeros((1, 2)), sections, 20, 2) == 20 - 6
+    assert periods_to_settle(make_blocks(np.zeros(1), np.ones(1)), sections, 20, 2) == 20 - 6
 
 
 def test_the_cells_of_one_batch_know_their_attractors_apart() -> None:

@@ -114,13 +114,13 @@ def test_averages_do_not_depend_on_when_the_frame_is_made_orthonormal(figure: in
     one, other = motion_from(osc, start, vectors=vectors), motion_from(osc, start, vectors=vectors)
     average, expected = averaged(osc, one, 300), averaged(osc, other, 1)
     for _ in range(299):
-        reset_frame(osc, other)
+        reset_frame(osc.gap.blocks, other)
         expected.done[0] = 0
         run(expected, ONE)
-    reset_frame(osc, other)
+    reset_frame(osc.gap.blocks, other)
     assert one.tally[SPREAD] > 0.0
     assert average.levels[0, :, MEAN] == pytest.approx(expected.levels[0, :, MEAN], abs=1e-12)
-    reset_frame(osc, one)
+    reset_frame(osc.gap.blocks, one)
     assert one.growth == pytest.approx(other.growth, abs=1e-9)
 
 

@@ -136,7 +136,7 @@ def each_pair(one: Batch, other: Batch) -> Batch:
     def joined(a: object, b: object) -> object:
         if isinstance(a, tuple):
             return type(a)(*map(joined, a, b))  # type: ignore[call-overload]
-        return np.concatenate([a, b])  # type: ignore[list-item]
+        return None if a is None else np.concatenate([a, b])  # type: ignore[list-item]
 
     return joined(one, other)  # type: ignore[return-value]
 

@@ -77,7 +77,7 @@ def oscillator(omega: float) -> Oscillator:
 def orbit_near(bifurcation: Bifurcation, omega: float, h: np.ndarray) -> FixedPoint | None:
     """The orbit at omega, stable or not, by Newton's method from a block state; None where there is none."""
     osc = oscillator(omega)
-    scale = scale_of(osc, h)
+    scale = scale_of(osc.gap.blocks, h)
     found, _ = newton(osc, h, FREE, bifurcation.steps, bifurcation.half, scale, 20)
     return found if math.isfinite(found.residual) else None
 

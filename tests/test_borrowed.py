@@ -18,10 +18,10 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.jit import kernel
 from workers.model.system import System
 
-LENT = {"linear_of", "hybrid_of", "motion_of", "linear_later", "meters_of", "readings_of"}
+LENT = {"seen_later"}
 """Kernels that return what they borrow: parts of others, which nothing in workers calls from Python."""
 
-BORROWING = ("borrowed(", "lend(", "whole(")
+BORROWING = ("borrowed(", "lend(", "row_of(", "whole(")
 """What gives a kernel arrays that count no references."""
 
 
@@ -92,7 +92,7 @@ def returned_names(function: ast.FunctionDef) -> set[str]:
 
 
 def borrows(function: ast.FunctionDef) -> set[str]:
-    """Names that hold what ``borrowed``, ``lend`` or ``whole`` gives, and "borrowed" where that is returned at once."""
+    """Names that hold what one of BORROWING gives, and "borrowed" where that is returned at once."""
     found = set()
     for node in ast.walk(function):
         if isinstance(node, ast.Return) and node.value and ast.unparse(node.value).startswith(BORROWING):

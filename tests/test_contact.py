@@ -80,7 +80,7 @@ def test_a_resting_state_keeps_its_stop_and_its_place_through_blocks_and_back(ki
     assert set(np.abs(contact)) <= {HELD, AT_REST}
     again = physical_states(oscillators, found, rows)
     blocks = np.abs(oscillators.to_blocks) @ np.abs(states)[..., None]
-    terms = blocks[..., 0] + (oscillators.swing + np.abs(oscillators.rest)).reshape(MANY, 2 * n)
+    terms = blocks[..., 0] + (oscillators.gap.swing + np.abs(oscillators.gap.rest)).reshape(MANY, 2 * n)
     size = (np.abs(oscillators.to_physical) @ terms[..., None])[..., 0]
     assert np.all(np.abs(again - states) <= 32.0 * EPS * size)
     start_motions(oscillators, found, again, rows)

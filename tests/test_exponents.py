@@ -25,10 +25,10 @@ def test_independent_exponents_add_up_to_the_exact_sum(figure: int) -> None:
     run_periods(osc, motion, 200)
     motion.tally[:] = 0.0
     motion.tally[WORK] = WORK_OF_A_TRIAL
-    reset_frame(osc, motion)
+    reset_frame(osc.gap.blocks, motion)
     motion.growth[:] = 0.0
     run_periods(osc, motion, 2000)
-    reset_frame(osc, motion)
+    reset_frame(osc.gap.blocks, motion)
     trace = 2 * p["zeta"] * (1 + (1 + p["mu_k"]) / p["mu_m"])
     exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impact_count(motion.tally) / 2000
     assert bool(sum_law_holds(motion.tally))

@@ -53,7 +53,7 @@ def solver_sections(machine: Machine, state: np.ndarray, periods: int) -> Sectio
         motion = motion_at(motion.h, int(motion.contact[0]), vectors=size)._replace(triangle=np.eye(size))
         propagate(osc, motion, osc.period)
         assert motion.tally[STATUS] == RUNNING
-        reset_frame(osc, motion)
+        reset_frame(osc.gap.blocks, motion)
         frame = motion.V.reshape(size, size).T
         P = physical_directions(osc, motion)
         J = P @ frame @ (np.exp(motion.growth)[:, None] * motion.triangle) @ np.linalg.inv(P)

@@ -10,7 +10,7 @@ from tests import naive
 from workers.kernel.crossing import next_crossing, safe_step
 from workers.kernel.flow import block_flow
 from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import OF_FLOW, Mode, make_blocks
+from workers.model.oscillator import OF_FLOW, OF_GUARD, Mode, make_blocks
 
 
 def flow(eta: float, lam: float, s: float) -> np.ndarray:
@@ -67,9 +67,9 @@ def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float]
     sin_part, cos_part = rng.normal(size=2) * 0.3
     omega, size = float(np.exp(rng.uniform(np.log(0.3), np.log(5.0)))), math.hypot(sin_part, cos_part)
     blocks = make_blocks(eta, lam)
-    blocks[:, OF_FLOW:] = np.hstack([row, row1, np.zeros((n, 4)), row2])
+    blocks[:, OF_FLOW:OF_GUARD] = np.hstack([row, row1, np.zeros((n, 4)), row2])
     numbers = np.array([omega, *(size * omega**k for k in (0, 2, 3, 4))])
-    return Mode(blocks, lam, np.array([[sin_part, cos_part]]), numbers, np.zeros((n, 2, 1, 2)))
+    return Mode(blocks, np.array([[sin_part, cos_part]]), numbers, np.zeros((n, 2, 1, 2)))
 
 
 def without_force(signal: Mode) -> Mode:

@@ -6,8 +6,10 @@ import pytest
 from workers.kernel.lanes.frames import normalise_pass, project_pass
 from workers.kernel.lanes.layout import STRIDE, VECTOR_WIDTH, padded_blocks
 from workers.kernel.tangent import inner, orthonormalise
+from workers.model.oscillator import make_blocks
 
 LAM = (0.7, 3.1)
+BLOCKS = make_blocks(np.zeros(2), np.array(LAM))
 
 
 def weighted(V: np.ndarray) -> np.ndarray:
@@ -28,7 +30,7 @@ def test_the_energy_product_is_that_of_undamped_flight() -> None:
             out[j] = np.array([[np.cos(s * t), np.sin(s * t) / s], [-s * np.sin(s * t), np.cos(s * t)]]) @ z[j]
         moved.append(out)
     before, after = np.array([u, w]), np.array(moved)
-    assert inner(LAM, after, 0, after, 1) == pytest.approx(inner(LAM, before, 0, before, 1), rel=1e-13)
+    assert inner(BLOCKS, after, 0, after, 1) == pytest.approx(inner(BLOCKS, before, 0, before, 1), rel=1e-13)
 
 
 def test_a_frame_is_orthonormal_with_the_growth_of_a_qr_factorisation() -> None:
@@ -39,7 +41,7 @@ def test_a_frame_is_orthonormal_with_the_growth_of_a_qr_factorisation() -> None:
         growth = rng.normal(size=m)
         R = np.linalg.qr(weighted(V).T)[1]
         expected = growth + np.log(np.abs(np.diag(R)))
-        orthonormalise(LAM, V, growth, np.zeros((0, 0)), 4)
+        orthonormalise(BLOCKS, V, growth, np.zeros((0, 0)), 4)
         assert weighted(V) @ weighted(V).T == pytest.approx(np.eye(m), abs=1e-14)
         assert growth == pytest.approx(expected, rel=1e-13)
 
@@ -63,7 +65,7 @@ def test_frames_side_by_side_are_made_orthonormal_as_each_alone(n: int) -> None:
                 project_pass(weights.ravel(), flat[k], flat[later], partial, N)
     for i in range(N):
         growth = np.zeros(m)
-        orthonormalise(lam[:, i], V[i], growth, np.zeros((0, 0)), int(rank[i]))
+        orthonormalise(make_blocks(np.zeros(n), lam[:, i]), V[i], growth, np.zeros((0, 0)), int(rank[i]))
         assert together[:, :n, :, i] == pytest.approx(V[i], abs=1e-13)
         assert growths[:, i] == pytest.approx(growth, abs=1e-13)
 
@@ -78,7 +80,7 @@ def test_triangle_and_growth_keep_the_product_of_all_steps() -> None:
         A = rng.normal(size=(4, 4)) + 2 * np.eye(4)
         product = A @ product
         V = (V.reshape(4, 4) @ A.T).reshape(4, 2, 2).copy()
-        orthonormalise(LAM, V, growth, triangle, 4)
+        orthonormalise(BLOCKS, V, growth, triangle, 4)
     rebuilt = V.reshape(4, 4).T @ (np.exp(growth)[:, None] * triangle)
     assert rebuilt == pytest.approx(product, rel=1e-10, abs=1e-10 * np.abs(product).max())
     assert np.allclose(np.diag(triangle), 1.0)
@@ -92,7 +94,7 @@ def test_logarithms_outlive_what_the_product_cannot_hold() -> None:
     rates = np.array([2.0, 1.0, -1.0, -3.0])
     for _ in range(1000):
         V *= np.exp(rates).reshape(1, 2, 2)
-        orthonormalise(LAM, V, growth, triangle, 4)
+        orthonormalise(BLOCKS, V, growth, triangle, 4)
     assert growth == pytest.approx(1000 * rates + 0.5 * np.log([LAM[0], 1.0, LAM[1], 1.0]), rel=1e-12)
     assert np.all(np.isfinite(triangle))
 
@@ -101,10 +103,10 @@ def test_lost_directions_are_zero_with_growth_minus_infinity() -> None:
     rng = np.random.default_rng(4)
     V = rng.normal(size=(4, 2, 2))
     growth, triangle = np.zeros(4), np.eye(4)
-    orthonormalise(LAM, V, growth, triangle, 2)
+    orthonormalise(BLOCKS, V, growth, triangle, 2)
     assert np.all(V[2:] == 0.0)
     assert np.all(growth[2:] == -np.inf)
-    orthonormalise(LAM, V, growth, triangle, 2)
+    orthonormalise(BLOCKS, V, growth, triangle, 2)
     assert np.all(np.isfinite(growth[:2]))
     assert np.all(np.isfinite(triangle))
     assert weighted(V[:2]) @ weighted(V[:2]).T == pytest.approx(np.eye(2), abs=1e-14)

@@ -14,7 +14,7 @@ from workers.cell.cells import Cells, Results
 from workers.cell.solve import solve
 from workers.cell.stretch import begin, sections_from
 from workers.kernel.motion import RUNNING
-from workers.model.hybrid import Hybrid, build_hybrid, build_missing, code_of
+from workers.model.hybrid import build_hybrid, code_of
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.results import PERIODIC, result_variables
@@ -60,16 +60,16 @@ def test_a_cell_does_not_depend_on_the_cells_beside_it() -> None:
 # Tables
 
 
-def codes(hybrid: Hybrid) -> list[int]:
+def codes(hybrid: Oscillator) -> list[int]:
     return [int(number) for number in hybrid.table.codes[0] if number >= 0]
 
 
-def with_modes(machine: Machine, numbers: list[int]) -> Hybrid:
+def with_modes(machine: Machine, numbers: list[int]) -> Oscillator:
     """A machine with these modes built beforehand, in their order."""
     hybrid = built(machine)
     for number in numbers:
         hybrid.table.missing[0, 0] = number
-        build_missing(hybrid, np.zeros(1, dtype=np.int64))
+        hybrid.table.build_missing(np.zeros(1, dtype=np.int64))
     assert codes(hybrid) == numbers
     return hybrid
 
@@ -134,7 +134,7 @@ def test_a_mirrored_machine_moves_as_the_mirror_image(seed: int) -> None:
 # Elements that do nothing
 
 
-def close(found: Hybrid, expected: Hybrid, start: list[float]) -> None:
+def close(found: Oscillator, expected: Oscillator, start: list[float]) -> None:
     a, b = follow(found, start, periods=3), follow(expected, start, periods=3)
     np.testing.assert_allclose(a.state, b.state, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(a.jacobian, b.jacobian, rtol=0.0, atol=1e-11)
@@ -171,7 +171,7 @@ def test_a_phase_that_changes_nothing_changes_nothing(seed: int) -> None:
 # One rigid contact: what the solver without modes solves
 
 
-def two_mass(**params: list[float]) -> tuple[Oscillator, Hybrid, Array]:
+def two_mass(**params: list[float]) -> tuple[Oscillator, Oscillator, Array]:
     """The package's system both ways, and section states where its cells begin."""
     record = find_system("two-mass")
     values = broadcast(record, params)

@@ -13,8 +13,8 @@ import pytest
 from tests.hybrids import Array, Event, Followed, built, code_in, follow
 from tests.oracle.pieces import Machine, Mode
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING
-from workers.model.hybrid import Hybrid
 from workers.model.hybrid_modes import code_of
+from workers.model.oscillator import Oscillator
 
 LATER = 1.0
 """An unforced cycle begins where it starts to slip: it is followed from this much later on, off its events."""
@@ -53,7 +53,7 @@ def number_in(record: dict[str, Any]) -> int:
 
 
 @functools.cache
-def turn_of(name: str) -> tuple[Hybrid, Array, Followed]:
+def turn_of(name: str) -> tuple[Oscillator, Array, Followed]:
     """The machine, the state where it is followed from, and the motion over one turn."""
     record = RECORDS[name]
     hybrid = built(machine_in(record))
@@ -104,7 +104,7 @@ def test_an_orbit_of_the_oracle_closes_to_rounding(name: str) -> None:
 @each_orbit
 def test_an_orbit_ends_in_the_mode_that_it_began_in(name: str) -> None:
     hybrid, _, turn = turn_of(name)
-    first, last = (code_of(number, *hybrid.machines.sizes[1:]) for number in (turn.numbers[0], turn.numbers[-1]))
+    first, last = (code_of(number, *hybrid.table.machines.sizes[1:]) for number in (turn.numbers[0], turn.numbers[-1]))
     assert (last.contacts, last.slips) == (first.contacts, first.slips)
 
 
@@ -158,7 +158,7 @@ def test_multipliers_are_those_of_the_oracle(name: str) -> None:
 def test_half_a_turn_of_a_symmetric_orbit_is_its_mirror_image(name: str) -> None:
     record = RECORDS[name]
     hybrid, start, turn = turn_of(name)
-    half = follow(hybrid, start, turn.numbers[0], duration=math.pi / hybrid.machines.omega[0])
+    half = follow(hybrid, start, turn.numbers[0], duration=math.pi / hybrid.table.machines.omega[0])
     np.testing.assert_allclose(half.state, -start, rtol=0.0, atol=1e-13)
     expected = sorted_values(np.array([complex(*pair) for pair in record["half_multipliers"]]))
     tolerance = 1e-7 if "bifurcation" in record else 1e-12

@@ -13,7 +13,7 @@ from tests.hybrids import Array, Followed, built, follow
 from tests.oracle.pieces import Machine, simulate
 from tests.oracle.pieces.draw import random_machine, random_state
 from workers.kernel.motion import CONTRACTION, LOST, MODE_MISSING, RUNNING
-from workers.model.hybrid import Hybrid
+from workers.model.oscillator import Oscillator
 
 SENSITIVE = 1e5
 """Growth of errors beyond which states are not compared any more."""
@@ -29,7 +29,7 @@ def drawn(seed: int) -> Machine:
     return random_machine(seed, switched_elements=seed % 2 == 1)
 
 
-def by_period(hybrid: Hybrid, start: list[float], periods: int) -> Iterator[Followed]:
+def by_period(hybrid: Oscillator, start: list[float], periods: int) -> Iterator[Followed]:
     """The motion period by period, each with the derivative over it alone; the last one may have stopped."""
     state, number = np.array(start), None
     for _ in range(periods):
@@ -81,7 +81,7 @@ def test_twenty_periods_of_random_machines_are_those_of_the_oracle() -> None:
     assert_few_stop([compare(seed, 20) for seed in range(600, 650)])
 
 
-def differences(hybrid: Hybrid, start: Array, itinerary: list[tuple[str, int, int]]) -> Array | None:
+def differences(hybrid: Oscillator, start: Array, itinerary: list[tuple[str, int, int]]) -> Array | None:
     """The derivative of the state after a period by central differences; None where a neighbour's events are others."""
     columns = []
     for j in range(len(start)):

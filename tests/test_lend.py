@@ -1,4 +1,4 @@
-"""Claims about records that a kernel passes on by where they lie."""
+"""Claims about records that a kernel passes on by where they lie, and about rows of records."""
 
 import sys
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
 from workers.kernel.apart import FLOATS, apart
+from workers.kernel.borrow import row_of
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, whole
 
@@ -67,6 +68,11 @@ def weigh_apart_both(record):
 
 
 @kernel
+def weigh_row(records, r):
+    return weigh(lend(row_of(records, r)))
+
+
+@kernel
 def read_missing(record):
     return lend(record).missing
 
@@ -93,6 +99,27 @@ def test_lending_leaves_the_count_of_references_as_it_is() -> None:
         weigh_lent(mine)
         weigh_changed(mine)
         weigh_apart_both(mine)
+    assert (sys.getrefcount(mine.inner.row), sys.getrefcount(mine.matrix)) == before
+
+
+def many() -> Outer:
+    """Two records as one, the first of which is ``outer()``."""
+    inner = Inner(np.array([[1.0, 2.0], [-1.0, 7.0]]), np.array([0.5, 0.25]))
+    return Outer(np.array([3.0, 4.0]), inner, np.stack([np.eye(2), 2.0 * np.eye(2)]))
+
+
+def test_a_row_of_a_record_of_many_has_their_memory_in_a_kernel_as_outside() -> None:
+    mine, other = many(), many()
+    found = [weigh_row(mine, np.int64(r)) for r in range(2)]
+    assert found == [weigh(row_of(other, r)) for r in range(2)] == [4.0, 0.25 * 3.0 + 7.0]
+    assert np.array_equal(mine.inner.row, other.inner.row) and np.array_equal(mine.matrix, other.matrix)
+
+
+def test_taking_rows_leaves_the_count_of_references_as_it_is() -> None:
+    mine = many()
+    before = sys.getrefcount(mine.inner.row), sys.getrefcount(mine.matrix)
+    for _ in range(10):
+        weigh_row(mine, np.int64(1))
     assert (sys.getrefcount(mine.inner.row), sys.getrefcount(mine.matrix)) == before
 
 

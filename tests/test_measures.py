@@ -18,7 +18,7 @@ from workers.cell.measuring import followed
 from workers.kernel.hybrid.measuring import LEGS, Meters, Readings
 from workers.kernel.motion import RUNNING
 from workers.model.entries import DefinitionError
-from workers.model.hybrid import Hybrid
+from workers.model.oscillator import Oscillator
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED
 
 ORBITS = [
@@ -42,15 +42,15 @@ ONE_MASS: dict[str, Any] = {
 """A mass on a spring under a force and a load, with one stop, which is far away."""
 
 
-def meters_of(hybrid: Hybrid) -> Meters:
+def meters_of(hybrid: Oscillator) -> Meters:
     """Each displacement, velocity and acceleration, all with their extremes."""
-    own, n = hybrid.machines, hybrid.gap_row.shape[1]
+    own, n = hybrid.table.machines, hybrid.gap_row.shape[1]
     orders = np.repeat(np.arange(3.0), n)[None]
     return Meters(np.tile(np.eye(n), (3, 1))[None], orders, np.ones((1, 3 * n)), own.damping, own.pad, own.rub)
 
 
 @functools.cache
-def readings_of(name: str) -> tuple[Hybrid, Readings, float]:
+def readings_of(name: str) -> tuple[Oscillator, Readings, float]:
     """What a turn of an orbit of the oracle shows, and its periods."""
     record = RECORDS[name]
     hybrid = built(machine_in(record))
@@ -107,7 +107,7 @@ def test_depth_and_force_are_greatest_where_the_oracle_finds_them(name: str) -> 
 def test_times_in_contact_and_sticking_are_those_of_the_oracle(name: str) -> None:
     hybrid, readings, periods = readings_of(name)
     span = periods * hybrid.period[0]
-    soft = hybrid.machines.soft[0] > 0.0
+    soft = hybrid.table.machines.soft[0] > 0.0
     touching = (readings.touching[0] / span)[soft]
     assert touching.tolist() == near(np.array(expected(name)["contact_fraction"])[soft].tolist())
     assert (readings.stuck[0] / span).tolist() == near(expected(name)["stick_fraction"])
@@ -162,7 +162,7 @@ def test_random_motions_show_what_the_oracle_integrates_of_them(seed: int) -> No
     code, turns = np.array([[shown(hybrid, start)]]), np.array([2])
     readings, told = followed(hybrid, meters_of(hybrid), np.array([start]), code, turns, np.array([False]))
     assert told[0]
-    span, soft = 2.0 * hybrid.period[0], hybrid.machines.soft[0] > 0.0
+    span, soft = 2.0 * hybrid.period[0], hybrid.table.machines.soft[0] > 0.0
     wanted_of = measures(machine, start, 2, digits=30)
     for found, wanted in (
         (np.sqrt(readings.square[0, :n] / span), wanted_of["rms"]),

@@ -14,7 +14,7 @@ from workers.attractors.same import KnownOrbits, orbits_reached
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import FREE, motion_at, motions_at
-from workers.model.oscillator import Oscillator, many_of
+from workers.model.oscillator import Oscillator, make_blocks, many_of
 from workers.model.system import find_system
 from workers.orbit.attraction import shrinking_norm
 from workers.orbit.map import iterate, jacobian_of
@@ -165,24 +165,24 @@ def test_nothing_is_shown_to_fall_into_an_orbit_that_it_leaves() -> None:
     cell = solve_tile(ball, BALL)
     h, period = motion_from(osc, cell["state"]).h, int(cell["period"])
     w = weights(osc)
-    scale = float(np.linalg.norm(w * h.ravel()) + np.linalg.norm(w * osc.swing.ravel()))
+    scale = float(np.linalg.norm(w * h.ravel()) + np.linalg.norm(w * osc.gap.swing.ravel()))
     J = path(osc, h, period)[1]
     contraction = 1.0 - np.abs(np.linalg.eigvals(J)).max()
     assert (period, contraction) == (4, pytest.approx(0.479, abs=1e-3))
     assert np.linalg.norm(w[:, None] * J / w, 2) > 10.0
-    norm = shrinking_norm(osc.gap.metric, J, contraction)
+    norm = shrinking_norm(osc.gap.blocks, J, contraction)
     known = KnownOrbits(
         np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64), h[None], np.array([period]), J[None],
         np.array([contraction]), norm[None],
     )  # fmt: skip
-    own, swing = np.zeros(1, dtype=np.int64), osc.swing[None]
+    own = np.zeros(1, dtype=np.int64)
     seen = []
     for distance in np.geomspace(1e-4, 0.03, 10):
         for angle in np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False):
             d = distance * scale * np.array([math.cos(angle), math.sin(angle)]) / w
             start = h + d.reshape(1, 2)
             sections = path(osc, start, 3 * period)[0][None]
-            told = orbits_reached(osc.gap.metric[None], swing, sections, np.array([len(sections[0])]), own, own, known)
+            told = orbits_reached(osc.gap.blocks[None], sections, np.array([len(sections[0])]), own, own, known)
             shown = proof(osc, start, period)
             own_end, end = after(osc, start, 400 * period), after(osc, start, 400 * period + 1)
             falls = float(np.linalg.norm(w * (own_end - h).ravel())) < 1e-6 * scale
@@ -340,12 +340,13 @@ def test_near_returns_are_those_ten_times_closer_than_shorter_ones() -> None:
     """Truth: the naive twin, on distances spread over six decades."""
     rng = np.random.default_rng(1)
     metric, longest = np.array([0.5, 3.0]), 30
+    blocks = make_blocks(np.zeros(2), metric)
     seen = []
     for _ in range(300):
         sections = rng.normal(size=(rng.integers(1, 50), 2, 2)) * 10.0 ** rng.uniform(-6, 0, size=(1, 1, 1))
         sections *= 10.0 ** rng.uniform(-6, 0, size=(len(sections), 1, 1))
         sections[-1] = 0.0
-        found = recurrence(metric, sections, 1e-1, longest).tolist()
+        found = recurrence(blocks, sections, 1e-1, longest).tolist()
         assert found == returns_of(metric, sections, 1e-1, longest)
         seen.append(len(found))
     assert set(seen) == {0, 1, 2, 3}
@@ -355,7 +356,7 @@ def test_near_returns_are_those_ten_times_closer_than_shorter_ones() -> None:
 def test_a_return_after_the_longest_lag_counts(longest: int, expected: list[int]) -> None:
     sections = np.ones((20, 1, 2))
     sections[-1] = sections[-6] = 0.0
-    assert recurrence(np.ones(1), sections, 0.1, longest).tolist() == expected
+    assert recurrence(make_blocks(np.zeros(1), np.ones(1)), sections, 0.1, longest).tolist() == expected
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1e4])
@@ -366,9 +367,9 @@ def test_which_of_many_motions_are_far_from_closing_is_said_of_their_last_sectio
     sections[1, 5] = sections[1, 8] + 1e-6 * unit
     sections[2, 5] = sections[2, 7]
     sections[3, 4] = sections[3, 8]
-    metric, swing, h = np.ones((4, 1)), np.zeros((4, 1, 2)), np.zeros((4, 1, 2))
+    blocks, h = make_blocks(np.zeros((4, 1)), np.ones((4, 1))), np.zeros((4, 1, 2))
     h[:, 0, 1] = unit
     rows = np.array([3, 1, 2])
-    assert far_from_closing(metric, swing, h, sections, rows, 3, 1e-5).tolist() == [True, False, True]
-    assert far_from_closing(metric, swing, h, sections, rows, 3, 1e-7).tolist() == [True, True, True]
-    assert far_from_closing(metric, swing, h, sections, rows, 4, 1e-5).tolist() == [False, False, True]
+    assert far_from_closing(blocks, h, sections, rows, 3, 1e-5).tolist() == [True, False, True]
+    assert far_from_closing(blocks, h, sections, rows, 3, 1e-7).tolist() == [True, True, True]
+    assert far_from_closing(blocks, h, sections, rows, 4, 1e-5).tolist() == [False, False, True]

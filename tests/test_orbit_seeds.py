@@ -75,6 +75,13 @@ def test_an_orbit_that_rests_is_refused_in_one_line() -> None:
         orbit_from_state(TWO_MASS, naive.STICKING, found["state"], int(found["period"]))
 
 
+@pytest.mark.parametrize("name", ["two-mass", "soft-impact"])
+def test_an_orbit_of_no_periods_is_refused_in_one_line(name: str) -> None:
+    system = find_system(name)
+    with pytest.raises(ValueError, match=r"^periods: found 0, an orbit takes 1 or more$"):
+        orbit_from_state(system, {}, np.zeros(len(system.states)), 0)
+
+
 def test_times_are_reduced_to_one_turn_of_the_same_orbit() -> None:
     """Truth: the equations hold, and the section state is the same."""
     found = solve_tile("two-mass", {})

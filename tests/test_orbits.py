@@ -163,7 +163,7 @@ def test_recurrence_puts_the_lag_that_closes_first() -> None:
     osc, _ = naive.two_mass(**naive.FIGURES[3])
     sections = np.zeros((20, 2, 2))
     sections[:, 0, 0] = np.arange(20) % 4 * 1e-3
-    assert recurrence(osc.gap.lam, sections, 1.0, 10)[0] == 4
+    assert recurrence(osc.gap.blocks, sections, 1.0, 10)[0] == 4
 
 
 def test_a_newton_step_without_an_answer_is_not_finite() -> None:
@@ -238,7 +238,7 @@ def sliced_exponents(params: dict[str, float], slices: int) -> np.ndarray:
         motion.growth[np.isfinite(motion.growth)] = 0.0
         for k in range(slices):
             propagate(osc._replace(tau=osc.tau + 2 * math.pi * k / slices), motion, osc.period / slices)
-            reset_frame(osc, motion)
+            reset_frame(osc.gap.blocks, motion)
     return np.sort(motion.growth)[::-1]
 
 

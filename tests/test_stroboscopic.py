@@ -111,7 +111,7 @@ def test_the_jacobian_through_one_impact_is_that_of_a_plain_simulation() -> None
     motion = motion_from(osc, state, vectors=4)._replace(triangle=np.eye(4))
     propagate(osc, motion, end)
     assert motion.tally[UPPER] == 1
-    reset_frame(osc, motion)
+    reset_frame(osc.gap.blocks, motion)
     P = physical(osc)
     J = P @ motion.V.reshape(4, 4).T @ (np.exp(motion.growth)[:, None] * motion.triangle) @ np.linalg.inv(P)
     width = 1e-4
@@ -131,7 +131,7 @@ def test_the_volume_law_holds_along_chaos() -> None:
     for _ in range(50):
         impacts, growth = motion.tally[UPPER] + motion.tally[LOWER], motion.growth.sum()
         advance(osc, motion)
-        reset_frame(osc, motion)
+        reset_frame(osc.gap.blocks, motion)
         hits = motion.tally[UPPER] + motion.tally[LOWER] - impacts
         assert motion.growth.sum() - growth == pytest.approx(
             -osc.trace * osc.period + 2 * hits * math.log(osc.R), abs=1e-10 + (1e-4 if impacts == 0 else 0.0)
@@ -173,7 +173,7 @@ def test_ten_periods_agree_with_the_independent_simulator(kind: str) -> None:
     growth = 0.0
     for k in range(1, 11):
         advance(osc, motion)
-        reset_frame(osc, motion)
+        reset_frame(osc.gap.blocks, motion)
         assert motion.tally[STATUS] == RUNNING
         growth = max(growth, float(motion.growth[0]))
         exact = np.array([float(value) for value in true.sections[k]])

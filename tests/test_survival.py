@@ -273,8 +273,8 @@ def test_a_torus_is_told_from_an_orbit_that_closes_slowly_however_many_sections_
 ) -> None:
     """The nearest of 64 golden returns lies at .04 of the radius, the limit at 1e-5 of the motion."""
     cells = cells_of({"omega": 4.0, "b": 0.1})
-    metric, swing, h = cells.oscillators.gap.metric, cells.oscillators.swing, cells.batch.motions.h
-    found = far_from_closing(metric, swing, h, torus(count, radius, cells), np.arange(1), RETURNS, TORUS_RETURN)
+    blocks, h = cells.oscillators.gap.blocks, cells.batch.motions.h
+    found = far_from_closing(blocks, h, torus(count, radius, cells), np.arange(1), RETURNS, TORUS_RETURN)
     assert bool(found[0]) == is_torus
 
 

@@ -11,14 +11,11 @@ from workers.cell.stretch import batch_of, begin, run, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames, states_within
 from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import OVERDRAFT, PROGRESS, RECORDED, WORK
-from workers.model.hybrid import Hybrid, build_missing
-from workers.model.oscillator import each
+from workers.model.oscillator import Array, Oscillator, each
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError
 from workers.settings import Settings, check_whole
 from workers.tile import broadcast, initial_state
-
-Array = NDArray[np.float64]
 
 RECORD = 4096
 """Impacts of one period that there is room for; a period of more is gone through again with twice the room."""
@@ -78,7 +75,7 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
         (reason,) = stop_reasons(motions, cell)
         if reason != NO_REASON:
             raise ValueError(f"period {k}: {REASONS[reason].text}")
-        reset_frames(oscillators.gap.metric, motions, cell)
+        reset_frames(oscillators.gap.blocks, motions, cell)
         found = motions.impacts[0, : int(motions.tally[0, RECORDED])] + [k * period, 0.0, 0.0]
         motions.tally[0, RECORDED] = 0.0
         states.append(physical_states(oscillators, motions, cell)[0])
@@ -107,9 +104,7 @@ def _a_period_later(batch: Batch, cell: NDArray[np.int64]) -> Batch:
         batch = batch._replace(motions=each(before, np.copy)._replace(impacts=np.empty((1, 2 * room, 3))))
 
 
-def within_periods(oscillators: Hybrid, states: Array, times: Array) -> Array:
+def within_periods(oscillators: Oscillator, states: Array, times: Array) -> Array:
     """Physical states (S, K, 2n) of one machine at times (K,) within the period after each section state (S, 2n)."""
-    while True:
-        found: Array = states_within(oscillators, 0, states, times)
-        if not len(build_missing(oscillators, np.zeros(1, dtype=np.int64))):
-            return found
+    found: Array = oscillators.with_modes(lambda _: states_within(oscillators, 0, states, times), np.array([0]))
+    return found

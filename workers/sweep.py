@@ -3,17 +3,15 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from workers.cell.cells import Results
 from workers.kernel.cells import put_inside
-from workers.model.hybrid import rigid_stops
+from workers.model.oscillator import Array
 from workers.model.system import System, find_system
 from workers.results import NO_REASON
 from workers.settings import Settings
 from workers.tile import broadcast, initial_state, solve_tile
-
-Array = NDArray[np.float64]
 
 
 def solve_lines(
@@ -67,7 +65,7 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     if known.any():
         oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
         moved = last[known].copy()
-        for row, upper, lower in rigid_stops(oscillators):
+        for row, upper, lower in oscillators.rigid_stops:
             put_inside(row, upper, lower, moved)
         built = reasons == NO_REASON  # solve_tile calls the others invalid
         states[known] = np.where(built[:, None], moved, last[known])

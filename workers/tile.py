@@ -5,16 +5,15 @@ import sys
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from workers.cell.cells import Cells, Results
 from workers.cell.measuring import measure
 from workers.cell.solve import solve
+from workers.model.oscillator import Array
 from workers.model.system import System, find_system
 from workers.results import ATTRACTOR, Variable, empty_results
 from workers.settings import Settings
-
-Array = NDArray[np.float64]
 
 MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
 """Bytes of section states that cells under way may take together; cells that are under way together all the same."""

@@ -73,7 +73,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
 def _cells(ds: "xr.Dataset", along: str, with_modes: bool) -> Iterator[dict[str, Any]]:
     """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first.
 
-    Machines with modes, whose cells are not reported as symmetric: also orbits without impacts, and orbits that stick.
+    Of machines with modes also orbits without impacts, and orbits that stick.
     """
     read = ds[list(_STORED)].sortby(along).load()
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *_STORED)}

@@ -183,10 +183,12 @@ def warm_up(*parts: str) -> None:
     if ATTRACTORS in parts:
         from workers.attractors.starts import Starts
         from workers.attractors.waves import solve_attractors
-        from workers.kernel.cells import scale_at
+        from workers.kernel.cells import scale_of
 
         solve_attractors(DEFAULT, ONE_ORBIT, Settings(exponents="none", survival=0), Starts(4))
-        scale_at(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))
+        from workers.model.oscillator import COLUMN
+
+        scale_of(np.zeros((1, len(COLUMN))), np.zeros((1, 2)))
     if ORBITS in parts:
         _follow_an_orbit()
     if MEASURES in parts:

@@ -7,11 +7,13 @@ from workers.attractors.same import nearest, same_orbit, states_of_turn
 from workers.attractors.search import Search
 from workers.cell.exponents import free_exponents
 from workers.kernel.motion import axes
-from workers.model.hybrid import Hybrid, with_modes
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Oscillator, one_of
 from workers.orbit.attraction import shrinking_norm
 from workers.orbit.map import iterate, jacobian_of
 from workers.results import NO_IMPACT
+
+FIRST = np.zeros(1, dtype=np.int64)
+"""The only row of a record of one machine."""
 
 LONGEST_KNOWN = 32
 """Longest orbit that motions are compared with: longer ones are found anew, and seen to be the same then."""
@@ -23,7 +25,7 @@ class CellAttractors:
     undecided    initial states, by number, whose attractor is not known
     """
 
-    def __init__(self, oscillator: Oscillator | Hybrid) -> None:
+    def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
         self.symmetric = bool(oscillator.symmetric[0] > 0.0)
         self.attractors: list[Attractor] = []
@@ -68,7 +70,7 @@ class CellAttractors:
         self.attractors.append(new)
 
 
-def attractor_of(oscillator: Oscillator | Hybrid, search: Search, r: int) -> Attractor | None:
+def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | None:
     """The attractor of a motion that was solved in full, as it alone shows it; None where that is not known.
 
     An orbit or motion without impact that it has been proved to fall into, or chaos or a torus that it was followed on.
@@ -80,7 +82,7 @@ def attractor_of(oscillator: Oscillator | Hybrid, search: Search, r: int) -> Att
         return new
     if regime not in STABLE:
         return None
-    if regime == NO_IMPACT and isinstance(oscillator, Oscillator):
+    if regime == NO_IMPACT and not oscillator.has_modes:
         new.h, new.period, largest = np.zeros_like(orbits.h[r]), 1, float(free_exponents(oscillator)[0, 0])
     else:
         new.h, new.period, new.shift = orbits.h[r].copy(), int(orbits.period[r]), float(orbits.shift[r])
@@ -88,9 +90,10 @@ def attractor_of(oscillator: Oscillator | Hybrid, search: Search, r: int) -> Att
     new.orbit = states_of_turn(oscillator, new)
     if largest < 0.0 and new.period <= LONGEST_KNOWN:
         none, whole = (np.zeros(0), np.zeros((0, 0))), (new.period, np.bool_(False))
-        turn = with_modes(oscillator, lambda osc: iterate(osc, new.h, new.contact, axes(len(new.h)), *none, *whole))
+        osc, frame = one_of(oscillator, 0), axes(len(new.h))
+        turn = oscillator.with_modes(lambda _: iterate(osc, new.h, new.contact, frame.copy(), *none, *whole), FIRST)
         jacobian, contraction = jacobian_of(turn.V), -float(np.expm1(largest * new.period))
-        norm = shrinking_norm(oscillator.gap.metric[0], jacobian, contraction)
+        norm = shrinking_norm(osc.gap.blocks, jacobian, contraction)
         if np.isfinite(norm).all():
             new.jacobian, new.contraction, new.norm = jacobian, contraction, norm
     return new

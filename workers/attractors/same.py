@@ -16,12 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.attractors.record import Attractor
-from workers.cell.stretch import Rows, batch_of, begin, run
-from workers.kernel.cells import physical_states, scale_at
+from workers.cell.stretch import batch_of, begin, run
+from workers.kernel.cells import physical_states, scale_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, Motion, motion_at
-from workers.model.hybrid import Hybrid, HybridCell, cell_of
-from workers.model.oscillator import Array, Oscillator, each, many_of, one_of
+from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, each, many_of, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import separation
 from workers.orbit.section import moved
@@ -41,10 +40,6 @@ LEAST_SPREAD = 1e-9
 """Spread of a mean that is rounding, relative to the root mean square of what is averaged."""
 
 
-Machines = Oscillator | Hybrid
-"""A record of many machines."""
-
-
 class KnownOrbits(NamedTuple):
     """M orbits; cell c has first[c] to last[c] - 1.
 
@@ -62,7 +57,7 @@ class KnownOrbits(NamedTuple):
 
 
 @kernel
-def orbits_reached(metric, swing, sections, kept, rows, owner, known):
+def orbits_reached(blocks, sections, kept, rows, owner, known):
     """Which known orbit of its cell each of these motions falls into, -1 for none.
 
     sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the cell of each motion. An orbit can
@@ -79,10 +74,10 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
                 continue
             at, nearest = 0, np.inf
             for j in range(p):
-                here = separation(metric[r], sections[r, last - p - j], known.h[m])
+                here = separation(blocks[r], sections[r, last - p - j], known.h[m])
                 if here < nearest:
                     at, nearest = j, here
-            scale = scale_at(metric[r], swing[r], sections[r, last - p - at])
+            scale = scale_of(blocks[r], sections[r, last - p - at])
             if not nearest <= NEAR_ORBIT * scale:
                 continue
             P, J, h = known.norm[m], known.jacobian[m], known.h[m]
@@ -92,7 +87,7 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
                 if not falls_into(P, J, known.contraction[m], h, start, image):
                     break
                 before = sections[r, last - at - p]
-                reached = k < last - at and stays_nearer(metric[r], P, J, h, before, separation(metric[r], start, h))
+                reached = k < last - at and stays_nearer(blocks[r], P, J, h, before, separation(blocks[r], start, h))
                 k -= p
             if reached:
                 found[e] = m
@@ -100,54 +95,53 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
     return found
 
 
-def norms(metric: Array, h: Array) -> Array:
+def norms(blocks: Array, h: Array) -> Array:
     """The energy norms (K,) of block states h (K, n, 2)."""
-    return np.asarray(np.sqrt((metric * h[..., 0] ** 2 + h[..., 1] ** 2).sum(axis=-1)))
+    return np.asarray(np.sqrt((blocks[:, COLUMN.metric] * h[..., 0] ** 2 + h[..., 1] ** 2).sum(axis=-1)))
 
 
-def periods_to_settle(metric: Array, swing: Array, sections: Array, flown: int, period: int) -> int:
+def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -> int:
     """Periods after which the sections of a motion stay within NEAR_ORBIT of those a turn later.
 
     sections (K, n, 2): the last that are known after ``flown`` periods; period: of the orbit that it falls into.
     """
-    away = norms(metric, sections[period:] - sections[:-period])
-    far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_at(metric, swing, sections[-1])))
+    away = norms(blocks, sections[period:] - sections[:-period])
+    far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_of(blocks, sections[-1])))
     return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
 
-def seen_from(oscillator: Machines, orbit: Attractor, shift: float) -> tuple[Oscillator | HybridCell, Motion]:
+def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[Oscillator, Motion]:
     """An orbit on the section t = (k + shift) T: its oscillator as seen from there, and its motion."""
-    osc = cell_of(oscillator, 0)
-    if isinstance(osc, HybridCell):  # proved at t = k T
+    osc = one_of(oscillator, 0)
+    if shift == 0.0:
         return osc, motion_at(orbit.h, orbit.contact)
     return osc._replace(tau=osc.tau + 2.0 * np.pi * shift), moved(osc, orbit.h, orbit.contact, shift)
 
 
-def states_of_turn(oscillator: Machines, orbit: Attractor) -> Array:
+def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
     """Block states (period, n, 2) of an orbit on the section where it was proved."""
     osc, motion = seen_from(oscillator, orbit, orbit.shift)
-    many = many_of(osc) if isinstance(osc, Oscillator) else oscillator
-    batch = batch_of(many, each(motion, lambda field: field[None]), orbit.period)
+    batch = batch_of(many_of(osc), each(motion, lambda field: field[None]), orbit.period)
     batch.periods[0] = orbit.period
     run(batch, np.zeros(1, dtype=np.int64))
     return batch.sections[0]
 
 
-def image_of(osc: Oscillator | HybridCell, h: Array, contact: int) -> tuple[Array, int]:
+def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
     """Where the mirror image of a motion at block state h (n, 2) is, with its contact; NaN where that is not known."""
     later = moved(osc, h, contact, 0.5)
     return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), -int(later.contact[0])
 
 
-def same_orbit(oscillator: Machines, old: Attractor, new: Attractor, half: bool = False) -> bool:
+def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
     """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved."""
     if (old.regime, old.period) != (new.regime, new.period):
         return False
-    if old.regime == NO_IMPACT and not half and isinstance(oscillator, Oscillator):  # there is one alone
+    if old.regime == NO_IMPACT and not half and not oscillator.has_modes:  # there is one alone
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(osc, motion.h, int(motion.contact[0]))[0] if half else motion.h
-    return bool(norms(osc.gap.metric, old.orbit - h).min() < SAME_ORBIT * scale_at(osc.gap.metric, osc.swing, h))
+    return bool(norms(osc.gap.blocks, old.orbit - h).min() < SAME_ORBIT * scale_of(osc.gap.blocks, h))
 
 
 def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:

@@ -12,10 +12,8 @@ from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER, Course
 from workers.cell.measuring import measure
 from workers.cell.outcome import end_impact_free, end_stopped
-from workers.cell.stretch import Mask, Reasons, Rows
 from workers.kernel.cells import physical_states
-from workers.model.hybrid import drifts
-from workers.model.oscillator import Array, Oscillator
+from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows
 from workers.model.system import System
 from workers.settings import Settings
 from workers.tile import MEMORY_AT_ONCE, result_arrays
@@ -87,9 +85,9 @@ class Search:
         owner: Rows,
         contact: Rows | None = None,
     ) -> None:
-        N, size = len(owner), states.shape[1]
+        N = len(owner)
         self.record, self.params, self.variables = record, params, record.variables(settings)
-        arrays = result_arrays(self.variables, settings, N, size, exponents=size - drifts(oscillators))
+        arrays = result_arrays(self.variables, settings, N, len(record.states), exponents=record.exponents)
         self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
         self.course = Course(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]
@@ -143,14 +141,13 @@ class Search:
     def _is_known(self, rows: Rows) -> Mask:
         """Which of these motions fall into a known orbit; they have its label."""
         cells, orbits = self.cells, self.known.orbits
-        metric, swing, sections = cells.oscillators.gap.metric, cells.oscillators.swing, cells.batch.sections
-        kept = cells.kept()
-        found = orbits_reached(metric, swing, sections, kept, rows, self.owner, orbits)
+        blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.kept()
+        found = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
         reached = found >= 0
         self.label[rows[reached]] = self.known.places[found[reached]]
         for r, period in zip(rows[reached], orbits.period[found[reached]], strict=True):
             known = sections[r, sections.shape[1] - kept[r] :]
-            self.arrival[r] = periods_to_settle(metric[r], swing[r], known, cells.flown[r], period)
+            self.arrival[r] = periods_to_settle(blocks[r], known, cells.flown[r], period)
         return np.asarray(reached)
 
     def _leaves(self, rows: Rows) -> Mask:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.hybrid import Hybrid, rigid_stops
 from workers.model.oscillator import Array, Oscillator
 from workers.settings import check_whole
 
@@ -60,7 +59,7 @@ class Starts:
         return [range(first, end) for first, end in pairwise(sorted(ends))]
 
 
-def initial_states(starts: Starts, oscillators: Oscillator | Hybrid, names: tuple[str, ...], own: Array) -> Array:
+def initial_states(starts: Starts, oscillators: Oscillator, names: tuple[str, ...], own: Array) -> Array:
     """The initial states (N, starts, 2n) of N cells, in order; NaN where too few points of the box lie between stops.
 
     own     (N, 2n) the cells' own, the first of each
@@ -72,7 +71,7 @@ def initial_states(starts: Starts, oscillators: Oscillator | Hybrid, names: tupl
     if starts.count == 1:
         return found
     low, high = boxes(starts, oscillators, names)
-    points, stops = _points(size, TRIES * (starts.count - 1), starts.seed), rigid_stops(oscillators)
+    points, stops = _points(size, TRIES * (starts.count - 1), starts.seed), oscillators.rigid_stops
     for k in range(N):
         states = low[k] + points * (high[k] - low[k])
         free = np.ones(len(states), dtype=np.bool_)
@@ -84,7 +83,7 @@ def initial_states(starts: Starts, oscillators: Oscillator | Hybrid, names: tupl
     return found
 
 
-def boxes(starts: Starts, oscillators: Oscillator | Hybrid, names: tuple[str, ...]) -> tuple[Array, Array]:
+def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Lowest and highest initial states (N, 2n) of N cells.
 
     By default each displacement lies within REACH a of its rest position and each velocity within REACH v of 0. a and v
@@ -95,9 +94,9 @@ def boxes(starts: Starts, oscillators: Oscillator | Hybrid, names: tuple[str, ..
     moves = oscillators.to_physical
     forced = oscillators.gap.forced.reshape(N, 2 * n, -1, 2)
     amplitude = np.sum(np.hypot(*np.moveaxis(np.einsum("nij,njhp->nihp", moves, forced), -1, 0)), axis=-1)
-    if isinstance(oscillators, Hybrid):  # that of the mode with all contacts open, or a little more
-        amplitude = np.einsum("nij,nj->ni", np.abs(moves), oscillators.swing.reshape(N, 2 * n))
-    middle = np.einsum("nij,nj->ni", moves, oscillators.rest.reshape(N, 2 * n))
+    if oscillators.has_modes:  # that of the mode with all contacts open, or a little more
+        amplitude = np.einsum("nij,nj->ni", np.abs(moves), oscillators.gap.swing.reshape(N, 2 * n))
+    middle = np.einsum("nij,nj->ni", moves, oscillators.gap.rest.reshape(N, 2 * n))
     row = np.abs(oscillators.gap_row)
     half = 0.5 * (oscillators.upper - oscillators.lower)
     gap = np.where(np.isfinite(half), half, 0.0)[:, None] * row / np.sum(row * row, axis=1)[:, None]
@@ -107,7 +106,7 @@ def boxes(starts: Starts, oscillators: Oscillator | Hybrid, names: tuple[str, ..
     for name, first, last in starts.box:
         k = names.index(name)
         low[:, k], high[:, k] = first, last
-    for row, upper, lower in rigid_stops(oscillators):
+    for row, upper, lower in oscillators.rigid_stops:
         (alone,) = np.nonzero((row != 0.0).sum(axis=1) == 1)
         k = np.argmax(row[alone] != 0.0, axis=1)
         ends = np.stack([lower[alone], upper[alone]]) / row[alone, k]

@@ -22,8 +22,7 @@ from workers.attractors.same import mirrored, nearest
 from workers.attractors.search import Known, Search, motions_at_once
 from workers.attractors.starts import Starts, initial_states, unseen_share, wilson
 from workers.cell.cells import Results
-from workers.cell.stretch import Rows
-from workers.model.oscillator import Array, taken
+from workers.model.oscillator import Array, Rows, taken
 from workers.model.system import System, find_system
 from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON
 from workers.settings import Settings

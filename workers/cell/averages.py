@@ -4,11 +4,10 @@ import numpy as np
 
 from workers.cell.cells import Average, Cells
 from workers.cell.exponents import impact_count
-from workers.cell.stretch import Mask, Rows
 from workers.kernel.averages import COUNT, MEAN
 from workers.kernel.cells import reset_frames, standard_errors
 from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, axes
-from workers.model.oscillator import Array, taken
+from workers.model.oscillator import Array, Mask, Rows, taken
 
 CLEAR = 4.0
 """Standard errors above zero from which an exponent is called positive."""
@@ -84,7 +83,7 @@ def has_changed(cells: Cells, rows: Rows) -> Mask:
 
 def close(cells: Cells, rows: Rows) -> None:
     """Keep the average under way as the earlier one, in its place."""
-    reset_frames(cells.oscillators.gap.metric, cells.batch.motions, rows)
+    reset_frames(cells.oscillators.gap.blocks, cells.batch.motions, rows)
     for earlier, now in zip(cells.earlier, under_way(cells, rows), strict=True):
         earlier[rows] = now
 
@@ -127,5 +126,5 @@ def restart(cells: Cells, rows: Rows) -> None:
     cells.began[rows] = cells.flown[rows]
     motions.V[rows[motions.tally[rows, LOST] > cells.drifts]] = axes(motions.h.shape[1])[: cells.vectors]
     motions.tally[rows] = np.where(NEVER_RESTARTED, motions.tally[rows], NOTHING_COUNTED)
-    reset_frames(cells.oscillators.gap.metric, motions, rows)
+    reset_frames(cells.oscillators.gap.blocks, motions, rows)
     motions.growth[rows], batch.levels[rows], batch.weighted[rows] = 0.0, 0.0, 0.0

@@ -5,10 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cell.stretch import Mask, Reasons, Rows, batch_of, begin, ended, run
+from workers.cell.stretch import batch_of, begin, ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
-from workers.model.hybrid import drifts
-from workers.model.oscillator import Array, Oscillator
+from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
 from workers.settings import Settings
@@ -80,7 +79,7 @@ class Cells:
         adaptive = settings.method == "adaptive"
         kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
         self.directions = 2 * n
-        self.drifts = drifts(oscillators)
+        self.drifts = oscillators.drifts
         self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n - self.drifts}[settings.exponents]
         self.oscillators, self.settings, self.found = oscillators, settings, found
         motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)

@@ -17,9 +17,7 @@ from workers.cell.averages import clearly_positive, periods_for, under_way
 from workers.cell.cells import RETURNS, Cells
 from workers.cell.exponents import impact_count
 from workers.cell.orbits import LONG_PERIOD, NEAR, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
-from workers.cell.stretch import Mask, Rows
-from workers.model.hybrid import Hybrid
-from workers.model.oscillator import COLUMN, Array, Oscillator
+from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Rows
 from workers.orbit.newton import far_from_closing
 from workers.results import NO_REASON, NOT_RELAXED, NOT_STATIONARY, RESTED, UNDETERMINED
 
@@ -63,7 +61,7 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Arra
     their part of one of the 2n squares that the energy is a sum of. Of machines with modes it is the mean time of all
     modes with contacts open, friction left out. May be infinite.
     """
-    if isinstance(oscillators, Hybrid):
+    if oscillators.has_modes:
         return np.asarray(1.0 / (2.0 * oscillators.gap.eta[rows].mean(axis=-1) * oscillators.period[rows]))
     slowest = oscillators.gap.blocks[rows][..., COLUMN.slow].min(axis=-1)
     freedoms = 2.0 * oscillators.gap_row.shape[1]
@@ -285,9 +283,8 @@ class Course:
         spread = np.abs(now - previous)
         flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
         flat[flat] = far_from_closing(
-            cells.oscillators.gap.metric, cells.oscillators.swing, batch.motions.h, batch.sections, rows[flat], RETURNS,
-            TORUS_RETURN,
-        )  # fmt: skip
+            cells.oscillators.gap.blocks, batch.motions.h, batch.sections, rows[flat], RETURNS, TORUS_RETURN
+        )
         outcome.put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
         rows, now = rows[~flat], now[~flat]
         mean, error, periods, _, _ = under_way(cells, rows)

@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from workers.cell.cells import LEAST_WORK, Cells
 from workers.cell.outcome import put
-from workers.cell.stretch import Mask, Rows
 from workers.kernel.cells import physical_states
 from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
-from workers.kernel.motion import MODE_MISSING, RUNNING, motions_at
+from workers.kernel.motion import RUNNING, motions_at
 from workers.model.definition import Definition
-from workers.model.hybrid import FIRST_NUMBER, Hybrid, build_hybrid, build_missing
+from workers.model.hybrid import FIRST_NUMBER, build_hybrid
 from workers.model.hybrid_machines import HybridMachines, mirrors
 from workers.model.hybrid_modes import Code
-from workers.model.oscillator import Array, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 WINDOW = 256
@@ -40,7 +39,7 @@ counts as symmetric."""
 @np.errstate(all="ignore")
 def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
     """Write what cells of known classes show of their machine's own results, from parameters (N,) each."""
-    hybrid = isinstance(cells.oscillators, Hybrid)
+    hybrid = cells.oscillators.has_modes
     if not (hybrid or definition.measures):
         return
     rows = np.flatnonzero(np.isin(cells.found["regime"], (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC)))
@@ -51,22 +50,23 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         periods, closes = _turns(cells, some)
         states, codes = _starts(cells, some, closes)
         meters = _meters(machines, definition, values)
-        readings, told = followed(machines, meters, states, codes, periods, closes & hybrid)
+        readings, whole = followed(machines, meters, states, codes, periods, closes & hybrid)
         span = periods * machines.period
         found = _of_measures(definition, definition.outputs(values)[2], readings, span)
         if hybrid:
-            found |= _of_machine(machines, readings, closes, periods)
-            found |= _of_elements(definition, machines.machines, readings, closes, periods)
+            own = machines.table.machines
+            found |= _of_machine(own, readings, closes, periods)
+            found |= _of_elements(definition, own, readings, closes, periods)
             counted, lost = cells.found["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             found["impact_energy"] = np.where(np.isnan(counted), lost, counted)
-        put(cells, some[told], **{name: value[told] for name, value in found.items()})
+        put(cells, some[whole], **{name: value[whole] for name, value in found.items()})
 
 
 def _turns(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
     """Periods (N,) over which these cells are measured, and for which of them that is a turn of an orbit."""
     period = cells.found["period"][rows].astype(np.int64)
     closes = period > 0
-    if not isinstance(cells.oscillators, Hybrid):  # without damping, motion without impact need not repeat
+    if not cells.oscillators.has_modes:  # without damping, motion without impact need not repeat
         gap = cells.oscillators.gap
         closes &= (cells.found["regime"][rows] == PERIODIC) | np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)[rows]
     return np.where(closes, period, WINDOW), closes
@@ -75,21 +75,21 @@ def _turns(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
 def _starts(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
     """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
     states, contact = cells.found["state"][rows], cells.contact[rows]
-    proved = closes & (isinstance(cells.oscillators, Hybrid) | (cells.found["regime"][rows] == PERIODIC))
+    proved = closes & (cells.oscillators.has_modes | (cells.found["regime"][rows] == PERIODIC))
     orbits = motions_at(cells.orbits.h, cells.orbits.contact)
     states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
     contact[proved] = cells.orbits.contact[rows[proved], 0]
-    if isinstance(cells.oscillators, Hybrid):
+    if cells.oscillators.has_modes:
         return states, contact[:, None] - FIRST_NUMBER
     held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])
     return states, held[np.sign(contact) + 1][:, None]
 
 
-def _meters(machines: Hybrid, definition: Definition, values: Mapping[str, Array]) -> Meters:
+def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> Meters:
     """What is measured of machines: their measures, and the range of the coordinate that pictures show."""
     rows, orders, _ = definition.outputs(values)
     peaks = np.tile([*("peak" in measure.report for _, measure in definition.measures), True], (len(rows), 1))
-    own: HybridMachines = machines.machines
+    own: HybridMachines = machines.table.machines
     return Meters(
         rows=np.concatenate([rows, machines.gap_row[:, None]], axis=1),
         orders=np.concatenate([orders, np.zeros((len(rows), 1))], axis=1),
@@ -101,26 +101,26 @@ def _meters(machines: Hybrid, definition: Definition, values: Mapping[str, Array
 
 
 def followed(
-    machines: Hybrid, meters: Meters, states: Array, codes: Rows, periods: Rows, closes: Mask
+    machines: Oscillator, meters: Meters, states: Array, codes: Rows, periods: Rows, closes: Mask
 ) -> tuple[Readings, Mask]:
     """What motions show from physical states (N, 2n), with numbers of modes (N, 1), over ``periods`` (N,).
 
     closes (N,): these are one turn of an orbit. And which of them could be followed.
     """
-    N, readings = len(states), _nothing_read(machines, meters)
+    N, readings = len(states), _nothing_read(meters)
     states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
-    allowance, going = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64), np.arange(N)
-    while True:
-        status[going] = read_motions(
-            machines, meters, readings, states, codes, done, periods, closes.astype(np.int64), allowance, going
-        )[going]
-        going = build_missing(machines, going[status[going] == MODE_MISSING])
-        if not len(going):
-            return readings, status == RUNNING
+    allowance, turns = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64), closes.astype(np.int64)
+
+    def read(some: Rows) -> None:
+        given = states, codes, done, periods, turns, allowance, some
+        status[some] = read_motions(machines, meters, readings, *given)[some]
+
+    machines.with_modes(read, np.arange(N))
+    return readings, status == RUNNING
 
 
-def _nothing_read(machines: Hybrid, meters: Meters) -> Readings:
-    (N, M), (_, C, F) = meters.orders.shape, machines.machines.sizes
+def _nothing_read(meters: Meters) -> Readings:
+    (N, M), C, F = meters.orders.shape, meters.pad.shape[2], meters.rub.shape[2]
     outputs, contacts, frictions = np.zeros((4, N, M)), np.zeros((5, N, C)), np.zeros((2, N, F))
     outputs[2], outputs[3] = np.inf, -np.inf
     return Readings(
@@ -146,13 +146,13 @@ def _of_measures(definition: Definition, weights: Array, readings: Readings, spa
     return found
 
 
-def _of_machine(machines: Hybrid, readings: Readings, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
+def _of_machine(machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
     """The variables of a whole machine with modes."""
     early, late = readings.halves[:, 0], readings.halves[:, 1]
     away = np.linalg.norm(early + late, axis=1)
     size = np.linalg.norm(early, axis=1) + np.linalg.norm(late, axis=1)
     return {
-        "symmetric": mirrors(machines.machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
+        "symmetric": mirrors(machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
         "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
         "damper_loss": readings.damped[:, 0] / periods,
     }

@@ -6,9 +6,8 @@ import numpy as np
 
 from workers.cell.cells import Cells
 from workers.cell.outcome import put_periodic
-from workers.cell.stretch import Mask, Rows, batch_of, run
-from workers.model.hybrid import Hybrid, build_missing
-from workers.model.oscillator import Array, Oscillator, taken
+from workers.cell.stretch import batch_of, run
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
 from workers.orbit.newton import settle_each
 from workers.orbit.rest import rest_to_rest
 
@@ -38,10 +37,12 @@ def _settled(rows: Rows, oscillators: Oscillator, *given: Any) -> Mask:
     """settle_each of these cells; once more where a mode had to be built for it."""
     *asked, orbits, spent = given
     proved = np.zeros(len(oscillators.tau), dtype=np.bool_)
-    tried = rows
-    while len(tried):
+
+    def settle(tried: Rows) -> None:
         proved[tried] = settle_each(oscillators, *asked, tried, orbits, spent)
-        tried = build_missing(oscillators, tried) if isinstance(oscillators, Hybrid) else tried[:0]
+
+    if len(rows):
+        oscillators.with_modes(settle, rows)
     return proved[rows]
 
 
@@ -85,7 +86,7 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     one. Another is an orbit that a near return led to, and that the motion left again. One mass that a stop
     can hold at some phase of the force has another: what follows a release repeats with the next rest.
     """
-    if isinstance(cells.oscillators, Hybrid):
+    if cells.oscillators.has_modes:
         return np.asarray(cells.orbits.near[rows])
     osc = taken(cells.oscillators, rows)
     damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1)

@@ -14,12 +14,11 @@ from workers.cell.averages import clearly_positive, counts, whole_average
 from workers.cell.cells import Average, Cells
 from workers.cell.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
 from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
-from workers.cell.stretch import Rows, sections_from, stop_reasons
+from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.kernel.contact import COMPLETION
-from workers.model.hybrid import Hybrid
-from workers.model.oscillator import Array, Oscillator, taken
+from workers.model.oscillator import Array, Oscillator, Rows, taken
 from workers.orbit.newton import Orbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
@@ -86,8 +85,9 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     cells.used[rows] += orbits.period
     sticks = orbits.tally[:, motion.STUCK] > 0.0
     free = (impact_count(orbits.tally) == 0.0) & ~sticks
-    if isinstance(cells.oscillators, Hybrid):
-        regime = np.where(free & (cells.oscillators.machines.sizes[1] > 0), results.NO_IMPACT, results.PERIODIC)
+    if cells.oscillators.has_modes:
+        contacts = cells.oscillators.table.machines.sizes[1]
+        regime = np.where(free & (contacts > 0), results.NO_IMPACT, results.PERIODIC)
     else:
         put_impact_free(cells, rows[free], orbits.h[free])
         rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
@@ -96,7 +96,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         return
     oscillators, tally, largest = taken(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
     total = np.sum(orbits.exponents, axis=1)
-    if isinstance(oscillators, Hybrid):
+    if oscillators.has_modes:
         whole = tally[:, motion.LOST] == cells.drifts
         defect = np.where(whole, total - tally[:, motion.CONTRACTION] / orbits.period, math.nan)
     else:
@@ -139,7 +139,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     if not len(rows):
         return
     motions = cells.batch.motions
-    reset_frames(cells.oscillators.gap.metric, motions, rows[cells.averaging[rows]])
+    reset_frames(cells.oscillators.gap.blocks, motions, rows[cells.averaging[rows]])
     average, _ = whole_average(cells, rows)
     counted = np.flatnonzero(average.periods > 0.0)
     some, average = rows[counted], taken(average, counted)

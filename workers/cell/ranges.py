@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from workers.cell.stretch import Rows
 from workers.kernel.cells import excursions
 from workers.kernel.motion import FREE, LOWER, UPPER
-from workers.model.hybrid import Hybrid
-from workers.model.oscillator import Array, Oscillator
+from workers.model.oscillator import Array, Oscillator, Rows
 
 FOLLOWED = 64
 """Periods over which the range of a motion is looked for that neither closes nor reaches both stops."""
@@ -21,7 +19,7 @@ def impact_range(oscillators: Oscillator, tally: Array, h: Array, contact: Rows,
     It is the whole gap where impacts were counted at both stops; else y is followed from block states h (N, n, 2) with
     contacts (N, 1) over ``periods`` (N,), through every turning point. NaN where it cannot be followed.
     """
-    if isinstance(oscillators, Hybrid):
+    if oscillators.has_modes:
         return np.full(len(tally), np.nan)  # there is no one coordinate that it is of
     both = (tally[:, UPPER] > 0.0) & (tally[:, LOWER] > 0.0)
     followed = _followed(oscillators, h, contact, periods, np.flatnonzero(~both))

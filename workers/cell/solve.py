@@ -11,7 +11,7 @@ from workers.cell.cells import Cells
 from workers.cell.course import Course
 from workers.cell.orbits import NEAR, end_on_orbits
 from workers.cell.outcome import end_impact_free, end_stopped, put, put_averaged, put_chaotic
-from workers.cell.stretch import Rows
+from workers.model.oscillator import Rows
 from workers.results import UNDETERMINED
 
 

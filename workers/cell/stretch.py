@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers import results
 from workers.kernel.averages import LEVELS
@@ -11,13 +10,7 @@ from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.lanes.layout import LANES
 from workers.kernel.lanes.run import Batch, run_alone, run_batch
 from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at
-from workers.model.hybrid import Hybrid, build_missing
-from workers.model.oscillator import COLUMN, Array, Oscillator, each, many_of
-
-Rows = NDArray[np.int64]
-"""Which cells, or a number of each."""
-Mask = NDArray[np.bool_]
-Reasons = NDArray[np.int8]
+from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, each, many_of
 
 REASON_OF = np.array(
     [
@@ -86,21 +79,14 @@ def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
     place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others.
     """
-    if isinstance(batch.oscillators, Hybrid):
-        return _run_hybrid(batch, cells)
+    if batch.oscillators.has_modes:
+        batch.oscillators.with_modes(lambda some: run_alone(batch, some), cells)
+        return
     underdamped = np.all(batch.oscillators.gap.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
     for oscillates in (True, False):
         some = cells[underdamped == oscillates]
         if len(some):
             run_batch(batch, some, 0 if to_end else min(lanes, len(some)) // 2, lanes, oscillates)
-
-
-def _run_hybrid(batch: Batch, cells: Rows) -> None:
-    """As ``run``. A cell that comes to a mode for the first time stops there until it is built."""
-    while len(cells):
-        run_alone(batch, cells)
-        cells = build_missing(batch.oscillators, cells)
-        batch.motions.tally[cells, STATUS] = RUNNING
 
 
 def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Array:

@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.continuation.equations import ImpactMotion
-from workers.continuation.oscillator import Array
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import Mode, each
+from workers.model.oscillator import Array, Mode, each
 
 CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
 """Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order; friction

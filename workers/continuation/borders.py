@@ -17,9 +17,10 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition
 from workers.continuation.legs import ACT, EVENT, SLOWS
-from workers.continuation.oscillator import Array
+from workers.continuation.switching import SwitchingMotion
 from workers.continuation.walk import Step
 from workers.model.hybrid_modes import SIGNALS
+from workers.model.oscillator import Array
 
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
@@ -50,46 +51,41 @@ def nearly_lost(step: Step) -> LocatedEvent | None:
     if isinstance(motion, ImpactMotion) or not motion.itinerary.sides:
         return None
     slowest = int(np.argmin(np.abs(motion.turn.signals[0, 1]) / motion.scale()[1][0]))
-    return _of_loss(step, step.here, Fault(LOST, slowest))
+    return _of_loss(step, step.here, motion, Fault(LOST, slowest))
 
 
 def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     """The graze or the lost impact that a fault at X comes from."""
-    own = step.equations.conditions
-    motion = step.equations.motion(X)
+    own, motion = step.equations.conditions, step.equations.motion(X)
     if why.reason == ORDER:
         return None
-    if why.reason == HELD:
-        return _of_holding(step, X, why)
-    if why.reason == LOST and not isinstance(motion, ImpactMotion):
-        return _of_loss(step, X, why)
-    if why.reason == LOST:
+    if why.reason == LOST and isinstance(motion, ImpactMotion):
         return solved_on(step, X, (*own, Condition(SPEED, impact=why.impact)))
+    if why.reason in (LOST, HELD) and isinstance(motion, SwitchingMotion):
+        return (_of_loss if why.reason == LOST else _of_holding)(step, X, motion, why)
     peak = _peak(motion, why) if isinstance(motion, ImpactMotion) else peak_of(motion, why)
     graze = Condition(GRAZE, side=why.side, signal=why.signal)
     return None if peak is None else solved_on(step, X, (*own, graze), (peak,))
 
 
-def _of_holding(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
+def _of_holding(step: Step, X: Array, motion: SwitchingMotion, why: Fault) -> LocatedEvent | None:
     """Where the force that would hold friction at an event is its static level."""
-    motion = step.equations.motion(X)
-    contacts = 0 if isinstance(motion, ImpactMotion) else SIGNALS * motion.lin.sizes[1]
-    if isinstance(motion, ImpactMotion) or why.impact < 0 or why.signal < contacts:
+    if why.impact < 0 or why.signal < SIGNALS * motion.lin.sizes[1]:
         return None
     turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.turning)
     condition = Condition(ONSET if turns else ENDS, side=why.side, impact=why.impact, signal=why.signal)
     return solved_on(step, X, (*step.equations.conditions, condition))
 
 
-def _of_loss(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
+def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault) -> LocatedEvent | None:
     """Where an event of a machine with modes is lost: the graze of the orbit without it."""
-    eq, motion = step.equations, step.equations.motion(X)
-    if not isinstance(motion, ImpactMotion) and SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
+    eq = step.equations
+    if SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
         return solved_on(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
     if any(condition.kind in (ONSET, ENDS, SPEED) for condition in eq.conditions):
         return None  # of an event that may have another place in the orbit without this one
     shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
-    if shorter is None or isinstance(motion, ImpactMotion):
+    if shorter is None:
         return None
     orbit, leg, time = shorter
     conditions = (*eq.conditions, Condition(GRAZE, side=leg.side, signal=leg.signal))

@@ -26,9 +26,10 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, UNIT, Condition, Extended, solve
 from workers.continuation.itinerary import Orbit
-from workers.continuation.oscillator import Array, Family
+from workers.continuation.oscillator import Family
 from workers.continuation.same import doubled, is_minimal
 from workers.continuation.walk import PseudoArclength, Step
+from workers.model.oscillator import Array
 
 EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
     "edge", "closed", "budget", "stalled", "inadmissible", "shorter_orbit",

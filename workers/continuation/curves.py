@@ -6,8 +6,9 @@ from workers.continuation.branches import MOST_POINTS, RESOLUTION, BranchRun, bo
 from workers.continuation.events import Event
 from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extended, solve
 from workers.continuation.itinerary import Orbit
-from workers.continuation.oscillator import Array, Family
+from workers.continuation.oscillator import Family
 from workers.continuation.walk import tangent_at
+from workers.model.oscillator import Array
 
 
 def curve(

@@ -12,21 +12,27 @@ from functools import cached_property
 import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.oscillator import Array, Machine, ModalOscillator
+from workers.continuation.oscillator import Machine, ModalOscillator
 from workers.continuation.shooting import between, turns
-from workers.continuation.switching import SwitchingMotion, check_machines
-from workers.continuation.turn import Table, Turn
+from workers.continuation.switching import SwitchingMotion
+from workers.continuation.turn import Turn, TurnMotion
 from workers.model.modes import stacked
-from workers.model.oscillator import COLUMN
+from workers.model.oscillator import Array
 
 
 def check_orbits(lin: Machine, itinerary: Itinerary) -> None:
-    """ValueError, in one line, where these equations do not hold: R = 0, missing stops, false symmetry; two
-    rigid modes, lam = 0, since one gap coordinate sees only one.
+    """ValueError, in one line, where these equations do not hold: false symmetry; for machines with one rigid contact
+    R = 0, missing stops, and two rigid modes, lam = 0, since one gap coordinate sees only one.
     """
-    if not isinstance(lin, ModalOscillator):
-        check_machines(lin, itinerary)
-        return
+    if isinstance(lin, ModalOscillator):
+        _check_impacts(lin, itinerary)
+    if itinerary.symmetric and itinerary.periods % 2 == 0:
+        raise ValueError(f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}")
+    if itinerary.symmetric and not lin.mirrored:
+        raise ValueError("a symmetric orbit needs equal stops, odd harmonics only, no constant load and no moving belt")
+
+
+def _check_impacts(lin: ModalOscillator, itinerary: Itinerary) -> None:
     if (rigid := np.count_nonzero(lin.gap.lam[0] == 0.0)) > 1:
         raise ValueError(f"{rigid} rigid modes; one gap coordinate sees only one: leave out what it does not see")
     if np.any(lin.R <= 0.0):
@@ -38,41 +44,18 @@ def check_orbits(lin: Machine, itinerary: Itinerary) -> None:
             raise ValueError(f"an impact at the {name} stop, which is not there: b_{name} = {stop[0]}")
     if itinerary.periods < 1 or any(side not in (1, -1) for side in itinerary.sides):
         raise ValueError(f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1")
-    if not itinerary.symmetric:
-        return
-    if itinerary.periods % 2 == 0:
-        raise ValueError(f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}")
-    even = np.any(lin.gap.sin_part[:, 1::2]) or np.any(lin.gap.cos_part[:, 1::2])
-    if even or np.any(lin.gap.blocks[..., COLUMN.load]) or not np.array_equal(lin.upper, lin.lower):
-        raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
 
 
 @dataclass(frozen=True)
-class ImpactMotion:
-    """N orbits of one itinerary with their oscillators: times (N, m) of impacts, states just before the first of them.
-
-    start (N, n, 2)  in block coordinates, forced response and rest position taken off; without impacts at time 0
-    """
+class ImpactMotion(TurnMotion):
+    """Orbits of impacts: states (N, n, 2) in block coordinates, forced response and rest position taken off."""
 
     lin: ModalOscillator
-    itinerary: Itinerary
-    times: Array
-    start: Array
-
-    @property
-    def span(self) -> Array:
-        """The length (N,) of a turn."""
-        return self.itinerary.span(self.lin)
 
     @property
     def stops(self) -> Array:
         """Positions (N, m) of the stops of the impacts."""
         return np.where(np.array(self.itinerary.sides) > 0, self.lin.upper[:, None], -self.lin.lower[:, None])
-
-    @property
-    def unknowns(self) -> Array:
-        """States, then times (N, 2n + m)."""
-        return np.concatenate([self.start.reshape(len(self.start), -1), self.times], axis=1)
 
     @property
     def orbits(self) -> Orbit:
@@ -94,18 +77,6 @@ class ImpactMotion:
         lin, sign, s = self.lin, float(self.itinerary.sign), np.ascontiguousarray(s)
         states, y = between(lin.gap, lin.tau, sign, self.span, self.times, self.start, self.turn.states, s)
         return states, y
-
-    def linearised(self, z: complex = 1) -> Table:
-        """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
-
-        z = 1 is the Jacobian of the residuals of ``turn``. With r'_i = v_i just before each impact
-
-            det J_z = det(DP - z I) prod_i r'_i:
-
-        zero where z is a multiplier, and without poles.
-        """
-        found: Table = self.turn.tangents - z * self.turn.shifts
-        return found
 
     def touch(self, signal: int, side: int, s: Array) -> list[Array]:
         """How far y is from a stop (N, K) at times s (N, K), and y'."""

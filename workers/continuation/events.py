@@ -26,10 +26,11 @@ from workers.continuation.extended import (
     solve,
 )
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.oscillator import Array, NoOscillatorError
+from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import difference, is_minimal, reduced, reductions
 from workers.continuation.stability import multipliers, pair_near
 from workers.continuation.walk import Step
+from workers.model.oscillator import Array
 
 Complex = NDArray[np.complex128]
 

@@ -15,12 +15,12 @@ import numpy as np
 
 from workers.continuation.equations import Motion, check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.newton import Array, Rows, Solved, newton
+from workers.continuation.newton import Solved, newton
 from workers.continuation.oscillator import Family, Machine, NoOscillatorError
 from workers.continuation.stability import multipliers, pair_near
 from workers.continuation.switching import SwitchingMotion
 from workers.model.modes import stacked
-from workers.model.oscillator import taken
+from workers.model.oscillator import Array, Rows, taken
 
 DIFFERENCE = 6e-6
 """Half the length of a central difference, in units of an unknown's scale: about the cube root of rounding."""

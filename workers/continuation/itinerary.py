@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workers.continuation.oscillator import Array
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code
+from workers.model.oscillator import Array
 
 HIT, MOVES, SLIDES, STICKS = range(4)
 """What reaches the end of its range: an open contact; another one; friction that slides; friction that sticks."""

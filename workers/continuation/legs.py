@@ -7,12 +7,13 @@ import math
 
 import numpy as np
 
+from workers.kernel.borrow import row_of
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.hybrid.motion import first_event
 from workers.kernel.hybrid.state import enter, guard_rate, guard_value, leave, product, reset, right_hand_side
-from workers.kernel.jit import inline_always, kernel
+from workers.kernel.jit import kernel
 from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
-from workers.model.hybrid_modes import SIGNALS, Pieces
+from workers.model.hybrid_modes import SIGNALS
 
 MODE, EVENT, SIGNAL, END, ACT, PLAN = range(6)
 """Of a leg: its mode, by its place; the event at its end, NO_EVENT where the phase changes or the turn ends; the signal
@@ -22,16 +23,6 @@ NO_EVENT = -1
 
 NOTHING, REBOUNDS, RESTS, SLOWS = range(4)
 """What an event does to the velocity: nothing; a rigid contact rebounds, or comes to rest; friction begins to stick."""
-
-
-@inline_always
-def of_machine(pieces, r):
-    """The modes of machine r."""
-    p = pieces
-    return Pieces(
-        p.blocks[r], p.metric[r], p.waves[r], p.numbers[r], p.forced[r], p.rows[r], p.direct[r], p.offset[r], p.ends[r],
-        p.to_blocks[r], p.to_physical[r], p.rest[r], p.acceleration[r], p.drive[r], p.lost[r], p.trace[r],
-    )  # fmt: skip
 
 
 @kernel
@@ -74,7 +65,7 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start):
     residuals, tangents, shifts = np.empty((N, M)), np.zeros((N, M, M)), np.zeros((N, M, M))
     h, V, f, late = np.empty((n, 2)), np.empty((M, n, 2)), np.empty(size), np.empty(size)
     for r in range(N):
-        modes, z, W = of_machine(pieces, r), start[r].copy(), np.zeros((M, size))
+        modes, z, W = row_of(pieces, r), start[r].copy(), np.zeros((M, size))
         W[:size] = np.eye(size)
         now, alive, k = 0.0, size, plan[0, MODE]
         if m > 0:
@@ -122,7 +113,7 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
     found, values = np.empty((N, K, size)), np.empty((4, N, K))
     h, V, f, none = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty(size), np.empty((0, size))
     for r, i in np.ndindex(N, K):
-        modes = of_machine(pieces, r)
+        modes = row_of(pieces, r)
         turn = math.floor((s[r, i] - begins[r, 0]) / span[r])
         here, leg = s[r, i] - turn * span[r], 0
         while leg + 1 < legs and begins[r, leg + 1] <= here:
@@ -141,7 +132,7 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
 def event_of_leg(pieces, r, k, z, phase, begun, H):
     """(time, signal, side) of the first guard that is reached within H from a state z in mode k; signal -1 for none, -2
     where that is undecidable."""
-    modes, n = of_machine(pieces, r), len(z) // 2
+    modes, n = row_of(pieces, r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
     enter(modes, k, z, none, phase, h, V)
@@ -152,7 +143,7 @@ def event_of_leg(pieces, r, k, z, phase, begun, H):
 @kernel
 def beyond_range(pieces, r, k, begun, z, phase, share):
     """(signal, side) of the first one that is beyond its range by a share of its terms in mode k; (-1, 0) for none."""
-    modes = of_machine(pieces, r)
+    modes = row_of(pieces, r)
     for g in range(modes.ends.shape[1]):
         value, size = guard_value(modes, k, g, z, phase)
         if begun[g] == 0 and value > modes.ends[k, g, 1] + share * size:

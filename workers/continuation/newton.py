@@ -4,12 +4,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.model.modes import stacked
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+from workers.model.oscillator import Array, Rows
 
 NEWTON_STEPS = 12
 

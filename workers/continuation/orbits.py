@@ -17,8 +17,8 @@ from workers.continuation.equations import (
     motion_of_unknowns,
 )
 from workers.continuation.itinerary import Itinerary, Orbit, in_one_turn, many_orbits
-from workers.continuation.newton import Rows, newton
-from workers.continuation.oscillator import Array, Family, Machine, ModalOscillator, family_of, modal
+from workers.continuation.newton import newton
+from workers.continuation.oscillator import Family, Machine, ModalOscillator, family_of, modal
 from workers.continuation.recording import halved, recorded_modes
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
@@ -27,11 +27,9 @@ from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motions_at
 from workers.kernel.motion import motion_at as impacts_from
 from workers.kernel.period import propagate
-from workers.model.oscillator import Oscillator, one_of, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, one_of, taken
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION, quiet_section
-
-Mask = NDArray[np.bool_]
 
 FARTHEST = 0.5
 """Newton's first step at most, in radians of the force and relative to the motion and its fastest impact."""
@@ -122,6 +120,8 @@ def orbit_from_state(
     periods  of the force in the whole orbit
     Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
     """
+    if periods < 1:
+        raise ValueError(f"periods: found {periods}, an orbit takes 1 or more")
     given, family, none = (
         {p.name: float(values.get(p.name, p.default)) for p in system.parameters},
         family_of(system, values, ()),

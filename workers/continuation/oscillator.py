@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from workers.model.family import FreeMotions
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults
-from workers.model.oscillator import NUMBER, Mode, Oscillator
+from workers.model.oscillator import NUMBER, Array, Mode, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
-
-Array = NDArray[np.float64]
 
 
 class ModalOscillator(NamedTuple):
@@ -40,6 +38,12 @@ class ModalOscillator(NamedTuple):
     def dimension(self) -> int:
         """How many numbers a state has: 2n."""
         return 2 * self.gap.blocks.shape[1]
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether all are their own mirror images half a period later."""
+        even = np.any(self.gap.sin_part[:, 1::2]) or np.any(self.gap.cos_part[:, 1::2])
+        return not even and not np.any(self.gap.load) and np.array_equal(self.upper, self.lower)
 
 
 Machine = ModalOscillator | HybridMachines

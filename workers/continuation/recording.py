@@ -1,17 +1,15 @@
 """Orbits of machines with modes to start from: their events and modes as the kernel's own motion passes them."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
-from workers.continuation.oscillator import Array
 from workers.kernel.hybrid.motion import through_modes
-from workers.kernel.hybrid.notes import NOTED
-from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
-from workers.model.hybrid import Hybrid, build_hybrid, build_missing
+from workers.kernel.hybrid.notes import LEG, LEG_STATE
+from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+from workers.model.hybrid import build_hybrid
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import ON, OPEN, Code, code_of
-from workers.model.oscillator import each
+from workers.model.oscillator import Array, Oscillator, Rows, one_of
 
 RECORD = 512
 """Events of one period that an orbit may have."""
@@ -33,11 +31,11 @@ def recorded_modes(machines: HybridMachines, state: Array, periods: int) -> Orbi
     period, rows = 2.0 * np.pi / float(machines.omega[0]), list[Array]()
     for k in range(periods):
         found, state, number = _one_period(hybrid, state, number)
-        found[:, 0] += k * period
+        found[:, LEG.start] += k * period
         rows += list(found)
     C, F = machines.sizes[1:]
-    codes = [code_of(int(row[4]), C, F) for row in rows]
-    legs = [_leg(row, code) for row, code in zip(rows, codes, strict=True)]
+    codes = [code_of(int(row[LEG.number]), C, F) for row in rows]
+    legs = [_leg(row, code, len(state)) for row, code in zip(rows, codes, strict=True)]
     phases = machines.sizes[0] > 1  # the section is nothing to a machine without them
     kept = [i for i, leg in enumerate(legs) if phases or leg.signal >= 0]
     first = next((i for i in kept if legs[i].signal >= 0), None)
@@ -50,16 +48,17 @@ def recorded_modes(machines: HybridMachines, state: Array, periods: int) -> Orbi
         if legs[i].signal >= 0:
             chains.append([])
             sides.append(legs[i].label(before))
-            times.append(float(rows[i][0]))
-            speeds.append(float(np.copysign(rows[i][3], sides[-1])))
+            times.append(float(rows[i][LEG.start]))
+            speeds.append(float(np.copysign(rows[i][LEG.rate], sides[-1])))
         chains[-1].append(legs[i])
         before = codes[i]
     itinerary = Itinerary(tuple(sides), periods, legs=tuple(map(tuple, chains)))
     return halved(machines, Orbit(itinerary, np.array(times), np.array(speeds)))
 
 
-def _leg(row: Array, code: Code) -> Leg:
-    return Leg(code, tuple(int(each) for each in row[NOTED:]), int(row[1]), int(row[2]))
+def _leg(row: Array, code: Code, size: int) -> Leg:
+    begun = tuple(int(each) for each in row[LEG_STATE + size :])
+    return Leg(code, begun, int(row[LEG.signal]), int(row[LEG.side]))
 
 
 def halved(machines: HybridMachines, orbit: Orbit) -> Orbit:
@@ -94,20 +93,20 @@ def _shown(machines: HybridMachines, z: Array) -> int:
     return Code(0, tuple(contacts), tuple(slips)).number
 
 
-def _one_period(hybrid: Hybrid, state: Array, number: int) -> tuple[Array, Array, int]:
-    """What is noted of one period, and state and mode after it; modes are built as they are missing."""
-    going, first = True, np.zeros(1, dtype=np.int64)
-    while going:
-        table = each(hybrid.table, lambda field: field[0])
+def _one_period(hybrid: Oscillator, state: Array, number: int) -> tuple[Array, Array, int]:
+    """The legs of one period, and state and mode after it; modes are built as they are missing."""
+    table = one_of(hybrid, 0).table
+    legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
+    W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))
+
+    def followed(_: Rows) -> tuple[Array, Rows, Array]:
         z, code, tally = state.copy(), np.array([number]), NOTHING_COUNTED.copy()
         tally[WORK] = WORK_OF_A_TRIAL
-        events = np.empty((RECORD, NOTED + table.pieces.ends.shape[1]))
-        none: tuple[NDArray[np.float64], ...] = (np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)))
-        W, growth, triangle, hits = none
-        legs = np.empty((0, 0))
-        through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs, 2.0 * np.pi / table.omega)
-        going = tally[STATUS] == MODE_MISSING and len(build_missing(hybrid, first)) > 0
-    known = events[~np.isnan(events[:, 0])]
+        through_modes(table, z, W, code, growth, triangle, tally, hits, legs, 2.0 * np.pi / table.omega)
+        return z, code, tally
+
+    z, code, tally = hybrid.with_modes(followed, np.zeros(1, dtype=np.int64))
+    known = legs[~np.isnan(legs[:, LEG.start])]
     if tally[STATUS] != RUNNING or len(known) == RECORD:
         raise ValueError("the motion cannot be followed through one period of the force")
     return known, z, int(code[0])

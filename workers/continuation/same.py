@@ -7,7 +7,7 @@ import numpy as np
 
 from workers.continuation.equations import Motion
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.oscillator import Array
+from workers.model.oscillator import Array
 
 SAME = 1e-7
 """Difference of times, in radians of the force, and of speeds, relative, below which two orbits are the same."""

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.equations import ImpactMotion, Motion
-from workers.continuation.oscillator import Array
 from workers.kernel.contact import saltation
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.jit import kernel
 from workers.kernel.motion import axes
+from workers.model.oscillator import Array
 from workers.orbit.map import copy_into, jacobian_of
 
 
@@ -60,7 +60,7 @@ def multipliers(motion: Motion) -> NDArray[np.complex128]:
     finite = np.isfinite(maps).all(axis=(1, 2))
     found[finite] = np.linalg.eigvals(maps[finite])
     found = np.take_along_axis(found, np.argsort(-np.abs(found), axis=1, kind="stable"), axis=1)
-    if not isinstance(motion, ImpactMotion) and motion.lost:
+    if motion.lost:
         found[:, -motion.lost :] = 0.0
     return found
 

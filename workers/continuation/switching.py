@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.itinerary import Itinerary, Leg, Orbit
+from workers.continuation.itinerary import Leg, Orbit
 from workers.continuation.legs import (
     ACT,
     END,
@@ -30,22 +30,16 @@ from workers.continuation.legs import (
     between_events,
     turns_of_modes,
 )
-from workers.continuation.oscillator import Array, NoOscillatorError
-from workers.continuation.turn import Table, Turn
-from workers.model.free import Mask
+from workers.continuation.oscillator import NoOscillatorError
+from workers.continuation.turn import Turn, TurnMotion
 from workers.model.hybrid import Elements, elements_of
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code, Pieces, pieces_of
 from workers.model.modes import stacked
+from workers.model.oscillator import Array, Mask
 
 NO_RATE = 1e-9
 """Share of its size over one radian below which the rate of a signal is none."""
-
-
-def check_machines(machines: HybridMachines, itinerary: Itinerary) -> None:
-    """ValueError, in one line, where a symmetric orbit is asked for of a machine that is not its own mirror image."""
-    if itinerary.symmetric and (itinerary.periods % 2 == 0 or not machines.mirrored):
-        raise ValueError("a symmetric orbit needs an odd number of periods, a machine that is its own mirror image")
 
 
 def signal_of(pieces: Pieces, k: int, signal: int, z: Array, phase: Array) -> Array:
@@ -57,23 +51,10 @@ def signal_of(pieces: Pieces, k: int, signal: int, z: Array, phase: Array) -> Ar
 
 
 @dataclass(frozen=True)
-class SwitchingMotion:
-    """N orbits of one itinerary with their machines: times (N, m) of events, states (N, 2n) just before the first."""
+class SwitchingMotion(TurnMotion):
+    """Orbits of machines with modes: physical states (N, 2n)."""
 
     lin: HybridMachines
-    itinerary: Itinerary
-    times: Array
-    start: Array
-
-    @property
-    def span(self) -> Array:
-        """The length (N,) of a turn."""
-        return self.itinerary.span(self.lin)
-
-    @property
-    def unknowns(self) -> Array:
-        """States, then times (N, 2n + m)."""
-        return np.concatenate([self.start, self.times], axis=1)
 
     @property
     def orbits(self) -> Orbit:
@@ -200,16 +181,6 @@ class SwitchingMotion:
         k, phase = self.codes.index(code), self.lin.tau + self.lin.omega * self.times[:, event]
         value = signal_of(self.pieces, k, signal, self.turn.states[:, leg + 1], phase)
         return np.asarray(value - self.pieces.ends[:, k, signal, 1 if side > 0 else 0])
-
-    def linearised(self, z: complex = 1) -> Table:
-        """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
-
-        With r'_i the rates of what reaches an end just before each event
-
-            det J_z = det(DP - z I) prod_i r'_i.
-        """
-        found: Table = self.turn.tangents - z * self.turn.shifts
-        return found
 
     def turn_map(self) -> Array:
         """DP (N, 2n, 2n) over a turn by the Schur complement V - U Ht^-1 Hz; of symmetric orbits D_G = -DP of half."""

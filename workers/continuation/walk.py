@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.continuation.extended import Extended, solve
-from workers.continuation.newton import Array, Solved
+from workers.continuation.newton import Solved
+from workers.model.oscillator import Array
 
 TURN, MOST_TURN = 0.1, 0.35
 """Angle in radians that the tangent may turn by in a step: wanted, and at most."""

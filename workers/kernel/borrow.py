@@ -1,4 +1,4 @@
-"""Arrays that count no references, for as long as someone else keeps their memory.
+"""Arrays that count no references, for as long as someone else keeps their memory; rows of records of many.
 
 A kernel counts every array that it is given, or takes out of a record, up and down again, in several nanoseconds each:
 for the dozens that make one cell as long as its flights take. Who calls it keeps them all the while. The compiler sees
@@ -8,10 +8,13 @@ that nothing is to be counted only in the kernel that borrows: so each of the ho
 from typing import Any, TypeVar
 
 from numba import types
-from numba.core.cgutils import create_struct_proxy, get_null_value
+from numba.core.cgutils import create_struct_proxy, get_null_value, pointer_add, unpack_tuple
 from numba.extending import lower_builtin, type_callable
+from numba.np.arrayobj import make_array, populate_array
 
-__all__ = ["borrowed", "without_counts"]
+from workers.model.oscillator import each
+
+__all__ = ["borrowed", "row_of", "without_counts"]
 
 Given = TypeVar("Given")
 
@@ -42,3 +45,44 @@ def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     view = create_struct_proxy(kind)(context, builder, value=value)
     view.meminfo = get_null_value(view.meminfo.type)
     return view._getvalue()
+
+
+def row_of(record: Given, r: int) -> Given:
+    """Row r of a record of many; in kernels borrowed from it."""
+    found: Given = each(record, lambda field: field[r])
+    return found
+
+
+def _row_type(kind: Any) -> Any:
+    if isinstance(kind, types.NamedTuple):
+        return types.NamedTuple([_row_type(field) for field in kind], kind.instance_class)
+    if isinstance(kind, types.Array):
+        return kind.dtype if kind.ndim == 1 else kind.copy(ndim=kind.ndim - 1)
+    return kind
+
+
+@type_callable(row_of)
+def _row_typed(context: Any) -> Any:
+    return lambda record, r: _row_type(record) if isinstance(record, types.NamedTuple) else None
+
+
+@lower_builtin(row_of, types.NamedTuple, types.Integer)
+def _row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    r = context.cast(builder, arguments[1], signature.args[1], types.intp)
+    return _row(context, builder, signature.args[0], arguments[0], r)
+
+
+def _row(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
+    if isinstance(kind, types.NamedTuple):
+        fields = [_row(context, builder, part, builder.extract_value(value, i), r) for i, part in enumerate(kind)]
+        return context.make_tuple(builder, _row_type(kind), fields)
+    if not isinstance(kind, types.Array):
+        return value
+    many = make_array(kind)(context, builder, value)
+    shape, strides = unpack_tuple(builder, many.shape), unpack_tuple(builder, many.strides)
+    place = pointer_add(builder, many.data, builder.mul(r, strides[0]))
+    if kind.ndim == 1:
+        return context.unpack_value(builder, kind.dtype, place)
+    row = make_array(_row_type(kind))(context, builder)
+    populate_array(row, place, shape[1:], strides[1:], many.itemsize, meminfo=None)
+    return row._getvalue()

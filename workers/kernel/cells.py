@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from workers.kernel.averages import standard_error
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import borrowed, row_of
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend
@@ -18,35 +18,30 @@ from workers.kernel.motion import (
     RUNNING,
     STATUS,
     WORK,
-    motion_of,
     motion_with,
-    oscillator_of,
 )
 from workers.kernel.period import advance, propagate
 from workers.kernel.signal import derivative_bounds
-from workers.kernel.tangent import reset_frame_of
-from workers.model.oscillator import HEAD
+from workers.kernel.tangent import reset_frame
+from workers.model.oscillator import COLUMN, HEAD
 
 
 @kernel
-def energy_norm(metric, h):
+def energy_norm(blocks, h):
     """sqrt(sum metric_j h_j^2 + h_j'^2) of block states (n, 2)."""
     total = 0.0
-    for j in range(len(metric)):
-        total += metric[j] * h[j, 0] ** 2 + h[j, 1] ** 2
+    for j in range(len(blocks)):
+        total += blocks[j, COLUMN.metric] * h[j, 0] ** 2 + h[j, 1] ** 2
     return math.sqrt(total)
 
 
 @kernel
-def scale_of(osc, h):
+def scale_of(blocks, h):
     """Energy norm that deviations of a motion at block state h (n, 2) are measured against: its own and that of Y."""
-    return scale_at(osc.gap.metric, osc.swing, h)
-
-
-@kernel
-def scale_at(metric, swing, h):
-    """scale_of of blocks of this metric (n,) whose forced response has these moduli (n, 2)."""
-    return energy_norm(metric, h) + energy_norm(metric, swing)
+    swing = 0.0
+    for j in range(len(blocks)):
+        swing += blocks[j, COLUMN.metric] * blocks[j, COLUMN.swing0] ** 2 + blocks[j, COLUMN.swing1] ** 2
+    return energy_norm(blocks, h) + math.sqrt(swing)
 
 
 @kernel
@@ -54,9 +49,9 @@ def start_motions(oscillators, motions, states, cells):
     """Start motions at physical section states (N, 2n), with the contact that each shows; the scale of each (N,)."""
     scales = np.zeros(len(states))
     for r in cells:
-        osc, h = lend(oscillator_of(oscillators, r)), motions.h[r]
+        osc, h = lend(row_of(oscillators, r)), motions.h[r]
         motions.contact[r, 0] = start_at(osc, states[r], h)
-        scales[r] = scale_of(osc, h)
+        scales[r] = scale_of(osc.gap.blocks, h)
     return scales
 
 
@@ -90,10 +85,10 @@ def impact_free(oscillators, motions, cells):
 
 
 @kernel
-def reset_frames(metric, motions, cells):
+def reset_frames(blocks, motions, cells):
     """Make the frames orthonormal and count their growth."""
     for r in cells:
-        reset_frame_of(metric[r], motion_of(motions, r))
+        reset_frame(blocks[r], row_of(motions, r))
 
 
 @kernel
@@ -102,7 +97,7 @@ def physical_states(oscillators, motions, cells):
     states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        leave_blocks(lend(oscillator_of(oscillators, r)), motions.h[r], motions.contact[r, 0], states[e])
+        leave_blocks(lend(row_of(oscillators, r)), motions.h[r], motions.contact[r, 0], states[e])
     return states
 
 
@@ -125,7 +120,7 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
     found = np.full((len(periods), 2), np.nan)
     n = h.shape[1]
     for r in cells:
-        osc = lend(oscillator_of(oscillators, r))
+        osc = lend(row_of(oscillators, r))
         motion = motion_with(h[r], contact[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
         motion.tally[WORK] = allowance[r] - OVERDRAFT
         for _ in range(periods[r]):
@@ -144,7 +139,7 @@ def states_within(oscillators, r, states, times):
     """
     found = np.full((len(states), len(times), states.shape[1]), np.nan)
     for i in range(len(states)):
-        osc, h = lend(oscillator_of(oscillators, r)), np.zeros((states.shape[1] // 2, 2))
+        osc, h = lend(row_of(oscillators, r)), np.zeros((states.shape[1] // 2, 2))
         contact = start_at(osc, states[i], h)
         for k in range(len(times)):
             motion = motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))

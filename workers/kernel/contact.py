@@ -124,13 +124,14 @@ def stop_position(osc, side):
 
 
 @inlined
-def forced_state(response, phase, j, k):
-    """Component k of the forced response of block j at a phase; see Oscillator.forced."""
-    total = 0.0
-    for harmonic in range(response.shape[2]):
-        sin, cos = sin_cos((harmonic + 1.0) * phase)
-        total += response[j, k, harmonic, 0] * sin + response[j, k, harmonic, 1] * cos
-    return total
+def wave(parts, phase):
+    """sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian."""
+    value, rate = 0.0, 0.0
+    for k in range(len(parts)):
+        sin, cos = sin_cos((k + 1.0) * phase)
+        value += parts[k, 0] * sin + parts[k, 1] * cos
+        rate += (k + 1.0) * (parts[k, 0] * cos - parts[k, 1] * sin)
+    return value, rate
 
 
 @inlined
@@ -140,17 +141,19 @@ def which(side):
 
 
 @kernel
-def changed_blocks(matrix, shift, given, given_response, phase, found, found_response):
-    """Write other block coordinates of a state, both without their forced responses.
+def changed_blocks(matrix, side, given, given_response, phase, found, found_response):
+    """Write other block coordinates of a state, both without their forced responses; see oscillator.Held.
 
-    found + its response = shift + matrix (given + its response), given (n, 2) and found (m, 2), matrix (2m, 2n).
+    found + its response = shift + matrix (given + its response), given (n, 2) and found (m, 2), matrix (2m, 2n) with
+    the shift at either stop in two columns more.
     """
+    shift = 2 * given.shape[0] + which(side)
     for i in range(found.shape[0]):
         for k in range(2):
-            found[i, k] = shift[i, k] - forced_state(found_response, phase, i, k)
+            found[i, k] = matrix[2 * i + k, shift] - wave(found_response[i, k], phase)[0]
     for j in range(given.shape[0]):
         for c in range(2):
-            full = given[j, c] + forced_state(given_response, phase, j, c)
+            full = given[j, c] + wave(given_response[j, c], phase)[0]
             for i in range(found.shape[0]):
                 for k in range(2):
                     found[i, k] += matrix[2 * i + k, 2 * j + c] * full
@@ -159,13 +162,13 @@ def changed_blocks(matrix, shift, given, given_response, phase, found, found_res
 @inline_always
 def to_held(osc, h, phase, side, u):
     """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
-    changed_blocks(osc.held.down, osc.held.into[which(side)], h, osc.gap.forced, phase, u, osc.held.mode.forced)
+    changed_blocks(osc.held.down, side, h, osc.gap.forced, phase, u, osc.held.mode.forced)
 
 
 @inline_always
 def from_held(osc, u, phase, side, h):
     """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
-    changed_blocks(osc.held.up, osc.held.out[which(side)], u, osc.held.mode.forced, phase, h, osc.gap.forced)
+    changed_blocks(osc.held.up, side, u, osc.held.mode.forced, phase, h, osc.gap.forced)
 
 
 @kernel

@@ -6,12 +6,12 @@ A motion carries its contact. Where there is a physical state alone, ``placed`` 
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.contact import forced_state, load_on_stop, to_held
-from workers.kernel.hybrid.state import product, shown_number
-from workers.kernel.jit import by_record, inline_always, kernel
+from workers.kernel.contact import load_on_stop, to_held, wave
+from workers.kernel.hybrid.state import shown_number, transform
+from workers.kernel.jit import for_modes, inline_always, kernel
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
-from workers.model.hybrid import FIRST_NUMBER, HybridCell
-from workers.model.oscillator import HEAD, Oscillator
+from workers.model.hybrid import FIRST_NUMBER
+from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
 
 ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
@@ -33,35 +33,29 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
 
 @kernel
 def start_hybrid(osc, state, h):
-    """start_at of a HybridCell: the contact is the number of its mode."""
-    for i in range(len(state)):
-        h[i // 2, i % 2] = product(osc.to_blocks[i], state, 0)
+    """start_at of a machine with modes: the contact is the number of its mode."""
+    transform(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(state))))
     number = shown_number(osc.table.elements, state)
     return BEYOND if number < 0 else number + FIRST_NUMBER
 
 
-@kernel
-def start_linear(osc, state, h):
-    """start_at of an Oscillator."""
-    row, rest, tau = osc.gap_row, osc.rest, osc.tau
+@for_modes(start_hybrid)
+def start_at(osc, state, h):
+    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
+    row, blocks, tau = osc.gap_row, osc.gap.blocks, osc.tau
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         for k in range(2):
             full = 0.0
             for i in range(2 * n):
                 full += osc.to_blocks[2 * j + k, i] * state[i]
-            h[j, k] = full - forced_state(osc.gap.forced, tau, j, k) - rest[j, k]
+            h[j, k] = full - wave(osc.gap.forced[j, k], tau)[0] - blocks[j, COLUMN.rest0 + k]
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
         v_sum += abs(row[j] * state[n + j])
     contact = placed(y, v, ROUNDING * y_sum, ROUNDING * v_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
     return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
-
-
-@by_record(HybridCell, start_hybrid, start_linear)
-def start_at(osc, state, h):
-    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
 
 
 @inline_always
@@ -107,21 +101,19 @@ def put_on_stop(row, stop, state, first):
 
 @kernel
 def leave_hybrid(osc, h, contact, state):
-    """leave_blocks of a HybridCell."""
-    for i in range(len(state)):
-        for j in range(len(state)):
-            state[i] += osc.to_physical[i, j] * h[j // 2, j % 2]
+    """leave_blocks of a machine with modes."""
+    transform(osc.to_physical, h.reshape((1, len(state))), state.reshape((1, len(state))))
 
 
-@kernel
-def leave_linear(osc, h, contact, state):
-    """leave_blocks of an Oscillator."""
-    row, rest, upper, lower = osc.gap_row, osc.rest, osc.head[HEAD.upper], osc.head[HEAD.lower]
+@for_modes(leave_hybrid)
+def leave_blocks(osc, h, contact, state):
+    """Add to a state (2n,) of zeros what ``blocks_to_physical`` makes of block coordinates h (n, 2) at a contact."""
+    row, blocks, upper, lower = osc.gap_row, osc.gap.blocks, osc.head[HEAD.upper], osc.head[HEAD.lower]
     n = h.shape[0]
     terms = np.zeros(n)
     for j in range(n):
         for k in range(2):
-            full = h[j, k] + forced_state(osc.gap.forced, osc.tau, j, k) + rest[j, k]
+            full = h[j, k] + wave(osc.gap.forced[j, k], osc.tau)[0] + blocks[j, COLUMN.rest0 + k]
             for i in range(2 * n):
                 state[i] += osc.to_physical[i, 2 * j + k] * full
             for i in range(n):
@@ -137,11 +129,6 @@ def leave_linear(osc, h, contact, state):
         stop = min(max(y, lower), upper)
         if y != stop and abs(y - stop) <= 1e-12 * size:
             put_on_stop(row, stop, state, 0)
-
-
-@by_record(HybridCell, leave_hybrid, leave_linear)
-def leave_blocks(osc, h, contact, state):
-    """Add to a state (2n,) of zeros what ``blocks_to_physical`` makes of block coordinates h (n, 2) at a contact."""
 
 
 @kernel

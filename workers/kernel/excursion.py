@@ -38,7 +38,7 @@ def velocity_of(gap):
         numbers[NUMBER.amplitude] += size
         for power in range(3):
             numbers[NUMBER.swing2 + power] += size * w ** (power + 2.0)
-    return Mode(blocks, gap.metric, waves, numbers, gap.forced), offset
+    return Mode(blocks, waves, numbers, gap.forced), offset
 
 
 @inline_always

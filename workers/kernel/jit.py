@@ -16,7 +16,7 @@ from workers.kernel.apart import load
 from workers.kernel.cache import CACHE
 from workers.kernel.lend import Lent
 
-__all__ = ["by_record", "inline_always", "inlined", "kernel"]
+__all__ = ["for_modes", "inline_always", "inlined", "kernel"]
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -63,20 +63,23 @@ inline_always: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True
 calls once more, and so would each of those on the way from it to the kernels below."""
 
 
-def by_record(kind: type, act: Any, otherwise: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator of an empty function that is ``act`` where its first argument is a record of that kind, else another.
+def for_modes(act: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator of a kernel that is ``act`` where the oscillator, its first argument, has modes.
 
-    Which one is decided where a kernel is compiled, by the types of what it is given.
+    Which of both it is is decided where another kernel is compiled, by the types of what it is given.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        own = kernel(function)
+
         @wraps(function)
         def chosen(*given: Any) -> Any:
-            return (act if isinstance(given[0], kind) else otherwise)(*given)
+            return (act if given[0].has_modes else own)(*given)
 
         def pick(*given: types.Type) -> Callable[..., Any]:
-            record = given[0].kind if isinstance(given[0], Lent) else given[0]
-            meant: Callable[..., Any] = (act if getattr(record, "instance_class", None) is kind else otherwise).py_func
+            record: Any = given[0].kind if isinstance(given[0], Lent) else given[0]
+            modes = record[record.fields.index("table")]
+            meant: Callable[..., Any] = (own if isinstance(modes, types.NoneType) else act).py_func
             return meant
 
         pick.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]

@@ -1,17 +1,15 @@
-"""A motion as the kernels see it: its record, what is counted on its way, and the rows of arrays of many."""
+"""A motion as the kernels see it: its record, and what is counted on its way."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
-from numba.extending import register_jitable
+from numba.extending import register_jitable, typeof_impl
 from numpy.typing import NDArray
 
 from workers.kernel.apart import FLOATS
-from workers.kernel.borrow import borrowed
-from workers.kernel.jit import by_record, inline_always, inlined, kernel
-from workers.model.hybrid import Elements, Hybrid, HybridCell, Table
-from workers.model.hybrid_modes import Pieces
+from workers.kernel.jit import inline_always
+from workers.model.hybrid_machines import HybridMachines
 from workers.model.oscillator import Held, Mode, Oscillator, each
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
@@ -76,11 +74,17 @@ def _record(kind: type, *fields: int | types.Type) -> types.NamedTuple:
     return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
 
 
-MODE = _record(Mode, 2, 1, 2, 1, 4)
-HELD_MOTION = _record(Held, MODE, 2, 2, 3, 3, 1)
-OSCILLATOR = _record(Oscillator, MODE, 2, 2, 2, 2, 1, 1, types.float64, HELD_MOTION)
+MODE = _record(Mode, 2, 2, 1, 4)
+HELD_MOTION = _record(Held, MODE, 2, 2, 1)
+OSCILLATOR = _record(Oscillator, MODE, 2, 2, 1, 1, types.float64, HELD_MOTION, types.none)
 MOTION = _record(Motion, 2, types.Array(types.int64, 1, "C"), 3, 1, 2, 1, 2, 1, 2)
 """Types of records in kernels."""
+
+
+@typeof_impl.register(HybridMachines)
+def _(machines: HybridMachines, context: Any) -> types.Type:
+    """What Python alone builds modes from is nothing to kernels."""
+    return types.none
 
 
 @inline_always
@@ -103,56 +107,6 @@ def count_contact(tally, contacts, t, which, speed):
     if row < contacts.shape[0]:
         contacts[row, 0], contacts[row, 1], contacts[row, 2] = t, which, speed
         tally[RECORDED] += 1.0
-
-
-@inlined
-def mode_of(modes, r):
-    """Mode r of many."""
-    m = modes
-    return Mode(m.blocks[r], m.metric[r], m.waves[r], m.numbers[r], m.forced[r])
-
-
-@kernel
-def linear_of(oscillators, r):
-    """Oscillator r of many, borrowed from them."""
-    o, held = oscillators, oscillators.held
-    return borrowed(Oscillator(
-        mode_of(o.gap, r), o.swing[r], o.rest[r], o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.head[r], o.tau[r],
-        Held(mode_of(held.mode, r), held.down[r], held.up[r], held.into[r], held.out[r], held.push[r]),
-    ))  # fmt: skip
-
-
-@kernel
-def hybrid_of(oscillators, r):
-    """Machine r of many whose law changes, borrowed from them."""
-    o, t = oscillators, oscillators.table
-    p, e = t.pieces, t.elements
-    pieces = Pieces(
-        p.blocks[r], p.metric[r], p.waves[r], p.numbers[r], p.forced[r], p.rows[r], p.direct[r], p.offset[r], p.ends[r],
-        p.to_blocks[r], p.to_physical[r], p.rest[r], p.acceleration[r], p.drive[r], p.lost[r], p.trace[r],
-    )  # fmt: skip
-    elements = Elements(
-        e.row[r], e.kick[r], e.weight[r], e.stops[r], e.R[r], e.soft[r], e.slide[r], e.brake[r], e.belt[r], e.even[r],
-        e.along[r], e.starts[r],
-    )  # fmt: skip
-    return borrowed(HybridCell(
-        mode_of(o.gap, r), o.swing[r], o.rest[r], o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.head[r], o.tau[r],
-        Table(t.codes[r], t.wrong[r], t.missing[r], pieces, elements, t.omega[r], t.tau[r], t.drifts[r]),
-    ))  # fmt: skip
-
-
-@by_record(Hybrid, hybrid_of, linear_of)
-def oscillator_of(oscillators, r):
-    """Oscillator r of many, or machine r of a Hybrid, borrowed from them."""
-
-
-@kernel
-def motion_of(motions, r):
-    """Motion r of many, borrowed from them."""
-    m = motions
-    return borrowed(Motion(
-        m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.extremes[r], m.scratch[r],
-    ))  # fmt: skip
 
 
 @register_jitable

@@ -25,7 +25,7 @@ from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.hybrid.motion import propagate_hybrid
-from workers.kernel.jit import by_record, inline_always, inlined, kernel
+from workers.kernel.jit import for_modes, inline_always, inlined, kernel
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
@@ -53,10 +53,8 @@ from workers.kernel.tangent import (
     loss_spread,
     needs_reset,
     reset_frame,
-    reset_frame_of,
     spread_rate,
 )
-from workers.model.hybrid import HybridCell
 from workers.model.oscillator import HEAD, NUMBER
 
 AT_THE_END = 1e-9
@@ -89,7 +87,7 @@ def leave_stop(osc, motion, phase, contact, remaining, chatter):
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
-    reset_frame(osc, motion)
+    reset_frame(osc.gap.blocks, motion)
     if released == 0:
         motion.contact[0] = contact
     if released == 2:
@@ -126,7 +124,7 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
 def through_impacts(osc, motion, duration):
     """The one loop of mode, first guard and reset: see propagate."""
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
-    blocks, waves, metric, omega = gap.blocks, gap.waves, gap.metric, gap.numbers[NUMBER.omega]
+    blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
     R, cA2k, top, bottom = osc.head[HEAD.R], osc.head[HEAD.cA2k], osc.head[HEAD.top], osc.head[HEAD.bottom]
     contact = motion.contact[0]
     if abs(contact) == BEYOND:
@@ -166,7 +164,7 @@ def through_impacts(osc, motion, duration):
         spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
         flown = s * rate
         if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):
-            reset_frame_of(metric, motion)
+            reset_frame(blocks, motion)
         if frame and tally[SPREAD] + flown > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:
@@ -201,21 +199,16 @@ def through_impacts(osc, motion, duration):
         if following == LEAVE:
             start = 2 * side
             tally[LOST] = max(tally[LOST], 1.0)
-            reset_frame_of(metric, motion)
+            reset_frame(blocks, motion)
 
 
-@inline_always
-def propagate_linear(osc, motion, duration):
-    """propagate of an Oscillator."""
-    through_impacts(osc, motion, duration)
-
-
-@by_record(HybridCell, propagate_hybrid, propagate_linear)
+@for_modes(propagate_hybrid)
 def propagate(osc, motion, duration):
     """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
 
     Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
     """
+    through_impacts(osc, motion, duration)
 
 
 @inline_always

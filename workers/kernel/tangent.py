@@ -20,48 +20,48 @@ digits of the most contracted direction. One flight with its impact may go furth
 
 
 @inlined
-def inner(metric, V, i, W, k):
+def inner(blocks, V, i, W, k):
     """The product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k], which undamped flight keeps."""
     total = 0.0
-    for j in range(len(metric)):
-        total += metric[j] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
+    for j in range(len(blocks)):
+        total += blocks[j, COLUMN.metric] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
     return total
 
 
-@apart(FLOATS[1], FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
-def orthonormalise(metric, V, growth, triangle, rank):
+@apart(FLOATS[2], FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
+def orthonormalise(blocks, V, growth, triangle, rank):
     """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
     V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others are structurally
     lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with its
     rows divided by exp(growth): it stays in range where the product itself would not.
     """
-    metric, V, growth, triangle = whole(metric), whole(V), whole(growth), whole(triangle)
+    blocks, V, growth, triangle = whole(blocks), whole(V), whole(growth), whole(triangle)
     m = V.shape[0]
     for i in range(min(rank, m)):
-        norm = math.sqrt(inner(metric, V, i, V, i))
+        norm = math.sqrt(inner(blocks, V, i, V, i))
         inverse = 1.0 / norm
-        for j in range(len(metric)):
+        for j in range(len(blocks)):
             V[i, j, 0] *= inverse
             V[i, j, 1] *= inverse
         for k in range(i + 1, m):
-            overlap = inner(metric, V, i, V, k)
-            for j in range(len(metric)):
+            overlap = inner(blocks, V, i, V, k)
+            for j in range(len(blocks)):
                 V[k, j, 0] -= overlap * V[i, j, 0]
                 V[k, j, 1] -= overlap * V[i, j, 1]
             if triangle.shape[0] > 0:
                 add_row(triangle, growth, i, k, overlap * inverse)
         growth[i] += log(norm)
     for i in range(rank, m):
-        for j in range(len(metric)):
+        for j in range(len(blocks)):
             V[i, j, 0] = V[i, j, 1] = 0.0
         growth[i] = -np.inf
 
 
 @inlined
-def log_length(metric, V, growth):
+def log_length(blocks, V, growth):
     """Log of the length of the first vector, with what was taken out of it so far."""
-    return growth[0] + 0.5 * log(inner(metric, V, 0, V, 0))
+    return growth[0] + 0.5 * log(inner(blocks, V, 0, V, 0))
 
 
 @kernel
@@ -173,21 +173,15 @@ def fly_far(osc, motion, s):
     rank = 2 * len(blocks) - int(motion.tally[LOST])
     flow(blocks, s, motion.h)
     graded_flow(blocks, s, motion.V, motion.growth, motion.triangle, rank)
-    reset_frame(osc, motion)
-
-
-@inline_always
-def reset_frame(osc, motion):
-    """Make the frame orthonormal and count its growth."""
-    reset_frame_of(osc.gap.metric, motion)
+    reset_frame(blocks, motion)
 
 
 @kernel
-def reset_frame_of(metric, motion):
-    """reset_frame for blocks of this metric (n,)."""
+def reset_frame(blocks, motion):
+    """Make the frame orthonormal and count its growth."""
     V, growth, tally = motion.V, motion.growth, motion.tally
     if growth.shape[0] > 0:
-        orthonormalise(metric, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
+        orthonormalise(blocks, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
     tally[SPREAD] = 0.0
 
 

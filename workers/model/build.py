@@ -13,21 +13,20 @@ from workers.model.definition import MATRICES
 from workers.model.elements import NO_STOP
 from workers.model.free import (
     AtRest,
-    Frame,
-    Mask,
+    Structure,
     against,
     centred,
     finite,
     flow_of,
-    frame_of,
     free_motion,
     loading_of,
     mode_of,
     phase_of,
+    structure_of,
     times,
 )
 from workers.model.modes import FREE, stacked
-from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Oscillator, each, taken
+from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Mask, Oscillator, each, taken
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load", "upper", "lower")
@@ -45,13 +44,13 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """
     first, kind = _kinds(machines)
     few = taken(machines, first)
-    frame = frame_of(few)
-    at_rest = centred(frame, few)
-    held, against_held = _held(few, frame, at_rest, kind, machines.omega)
+    structure = structure_of(few)
+    at_rest = centred(structure, few)
+    held, against_held = _held(few, structure, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
-    frame, at_rest = taken(frame, kind), taken(at_rest, kind)
-    gap, against_free = free_motion(frame, at_rest, machines.omega)
-    modes, b_upper, b_lower = frame.flow.modes, at_rest.b_upper, at_rest.b_lower
+    structure, at_rest = taken(structure, kind), taken(at_rest, kind)
+    gap, against_free = free_motion(structure, at_rest, machines.omega)
+    modes, b_upper, b_lower = structure.flow.modes, at_rest.b_upper, at_rest.b_lower
     head = Head(
         top=b_upper,
         bottom=-b_lower,
@@ -61,14 +60,12 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         time_unit=1.0 / np.sqrt(np.min(gap.metric, axis=1)),
         upper=machines.upper,
         lower=machines.lower,
-        symmetric=np.where((b_upper == b_lower) & ~even & np.all(at_rest.push.load == 0.0, axis=1), 1.0, 0.0),
-        gap_mass=1.0 / frame.inverse_gap_mass,
+        symmetric=np.where((b_upper == b_lower) & ~even & np.all(at_rest.loading.load == 0.0, axis=1), 1.0, 0.0),
+        gap_mass=1.0 / structure.inverse_gap_mass,
         trace=2.0 * np.sum(modes.eta, axis=1),
     )
     oscillators = Oscillator(
         gap=gap,
-        swing=np.sum(np.hypot(gap.forced[..., 0], gap.forced[..., 1]), axis=-1),
-        rest=at_rest.push.rest,
         to_physical=modes.to_physical,
         to_blocks=modes.to_blocks,
         gap_row=machines.gap_row,
@@ -122,7 +119,7 @@ def _seen_along(matrix: Array, null: Array) -> Array:
 
 
 def _held(
-    machines: Machines, frame: Frame, at_rest: AtRest, kind: NDArray[np.int64], omega: Array
+    machines: Machines, structure: Structure, at_rest: AtRest, kind: NDArray[np.int64], omega: Array
 ) -> tuple[Held, dict[int, Mask]]:
     """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons against it.
 
@@ -131,8 +128,8 @@ def _held(
     """
     mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
     N, n = gap_row.shape
-    accelerance, free = frame.accelerance, frame.flow.modes
-    d = accelerance / frame.inverse_gap_mass[:, None]
+    accelerance, free = structure.accelerance, structure.flow.modes
+    d = accelerance / structure.inverse_gap_mass[:, None]
     null = _null_space(gap_row)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     pulls, drags = times(accelerance, stiffness), times(accelerance, damping)
@@ -147,24 +144,23 @@ def _held(
     spread, gather = np.kron(np.eye(2), null), np.kron(np.eye(2), flow.inverse_mass @ across @ mass)
     down = flow.modes.to_blocks @ gather @ free.to_physical
     up = free.to_blocks @ spread @ flow.modes.to_physical
-    into, out, pushes = np.zeros((N, 2, n - 1, 2)), np.zeros((N, 2, n, 2)), np.zeros((N, 2))
-    drift = (free.to_physical[:, :, 1::2] @ at_rest.push.load[..., None])[..., 0]  # what no rest position balances
+    into, out, pushes = np.zeros((N, 2 * n - 2, 2)), np.zeros((N, 2 * n, 2)), np.zeros((N, 2))
+    drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]  # what no rest position balances
     load = times(drift[:, n:], mass) + times(drift[:, :n], damping)  # both are symmetric
-    coasts = (free.to_blocks[:, :, n:] @ drift[:, :n, None])[..., 0].reshape(N, n, 2)
-    into_rest = (down @ coasts.reshape(N, 2 * n, 1))[..., 0].reshape(N, n - 1, 2)
+    coasts = free.to_blocks[:, :, n:] @ drift[:, :n, None]
     for side, position in enumerate((at_rest.b_upper, -at_rest.b_lower)):
         y = np.where(np.isfinite(position), position, 0.0)[:, None]
         pull = load - times(d, stiffness) * y  # K is symmetric
         q = stacked(np.linalg.solve, (N, n - 1, 1), across @ stiffness @ null, (across @ pull[..., None]))[..., 0]
-        rest = (flow.modes.to_blocks[:, :, : n - 1] @ q[..., None])[..., 0].reshape(N, n - 1, 2)
-        lifted = (free.to_blocks[:, :, :n] @ (d * y)[..., None])[..., 0].reshape(N, n, 2)
-        into[:, side] = into_rest - rest
-        out[:, side] = (up @ rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
+        rest = flow.modes.to_blocks[:, :, : n - 1] @ q[..., None]
+        into[..., side] = (down @ coasts - rest)[..., 0]
+        out[..., side] = (up @ rest + free.to_blocks[:, :, :n] @ (d * y)[..., None] - coasts)[..., 0]
         pushes[:, side] = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q[..., None])[..., 0])
-    push = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1))), kind)
+    loading = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1))), kind)
     flow, direct = taken(flow, kind), (machines.force @ accelerance[..., None])[kind, :, 0]
-    mode, resonant = mode_of(flow, push, omega, direct)
-    held = Held(mode, *(field[kind] for field in (down, up, into, out, pushes)))
+    mode, resonant = mode_of(flow, loading, omega, direct)
+    ways = np.concatenate([down, into], axis=2), np.concatenate([up, out], axis=2)
+    held = Held(mode, *(field[kind] for field in (*ways, pushes)))
     return held, against(flow.modes, resonant, flow.modes.rigid > 0)
 
 

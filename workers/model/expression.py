@@ -19,11 +19,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA, unknown_name
-
-Array = NDArray[np.float64]
 
 LONGEST = 500
 """Characters of an expression."""

@@ -9,24 +9,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import Frame, centred, finite, frame_of, free_motion, phase_of
+from workers.model.free import Structure, centred, finite, free_motion, phase_of, structure_of
 from workers.model.oscillator import Array, Machines, Mode
 from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
-OF_FRAME = frozenset(("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load"))
-"""The fields of machines that decide their frame and their loading."""
+OF_STRUCTURE = frozenset(("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load"))
+"""The fields of machines that decide their structure and their loading."""
 
 
 class _Kept(NamedTuple):
-    """What N rows of values that make machines have in common with any N others: fixed values, machines, their frame.
+    """What any N rows of values that make machines have in common: fixed values, machines, their structure.
 
-    Fields of the machines that free parameters decide are made anew, and the frame with them.
+    Fields of the machines that free parameters decide are made anew, and the structure with them.
     """
 
     fixed: dict[str, Array]
     machines: Machines
-    frame: Frame
+    structure: Structure
 
 
 class FreeMotions:
@@ -49,21 +49,21 @@ class FreeMotions:
         if kept:
             values, fields = given, self._changing
             machines = kept.machines._replace(**self.system.definition.fields(kept.fixed | given, fields))
-            frame = kept.frame if OF_FRAME.isdisjoint(fields) else frame_of(machines)
+            structure = kept.structure if OF_STRUCTURE.isdisjoint(fields) else structure_of(machines)
         else:
             fixed = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
             values, fields = fixed | given, frozenset(Machines._fields)
             machines = self.system.definition.machines(values)
-            frame = frame_of(machines)
-        at_rest = centred(frame, machines)
-        gap, against = free_motion(frame, at_rest, machines.omega)
+            structure = structure_of(machines)
+        at_rest = centred(structure, machines)
+        gap, against = free_motion(structure, at_rest, machines.omega)
         known = finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
-        if not OF_FRAME.isdisjoint(fields):
-            known &= finite(frame)
+        if not OF_STRUCTURE.isdisjoint(fields):
+            known &= finite(structure)
         reasons = np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
         for reason, holds in against.items():
             reasons[holds] = reason
         reasons = self.system.refused(machines, values, reasons, fields)
         if not kept and np.all(reasons == NO_REASON):
-            self._kept[len(rows)] = _Kept(fixed, machines, frame)
+            self._kept[len(rows)] = _Kept(fixed, machines, structure)
         return (gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R), reasons

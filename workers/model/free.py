@@ -6,13 +6,10 @@ What one oscillator is made of does not depend on the others, to the bit.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.model.modes import Modes, split, stacked
-from workers.model.oscillator import COLUMN, LARGEST_ANGLE, OF_FLOW, Array, Machines, Mode, make_blocks
+from workers.model.oscillator import COLUMN, LARGEST_ANGLE, OF_FLOW, OF_GUARD, Array, Machines, Mask, Mode, make_blocks
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
-
-Mask = NDArray[np.bool_]
 
 UNSEEN = 1e-9
 """Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
@@ -36,7 +33,7 @@ class Loading(NamedTuple):
     """What force and load are to the blocks of N machines, whatever the forcing frequency.
 
     waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
-    Oscillator.
+    oscillator.Block.
     """
 
     waves: Any
@@ -44,14 +41,14 @@ class Loading(NamedTuple):
     rest: Array
 
 
-class Frame(NamedTuple):
+class Structure(NamedTuple):
     """What matrices, force and load alone decide of the free flight of N machines.
 
-    flow, push; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g.
+    flow, loading; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g.
     """
 
     flow: Flow
-    push: Loading
+    loading: Loading
     accelerance: Array
     inverse_gap_mass: Array
 
@@ -65,14 +62,14 @@ class AtRest(NamedTuple):
     there; and whether a rigid mode is one that the gap does not see.
     """
 
-    push: Loading
+    loading: Loading
     b_upper: Array
     b_lower: Array
     unseen: Mask
 
 
-def frame_of(machines: Machines) -> Frame:
-    """The frame of machines: their guard is the gap coordinate, their kick M^-1 g / (g.M^-1 g) on the velocities."""
+def structure_of(machines: Machines) -> Structure:
+    """The structure of machines: the guard is the gap coordinate, the kick M^-1 g / (g.M^-1 g) on the velocities."""
     mass, gap_row = machines.mass, machines.gap_row
     accelerance = stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
     inverse_gap_mass = np.vecdot(gap_row, accelerance)
@@ -80,7 +77,7 @@ def frame_of(machines: Machines) -> Frame:
     row = np.concatenate([gap_row, none], axis=1)
     kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
     flow = flow_of(mass, machines.damping, machines.stiffness, row, kick)
-    return Frame(flow, loading_of(flow, machines.force, machines.load), accelerance, inverse_gap_mass)
+    return Structure(flow, loading_of(flow, machines.force, machines.load), accelerance, inverse_gap_mass)
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> Flow:
@@ -91,7 +88,7 @@ def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Arr
     c1 = derivative(c, modes)
     k1 = np.stack([k[..., 1], -modes.lam * k[..., 0] - 2.0 * modes.eta * k[..., 1]], axis=-1)
     blocks = make_blocks(modes.eta, modes.lam)
-    blocks[..., OF_FLOW:] = np.concatenate([c, c1, k, k1, derivative(c1, modes)], axis=-1)
+    blocks[..., OF_FLOW:OF_GUARD] = np.concatenate([c, c1, k, k1, derivative(c1, modes)], axis=-1)
     return Flow(modes, stacked(np.linalg.inv, mass.shape, mass), blocks)
 
 
@@ -111,23 +108,24 @@ def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
     return Loading(waves, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
-def mode_of(flow: Flow, push: Loading, omega: Array, direct: Any = 0.0) -> tuple[Mode, Mask]:
+def mode_of(flow: Flow, loading: Loading, omega: Array, direct: Any = 0.0) -> tuple[Mode, Mask]:
     """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
 
     The guard is c . blocks, and what complex amplitudes of e^(i k phi), direct (N, H), add to it.
     """
-    N, H, n = push.waves.shape[:3]
+    N, H, n = loading.waves.shape[:3]
     w = omega[:, None] * np.arange(1.0, H + 1.0)
-    forced, resonant = _response(flow.modes, push.waves, w)
+    forced, resonant = _response(flow.modes, loading.waves, w)
     blocks, lam = flow.blocks.copy(), flow.modes.lam
-    metric = np.where(lam == 0.0, omega[:, None] ** 2, lam)
-    blocks[..., COLUMN.metric], blocks[..., COLUMN.load] = metric, push.load
+    blocks[..., COLUMN.metric], blocks[..., COLUMN.load] = np.where(lam == 0.0, omega[:, None] ** 2, lam), loading.load
+    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.sum(np.hypot(forced[..., 0], forced[..., 1]), axis=-1)
+    blocks[..., COLUMN.rest0 :] = loading.rest
     row = blocks[..., COLUMN.c0 : COLUMN.c1 + 1].reshape(N, 1, 2 * n)
     parts = (row @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
     waves = np.stack([direct.real + parts[..., 0], direct.imag + parts[..., 1]], axis=-1)
     sizes = np.hypot(waves[..., 0], waves[..., 1])
     numbers = (omega, *np.sum([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-1))
-    return Mode(blocks, metric, waves, np.stack(numbers, axis=-1), forced), resonant
+    return Mode(blocks, waves, np.stack(numbers, axis=-1), forced), resonant
 
 
 def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask]:
@@ -155,10 +153,10 @@ def against(modes: Modes, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
     return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid, UNSTABLE: modes.unstable}
 
 
-def free_motion(frame: Frame, at_rest: AtRest, omega: Array) -> tuple[Mode, dict[int, Mask]]:
+def free_motion(structure: Structure, at_rest: AtRest, omega: Array) -> tuple[Mode, dict[int, Mask]]:
     """The free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
-    modes = frame.flow.modes
-    gap, resonant = mode_of(frame.flow, at_rest.push, omega)
+    modes = structure.flow.modes
+    gap, resonant = mode_of(structure.flow, at_rest.loading, omega)
     turns = np.where(gap.d > 0.0, gap.w, 0.0) * (2.0 * np.pi / omega)[:, None]
     too_long = {LONG_PERIOD: np.max(turns, axis=1) > LARGEST_ANGLE}
     return gap, too_long | against(modes, resonant, at_rest.unseen | (modes.rigid > 1))
@@ -170,33 +168,33 @@ def phase_of(tau: Array) -> Array:
     return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
 
 
-def centred(frame: Frame, machines: Machines) -> AtRest:
-    """The loading of machines of that frame with rest positions midway between the stops where machines are balanced.
+def centred(structure: Structure, machines: Machines) -> AtRest:
+    """The loading of machines of that structure, with rest positions midway between the stops where it is balanced.
 
     A rigid mode's position is counted from between the stops, or from the only one.
     """
-    upper, lower, modes, push = machines.upper, machines.lower, frame.flow.modes, frame.push
+    upper, lower, modes, loading = machines.upper, machines.lower, structure.flow.modes, structure.loading
     rigid, even, unseen = modes.lam == 0.0, balanced(machines), np.zeros(len(upper), dtype=np.bool_)
     middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
-    rest = push.rest.copy()
-    y0 = frame.gap(rest)
+    rest = loading.rest.copy()
+    y0 = structure.gap(rest)
     if np.any(rigid):
         moving = np.any(rigid, axis=1)
-        share = np.sum(np.where(rigid, frame.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
-        unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.inverse_gap_mass))
+        share = np.sum(np.where(rigid, structure.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
+        unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(structure.inverse_gap_mass))
         move = np.where(moving & ~unseen, (middle - y0) / np.where(share != 0.0, share, 1.0), 0.0)
         rest[..., 0] += np.where(rigid, move[:, None], 0.0)
-        y0 = frame.gap(rest)
+        y0 = structure.gap(rest)
     rounding = np.where(even, middle - y0, 0.0)
     if np.any(rounding != 0.0):
-        d = frame.accelerance / frame.inverse_gap_mass[:, None] * rounding[:, None]
+        d = structure.accelerance / structure.inverse_gap_mass[:, None] * rounding[:, None]
         rest += (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
-        y0 = frame.gap(rest)
-    load = np.where(even[:, None], 0.0, push.load)
+        y0 = structure.gap(rest)
+    load = np.where(even[:, None], 0.0, loading.load)
     half = 0.5 * (upper - lower)
     b_upper, b_lower = np.where(even, half, upper - y0), np.where(even, half, y0 - lower)
-    return AtRest(push._replace(rest=rest, load=load), b_upper, b_lower, unseen)
+    return AtRest(loading._replace(rest=rest, load=load), b_upper, b_lower, unseen)
 
 
 def balanced(machines: Machines) -> Mask:
@@ -235,6 +233,7 @@ def finite(record: Any) -> Mask:
     fields = [
         finite(field) if isinstance(field, tuple) else np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
         for field in record
+        if field is not None
     ]
     return np.asarray(np.logical_and.reduce(fields))
 

@@ -1,10 +1,9 @@
-"""Machines whose law changes, as the kernels run them: elements, a table of the modes that are built, and records.
+"""Machines with modes as the kernels run them: their elements, and a table of the modes that are built.
 
 A mode, see hybrid_modes.py, is built when a motion comes to it for the first time.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,8 @@ from workers.model.oscillator import (
     Head,
     Mode,
     Oscillator,
+    Rows,
     make_blocks,
-    named_in_head,
-    one_of,
     taken,
 )
 from workers.results import NO_REASON, OUT_OF_DOUBLES
@@ -72,7 +70,7 @@ class Table(NamedTuple):
 
     codes (N, K): the number of each, see Code, -1 where there is none yet; wrong (N, K): 1 where it is no mode; missing
     (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first. tau is that at a
-    section, see free.phase_of. drifts (N,): 1 where a coordinate may drift, else 0.
+    section, see free.phase_of. drifts (N,): 1 where a coordinate may drift, else 0. Kernels see nothing of machines.
     """
 
     codes: NDArray[np.int64]
@@ -83,51 +81,22 @@ class Table(NamedTuple):
     omega: Array
     tau: Array
     drifts: Array
-
-
-class Hybrid(NamedTuple):
-    """Many machines whose law changes, in the place of an Oscillator of many.
-
-    States between periods are in blocks of the undamped modes of the first phase with all contacts open, no force and
-    no load, whatever the mode: gap has these blocks, with the damping that each mode feels, and no guard. The contact
-    of a motion is the number of its mode, FIRST_NUMBER added. gap_row, upper and lower are those of the first contact.
-
-    Where a coordinate drifts it is the last number of the state, times omega, and the velocity of its free motion the
-    last but one. Nothing depends on it: it is reset to 0 at each section, so that a motion closes where all else does.
-    """
-
-    gap: Mode
-    swing: Array
-    rest: Array
-    to_physical: Array
-    to_blocks: Array
-    gap_row: Array
-    head: Array
-    tau: Any
     machines: HybridMachines
-    table: Table
 
-    def __getattr__(self, name: str) -> Any:
-        """One of the numbers of ``head``, see oscillator.Head, by its name."""
-        return named_in_head(self.head, name)
+    def build_missing(self, rows: Rows) -> Rows:
+        """Build the mode that each of these machines is missing; which of them had one missing and have it now.
 
-
-class HybridCell(NamedTuple):
-    """One machine of a Hybrid, as kernels see it."""
-
-    gap: Mode
-    swing: Array
-    rest: Array
-    to_physical: Array
-    to_blocks: Array
-    gap_row: Array
-    head: Array
-    tau: Any
-    table: Table
-
-    def __getattr__(self, name: str) -> Any:
-        """One of the numbers of ``head``, see oscillator.Head, by its name."""
-        return named_in_head(self.head, name)
+        Those whose table is full keep it missing.
+        """
+        number, used = self.missing[rows, 0], np.sum(self.codes[rows] >= 0, axis=1)
+        rows, number, used = (field[(number >= 0) & (used < self.codes.shape[1])] for field in (rows, number, used))
+        for each in np.unique(number).tolist():
+            some, place = rows[number == each], used[number == each]
+            made, wrong = pieces_of(taken(self.machines, some), code_of(each, *self.machines.sizes[1:]))
+            self.codes[some, place], self.wrong[some, place], self.missing[some, 0] = each, wrong, -1
+            for field, new in zip(self.pieces, made, strict=True):
+                field[some, place] = new
+        return rows
 
 
 FIRST_NUMBER = 4
@@ -138,8 +107,8 @@ ROOM = 64
 
 
 @np.errstate(all="ignore")
-def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
-    """Machines as the kernels run them, without a mode yet, and the reason against each, or NO_REASON."""
+def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
+    """Machines with modes as the kernels run them, without a mode yet, and the reason against each, or NO_REASON."""
     (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
     mass, stiffness = machines.mass, machines.stiffness[:, 0]
     lam, modes = _section_modes(mass, stiffness, machines.drifting)
@@ -148,15 +117,17 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
     eta = 0.5 * np.maximum(np.diagonal(turned @ machines.damping[:, 0] @ modes, axis1=1, axis2=2), 0.0)
     blocks = make_blocks(eta, lam)
     metric = np.where(lam == 0.0, machines.omega[:, None] ** 2, lam)
-    blocks[..., COLUMN.metric] = metric
     to_blocks = interleaved(turned @ mass)
     to_physical = np.ascontiguousarray(interleaved(turned).swapaxes(1, 2))
     if machines.drifting >= 0:
         _count_from_drift(to_blocks, to_physical, machines.drifting, machines.omega)
-        metric[:, -1] = blocks[:, -1, COLUMN.metric] = 1.0
+        metric[:, -1] = 1.0
+    blocks[..., COLUMN.metric] = metric
     still, wrong = pieces_of(machines, Code(0, (OPEN,) * C, (1,) * F))
     size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
     swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
+    known = np.isfinite(swing) & ~wrong[:, None, None]
+    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(known, swing, 0.0)
     # What a soft contact takes in, not counted yet, is nothing where its force depends on its depth alone.
     keeps = np.all((machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.pad[..., 1] == 0.0, 1)), 1)
     none, endless = np.zeros(N), np.full(N, np.inf)
@@ -174,18 +145,21 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
         Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
         elements_of(machines), machines.omega, phase_of(machines.tau),
-        np.where(machines.drift >= 0.0, 1.0, 0.0),
+        np.where(machines.drift >= 0.0, 1.0, 0.0), machines,
     )  # fmt: skip
     row = machines.row[:, 0] if C else np.tile(np.eye(1, n), (N, 1))
-    found = Hybrid(
-        gap=Mode(blocks, metric, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
-        swing=np.where(np.isfinite(swing) & ~wrong[:, None, None], swing, 0.0), rest=np.zeros((N, n, 2)),
-        to_physical=to_physical, to_blocks=to_blocks, gap_row=np.ascontiguousarray(row), head=np.stack(head, axis=-1),
-        tau=table.tau, machines=machines, table=table,
-    )  # fmt: skip
+    found = Oscillator(
+        gap=Mode(blocks, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
+        to_physical=to_physical,
+        to_blocks=to_blocks,
+        gap_row=np.ascontiguousarray(row),
+        head=np.stack(head, axis=-1),
+        tau=table.tau,
+        table=table,
+    )
     reasons = hybrid_faults(machines)
-    known = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
-    return found, np.where((reasons == NO_REASON) & ~known, np.int8(OUT_OF_DOUBLES), reasons)
+    fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
+    return found, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
 
 def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array, Array]:
@@ -208,54 +182,3 @@ def _count_from_drift(to_blocks: Array, to_physical: Array, drifting: int, omega
     to_physical[:, :, -2], to_physical[:, :, -1] = to_physical[:, :, -1].copy(), 0.0
     to_physical[:, drifting] = 0.0
     to_physical[:, drifting, -1] = 1.0 / omega
-
-
-def build_missing(oscillators: Any, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Build the mode that each of these machines is missing; which of them had one missing and have it now.
-
-    Those whose table is full keep it missing.
-    """
-    table, machines = oscillators.table, oscillators.machines
-    number, used = table.missing[rows, 0], np.sum(table.codes[rows] >= 0, axis=1)
-    rows, number, used = (field[(number >= 0) & (used < table.codes.shape[1])] for field in (rows, number, used))
-    for each in np.unique(number).tolist():
-        some, place = rows[number == each], used[number == each]
-        made, wrong = pieces_of(taken(machines, some), code_of(each, *machines.sizes[1:]))
-        table.codes[some, place], table.wrong[some, place], table.missing[some, 0] = each, wrong, -1
-        for field, new in zip(table.pieces, made, strict=True):
-            field[some, place] = new
-    return rows
-
-
-def cell_of(oscillators: Oscillator | Hybrid, k: int) -> Oscillator | HybridCell:
-    """One of many machines, as kernels take it."""
-    one: Any = one_of(oscillators, k)
-    many = isinstance(oscillators, Hybrid)
-    return HybridCell(*(getattr(one, name) for name in HybridCell._fields)) if many else one
-
-
-def with_modes(oscillator: Oscillator | Hybrid, act: Callable[[Any], Any]) -> Any:
-    """What ``act`` makes of the one machine of a record of many; anew whenever a mode had to be built for it."""
-    while True:
-        cell = cell_of(oscillator, 0)
-        found = act(cell)
-        if isinstance(oscillator, Hybrid) and isinstance(cell, HybridCell):
-            oscillator.table.missing[0] = cell.table.missing
-            if len(build_missing(oscillator, np.zeros(1, dtype=np.int64))):
-                continue
-        return found
-
-
-def drifts(oscillators: Oscillator | Hybrid) -> int:
-    """1 where a coordinate of these machines may drift, else 0."""
-    return int(isinstance(oscillators, Hybrid) and oscillators.machines.drifting >= 0)
-
-
-def rigid_stops(oscillators: Oscillator | Hybrid) -> list[tuple[Array, Array, Array]]:
-    """Row (N, n), upper and lower stop (N,) of each rigid contact of many machines."""
-    if isinstance(oscillators, Oscillator):
-        return [(oscillators.gap_row, oscillators.upper, oscillators.lower)]
-    own = oscillators.machines
-    rigid = [c for c in range(own.sizes[1]) if not own.soft[0, c]]
-    fields = [(own.row[:, c], own.stops[:, c, 1], own.stops[:, c, 0]) for c in rigid]
-    return [tuple(np.ascontiguousarray(field) for field in each) for each in fields]  # type: ignore[misc]

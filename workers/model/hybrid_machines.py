@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite
 from workers.model.modes import stacked
-from workers.model.oscillator import Array
+from workers.model.oscillator import Array, Mask
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
-
-Mask = NDArray[np.bool_]
 
 INDEPENDENT = 1e-12
 """Least singular value of rows of length 1 from which on they do not depend on each other."""
@@ -78,6 +76,12 @@ class HybridMachines(NamedTuple):
     def sizes(self) -> tuple[int, int, int]:
         """How many phases, contacts and frictions there are."""
         return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
+
+    @property
+    def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
+        """Row (N, n), upper and lower stop (N,) of each rigid contact."""
+        fields = [(self.row[:, c], self.stops[:, c, 1], self.stops[:, c, 0]) for c in np.flatnonzero(~self.soft.any(0))]
+        return [(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)) for a, b, c in fields]
 
     @property
     def drifting(self) -> int:

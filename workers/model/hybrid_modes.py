@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workers.model.free import Flow, Mask, derivative_of, loading_of
+from workers.model.free import Flow, derivative_of, loading_of
 from workers.model.free import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.modes import split, stacked
-from workers.model.oscillator import COLUMN, OF_FLOW, Array, make_blocks
+from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, make_blocks
 
 OPEN, ON, DETACHED = 0, 1, 2
 """What a contact does, with the sign of its side: it is open; held by a rigid stop or engaged by a soft one; or within
@@ -73,7 +73,6 @@ class Pieces(NamedTuple):
     """A mode of N machines with n blocks, G signals and H harmonics.
 
     blocks       (N, G, n, columns)    flow of the blocks, and the row of each signal, see oscillator.Block
-    metric       (N, n)                their column of that name
     waves        (N, G, H, 2)          forced part of each signal, see oscillator.Mode
     numbers      (N, G, NUMBER)        see oscillator.Numbers
     forced       (N, n, 2, H, 2)       forced response of the blocks
@@ -81,14 +80,12 @@ class Pieces(NamedTuple):
     direct       (N, G, H, 2)          and what the force adds to it
     offset       (N, G)                what it is while the blocks are at rest
     ends         (N, G, 2)             the values between which it stays in this mode, infinite where nothing ends it
-    to_blocks    (N, 2n, 2n)           blocks of (x, v), from ``rest`` on; to_physical the way back
-    rest         (N, 2n)               blocks at rest, the forced response taken off
+    to_blocks    (N, 2n, 2n)           blocks of (x, v), counted from where they rest; to_physical the way back
     acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) and what the force adds to it
     lost, trace  (N,)                  dimensions that the flow does not have; trace of M^-1 C, as it contracts volume
     """
 
     blocks: Array
-    metric: Array
     waves: Array
     numbers: Array
     forced: Array
@@ -98,7 +95,6 @@ class Pieces(NamedTuple):
     ends: Array
     to_blocks: Array
     to_physical: Array
-    rest: Array
     acceleration: Array
     drive: Array
     lost: Array
@@ -146,16 +142,15 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
     multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of what is held
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
-    reduced, to_blocks, to_physical, rest, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega, moves)
+    reduced, to_blocks, to_physical, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega, moves)
     flow, forced = reduced
     every = rows.shape[1]
     blocks: Array = np.repeat(flow[:, None], every, axis=1)
-    metric = flow[..., COLUMN.metric].copy()
     seen = (rows[:, :, : 2 * n] @ to_physical).reshape(N, every, n, 2)
     eta, lam = flow[:, None, :, COLUMN.eta], flow[:, None, :, COLUMN.lam]
     seen1 = derivative_of(seen, eta, lam)
     blocks[..., OF_FLOW : COLUMN.k0] = np.concatenate([seen, seen1], axis=-1)
-    blocks[..., COLUMN.cAA0 :] = derivative_of(seen1, eta, lam)
+    blocks[..., COLUMN.cAA0 : OF_GUARD] = derivative_of(seen1, eta, lam)
     H = force.shape[1]
     parts = (seen.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
     waves = parts + direct
@@ -163,9 +158,10 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     sizes = np.hypot(waves[..., 0], waves[..., 1])
     numbers = np.stack([np.repeat(omega[:, None], every, axis=1),
                         *(np.sum(sizes * w**power, axis=2) for power in (0, 2, 3, 4))], axis=-1)  # fmt: skip
-    offset = (rows[:, :, : 2 * n] @ (to_physical @ rest[..., None]))[..., 0] + rows[:, :, 2 * n]
+    rest = flow[..., COLUMN.rest0 :].reshape(N, 2 * n, 1)
+    offset = (rows[:, :, : 2 * n] @ (to_physical @ rest))[..., 0] + rows[:, :, 2 * n]
     found = Pieces(
-        blocks, metric, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, rest, acceleration,
+        blocks, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, acceleration,
         np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
         np.full(N, float(2 * len(held) + len(stuck))), np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
     )  # fmt: skip
@@ -256,9 +252,9 @@ def _reduced(
     D: Array,
     omega: Array,
     moves: Mask,
-) -> tuple[tuple[Array, Array], Array, Array, Array, Mask]:
+) -> tuple[tuple[Array, Array], Array, Array, Mask]:
     """The flow while rows G (N, r, n) are held: its blocks and their forced response, the ways between them and
-    (x, v), the blocks at rest, and of which machines there is none.
+    (x, v), and of which machines there is none.
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
     """
@@ -270,8 +266,8 @@ def _reduced(
     m, c, k = across @ mass @ null, across @ damping @ null, across @ stiffness @ null
     modes = split(m, c, k)
     flow = Flow(modes, stacked(np.linalg.inv, m.shape, m), make_blocks(modes.eta, modes.lam))
-    push = loading_of(flow, force @ null, (across @ load[..., None])[..., 0])
-    mode, resonant = motion_in(flow, push, omega)
+    loading = loading_of(flow, force @ null, (across @ load[..., None])[..., 0])
+    mode, resonant = motion_in(flow, loading, omega)
     a, b = np.zeros((2, N, free, r))
     if r and free:
         rigid = modes.rigid > 0
@@ -299,9 +295,8 @@ def _reduced(
     still[..., COLUMN.metric] = omega[:, None] ** 2
     blocks = np.concatenate([mode.blocks, still], axis=1)
     forced = np.concatenate([mode.forced, np.zeros((N, r, *mode.forced.shape[2:]))], axis=1)
-    rest = np.concatenate([push.rest.reshape(N, 2 * free), np.zeros((N, 2 * r))], axis=1)
     wrong = resonant | modes.unstable | modes.inseparable | ~np.isfinite(down).all(axis=(1, 2))
-    return (blocks, forced), down, up, rest, wrong | ~np.isfinite(up).all(axis=(1, 2))
+    return (blocks, forced), down, up, wrong | ~np.isfinite(up).all(axis=(1, 2))
 
 
 def _solved(matrix: Array, singular: Mask, right: Array) -> Array:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from workers.model.oscillator import Array
 
 COUPLED = 1e-13
 """Coupling of the modes by the damping, relative to the largest damping, that is more than rounding."""

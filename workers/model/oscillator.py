@@ -1,6 +1,6 @@
-"""The records that the kernels run on: blocks, rows and columns of a linear oscillator with one gap.
+"""The records that the kernels run on: blocks, rows and columns of a linear oscillator.
 
-They hold arrays whose shapes tell the number of masses and of harmonics. Many oscillators are one record with another
+The shapes of their arrays give the numbers of masses and of harmonics. Many oscillators are one record with another
 axis in front of every field.
 """
 
@@ -11,19 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Reasons = NDArray[np.int8]
+Rows = NDArray[np.int64]
+"""Which of many, or a number of each."""
 
 LARGEST_ANGLE = 3e7
 """Radians of free oscillation in a forcing period up to which elementary.sin_cos reduces angles exactly."""
 
 
 class Block(NamedTuple):
-    """h'' + 2 eta h' + lam h = load with what its flow, its bounds and its guard need: columns of Mode.blocks.
+    """One block h'' + 2 eta h' + lam h = load, and what its flow, bounds and guard need: columns of Mode.blocks.
 
-    d = lam - eta^2; w = sqrt|d| and its inverse (0 for w = 0); the decay rates, both eta unless overdamped.
-    tilt, weight and grow2...grow4 are those of signal.amplitude_bounds. metric weighs h^2 against h'^2 where states are
-    compared: lam, so that undamped flight keeps the norm, or omega^2 for a rigid mode, lam = 0, which alone has a load:
-    that of any other mode moves its rest position. (c0, c1) is the row c of the guard, cA that of its first and cAA
-    that of its second derivative; (k0, k1) the column k that a reset kicks along, Ak its derivative.
+    d, w, inv_w      d = lam - eta^2, w = sqrt|d| and its inverse, 0 for w = 0
+    slow, fast       decay rates, both eta unless the block is overdamped
+    tilt ... grow4   see signal.amplitude_bounds
+    metric           weight of h^2 beside h'^2 in the energy norm: lam, which undamped flight keeps, or omega^2 for a
+                     rigid mode, lam = 0
+    load             of a rigid mode; a load on any other mode moves its rest position instead
+    c, cA, cAA       rows of the guard and of its first two derivatives on (h, h')
+    k, Ak            column that a reset kicks along, and its derivative
+    swing            bounds of the forced response of h and h'
+    rest             what a constant load adds to h and h'
     """
 
     eta: Any
@@ -50,16 +59,23 @@ class Block(NamedTuple):
     Ak1: Any
     cAA0: Any
     cAA1: Any
+    swing0: Any
+    swing1: Any
+    rest0: Any
+    rest1: Any
 
 
 COLUMN = Block(*range(len(Block._fields)))
 """Columns of Mode.blocks by name."""
 
-PAIRS = {"row": COLUMN.c0, "row1": COLUMN.cA0, "row2": COLUMN.cAA0, "kick": COLUMN.k0, "kick1": COLUMN.Ak0}
-"""The first column of c, cA, cA^2, k and A k, each (n, 2)."""
+PAIRS = {
+    "row": COLUMN.c0, "row1": COLUMN.cA0, "row2": COLUMN.cAA0, "kick": COLUMN.k0, "kick1": COLUMN.Ak0,
+    "swing": COLUMN.swing0, "rest": COLUMN.rest0,
+}  # fmt: skip
+"""The first column of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
 
-OF_FLOW = COLUMN.c0
-"""Columns that the flow alone decides: the first ones."""
+OF_FLOW, OF_GUARD = COLUMN.c0, COLUMN.swing0
+"""Where the columns end that the flow alone decides, and where those of guard and kick end after them."""
 
 
 def make_blocks(eta: Array, lam: Array) -> Array:
@@ -110,14 +126,12 @@ class Mode(NamedTuple):
     part Y = sum_k sin_part_k sin(k phi) + cos_part_k cos(k phi), k = 1...H, at the phase phi = omega t + tau.
 
     blocks   (n, columns)    constants of each block, see Block, and PAIRS
-    metric   (n,)            their column of that name
     waves    (H, 2)          sin_part and cos_part
     numbers  (NUMBER,)       see Numbers; the amplitude is reached where H = 1
     forced   (n, 2, H, 2)    forced response of the blocks, [block, (h, h'), harmonic, (sin, cos)]
     """
 
     blocks: Array
-    metric: Array
     waves: Array
     numbers: Array
     forced: Array
@@ -139,11 +153,6 @@ def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
     raise AttributeError(name)
 
 
-def named_in_head(head: Array, name: str) -> Any:
-    """The number of a record's head of that name, see Head."""
-    return _named(name, (head, _OF_HEAD))
-
-
 def _plain(field: Array) -> Any:
     """An array, or the number that one without axes holds."""
     return field if field.ndim else float(field)
@@ -152,16 +161,14 @@ def _plain(field: Array) -> Any:
 class Held(NamedTuple):
     """The mode while the impacting coordinate rests on a stop, n - 1 blocks of its own, and the ways there and back.
 
-    down (2n-2, 2n) takes free block coordinates to held ones, up (2n, 2n-2) takes those back.
-    into (2, n-1, 2) and out (2, n, 2), for the upper and the lower stop, are what the rest positions add on either way.
+    down (2n-2, 2n + 2) takes free block coordinates to held ones, up (2n, 2n-2 + 2) takes those back. The last two
+    columns of either are what rest positions add: at the upper stop, and at the lower one.
     The free acceleration of the gap coordinate is the guard of ``mode`` + push, push (2,) for either stop.
     """
 
     mode: Mode
     down: Array
     up: Array
-    into: Array
-    out: Array
     push: Array
 
 
@@ -201,32 +208,68 @@ OF_LANE = HEAD.upper
 
 
 class Oscillator(NamedTuple):
-    """A linear oscillator whose gap coordinate y moves between two stops, or one.
+    """A machine with one rigid contact, whose gap coordinate y moves between two stops, or one; or one with modes.
 
     gap             free flight; its guard is y(t) - y0, seen from rest_y = y0, and its column k what an impact kicks
                     along, cA.k = 1, c.k = 0
-    swing           (n, 2): bound of the moduli of its forced response
-    rest            (n, 2): what the constant load adds to the blocks
     to_physical     (2n, 2n): (displacements, velocities) of block coordinates (h_1, h_1', h_2, ...)
     to_blocks       (2n, 2n): its inverse
     gap_row         (n,): y = gap_row . displacements
     head            (HEAD,): numbers, see Head; each is an attribute too
     tau             forcing phase at a section
+    held            of a machine with one rigid contact: see Held
+    table           of a machine with modes: see hybrid.Table; of any other None
+
+    Of a machine with modes states between periods are in blocks of the undamped modes of the first phase with all
+    contacts open, no force and no load, whatever the mode: gap has these blocks, with the damping that each mode feels,
+    and no guard. The contact of a motion is the number of its mode, hybrid.FIRST_NUMBER added. gap_row, upper and lower
+    are those of the first contact.
+
+    Where a coordinate drifts it is the last number of the state, times omega, and the velocity of its free motion the
+    last but one. Nothing depends on it: it is reset to 0 at each section, so that a motion closes where all else does.
     """
 
     gap: Mode
-    swing: Array
-    rest: Array
     to_physical: Array
     to_blocks: Array
     gap_row: Array
     head: Array
     tau: Any
-    held: Held
+    held: Any = None
+    table: Any = None
 
     def __getattr__(self, name: str) -> Any:
         """One of the numbers of ``head``, see Head, by its name."""
-        return named_in_head(self.head, name)
+        return _named(name, (self.head, _OF_HEAD))
+
+    @property
+    def has_modes(self) -> bool:
+        """Whether the law changes otherwise than by one rigid contact."""
+        return self.table is not None
+
+    @property
+    def drifts(self) -> int:
+        """1 where a coordinate of these machines may drift, else 0."""
+        return 0 if self.table is None else int(np.max(self.table.drifts, initial=0.0))
+
+    @property
+    def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
+        """Row (N, n), upper and lower stop (N,) of each rigid contact of many machines."""
+        if self.table is not None:
+            found: list[tuple[Array, Array, Array]] = self.table.machines.rigid_stops
+            return found
+        return [(self.gap_row, self.upper, self.lower)]
+
+    def with_modes(self, act: Callable[[Rows], Any], rows: Rows) -> Any:
+        """Do ``act`` for these rows of many machines, and again for those that missed a mode, which is built first.
+
+        A kernel leaves a motion as it was where a mode is missing. The result is that of the last call. There is one
+        without rows too, which compiles what ``act`` calls.
+        """
+        found = act(rows)
+        while self.table is not None and len(rows := self.table.build_missing(rows)):
+            found = act(rows)
+        return found
 
     @property
     def b_upper(self) -> Any:
@@ -267,23 +310,24 @@ class Machines(NamedTuple):
 
 
 def each(record: Any, act: Callable[[Any], Any]) -> Any:
-    """The same record with something done to every field, including the fields of records in it."""
-    done = [each(field, act) if isinstance(field, tuple) else act(field) for field in record]
-    return type(record)(*done)
+    """The same record with something done to every field, including the fields of records in it; None stays None."""
+    if isinstance(record, tuple):
+        return type(record)(*(each(field, act) for field in record))
+    return None if record is None else act(record)
 
 
-def taken(record: Any, rows: NDArray[np.int64]) -> Any:
+def taken(record: Any, rows: Rows) -> Any:
     """These rows of a record of many, in their order."""
     return each(record, lambda field: np.take(field, rows, axis=0))
 
 
 def one_of(oscillators: Any, k: int) -> Any:
-    """Oscillator k of many."""
-    found: Any = each(oscillators, lambda field: field[k].copy() if field.ndim > 1 else float(field[k]))
+    """Oscillator k of many. Its arrays are views: a mode that it is missing is missing in the table of all."""
+    found: Any = each(oscillators, lambda field: field[k] if field.ndim > 1 else float(field[k]))
     return found
 
 
 def many_of(osc: Oscillator) -> Oscillator:
-    """One oscillator as a record of many."""
-    found: Oscillator = each(osc, lambda field: np.asarray(field, dtype=np.float64)[None])
+    """One oscillator as a record of many, of the same arrays."""
+    found: Oscillator = each(osc, lambda field: np.asarray(field)[None])
     return found

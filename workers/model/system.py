@@ -135,10 +135,7 @@ class System:
         return one_of(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
-        """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON.
-
-        A record of many: an Oscillator, or a Hybrid where the system has modes.
-        """
+        """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
         if self.has_modes:
             hybrids, reasons = build_hybrid(self.definition.hybrid(values))
             return hybrids, self.out_of_range(values, reasons)

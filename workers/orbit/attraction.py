@@ -20,6 +20,7 @@ from workers.kernel.apart import FLOATS, apart
 from workers.kernel.cells import energy_norm
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import whole
+from workers.model.oscillator import COLUMN
 from workers.orbit.map import squares
 
 LOOK_AHEAD = 256
@@ -51,7 +52,7 @@ def add_product(found, left, right):
 
 
 @kernel
-def shrinking_norm(metric, J, contraction):
+def shrinking_norm(blocks, J, contraction):
     """P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation; NaN where none is found.
 
     contraction = 1 - |mu|.
@@ -60,8 +61,8 @@ def shrinking_norm(metric, J, contraction):
     """
     size = len(J)
     weight, A, P = np.ones(size), np.empty((size, size)), np.eye(size)
-    for j in range(len(metric)):
-        weight[2 * j] = math.sqrt(metric[j])
+    for j in range(len(blocks)):
+        weight[2 * j] = math.sqrt(blocks[j, COLUMN.metric])
     for i in range(size):
         for k in range(size):
             A[i, k] = J[i, k] * weight[i] / (weight[k] * (1.0 - 0.5 * contraction))
@@ -104,17 +105,17 @@ def falls_into(P, J, contraction, fixed, h, image):
     return squared(P, r) < (0.5 * contraction) ** 2 * squared(P, d)
 
 
-@apart(FLOATS[1], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
-def stays_nearer(metric, P, J, fixed, h, begun):
+@apart(FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
+def stays_nearer(blocks, P, J, fixed, h, begun):
     """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and by J alone stays so.
 
     That is certain once the deviation is less in the norm of P, which no turn lets grow and is the larger of the two.
     """
-    metric, P, J = whole(metric), whole(P), whole(J)
+    blocks, P, J = whole(blocks), whole(P), whole(J)
     fixed, h = whole(fixed), whole(h)
     d = deviation(h, fixed)
     for _ in range(LOOK_AHEAD):
-        if not energy_norm(metric, d.reshape(h.shape)) < begun:
+        if not energy_norm(blocks, d.reshape(h.shape)) < begun:
             return False
         if squared(P, d) < begun * begun:
             break

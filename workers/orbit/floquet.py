@@ -18,12 +18,12 @@ NARROW = 2.0
 
 
 @kernel
-def overlaps(metric, before, after, m):
+def overlaps(blocks, before, after, m):
     """The energy products of the first m vectors of two frames: an orthogonal matrix where they span one space."""
     products = np.empty((m, m))
     for i in range(m):
         for k in range(m):
-            products[i, k] = inner(metric, before, i, after, k)
+            products[i, k] = inner(blocks, before, i, after, k)
     return products
 
 
@@ -94,9 +94,9 @@ def floquet(osc, point, steps, half, most):
         motion = iterate(osc, point.h, point.contact, frame.copy(), np.zeros(m), np.eye(m), steps, half)
         if motion.tally[STATUS] != RUNNING:
             break
-        reset_frame(osc, motion)
+        reset_frame(osc.gap.blocks, motion)
         rank = size - int(motion.tally[LOST])
-        rotation = overlaps(osc.gap.metric, frame, motion.V, rank)
+        rotation = overlaps(osc.gap.blocks, frame, motion.V, rank)
         frame = motion.V[:rank].copy()
         if turn == 1:
             continue

@@ -7,16 +7,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.hybrid.neutral import freeze
-from workers.kernel.jit import by_record, inline_always, kernel
+from workers.kernel.jit import for_modes, inline_always, kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
 from workers.kernel.period import step
-from workers.model.hybrid import HybridCell
-
-Array = NDArray[np.float64]
+from workers.model.oscillator import COLUMN, Array
 
 
 class FixedPoint(NamedTuple):
@@ -29,14 +26,9 @@ class FixedPoint(NamedTuple):
     residual: float
 
 
-@inline_always
-def nothing_frozen(osc, motion):
-    """freeze_where_stuck of an Oscillator."""
-
-
-@by_record(HybridCell, freeze, nothing_frozen)
+@for_modes(freeze)
 def freeze_where_stuck(osc, motion):
-    """See kernel.hybrid.neutral.freeze."""
+    """See kernel.hybrid.neutral.freeze. A machine with one rigid contact has nothing that sticks."""
 
 
 @kernel
@@ -91,9 +83,9 @@ def squares(values):
 
 
 @kernel
-def separation(metric, h, g):
-    """The energy norm of the difference of two block states (n, 2)."""
+def separation(blocks, h, g):
+    """The energy norm of the difference of two block states (n, 2), see Block.metric."""
     total = 0.0
-    for j in range(len(metric)):
-        total += metric[j] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2
+    for j in range(len(blocks)):
+        total += blocks[j, COLUMN.metric] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2
     return math.sqrt(total)

@@ -11,19 +11,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.cells import scale_at, scale_of
+from workers.kernel.borrow import row_of
+from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
-from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, TALLIES, motion_of, oscillator_of
-from workers.model.oscillator import HEAD
+from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, TALLIES
+from workers.model.oscillator import HEAD, Array
 from workers.orbit.attraction import deviation, falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet
 from workers.orbit.map import FixedPoint, copy_into, iterate_alone, map_with_jacobian, separation, squares
 from workers.orbit.rest import is_followed
 from workers.orbit.section import back_at_section, quiet_section, seen_later
-
-Array = NDArray[np.float64]
 
 PROOF_STEPS = 12
 CYCLES = 60
@@ -90,14 +89,14 @@ def newton(osc, start, contact, steps, half, scale, most):
     of ``scale``; the residual is infinite where none is found.
     """
     h = start.copy()
-    metric = osc.gap.metric
+    blocks = osc.gap.blocks
     size = h.size
     best = FixedPoint(h, h, contact, np.zeros((size, size)), np.inf)
     spent = 0
     while spent < most:
         spent += 1
         motion, J = map_with_jacobian(osc, h, contact, steps, half)
-        residual = separation(metric, motion.h, h)
+        residual = separation(blocks, motion.h, h)
         arrived = motion.tally[STATUS] == RUNNING and motion.contact[0] == contact
         if not (arrived and residual <= 0.5 * best.residual):
             break
@@ -125,7 +124,7 @@ def least_turn(osc, point, steps, half, scale):
                 continue
             trial = iterate_alone(osc, point.h, point.contact, fewer, halved)
             spent += fewer if halved else 2 * fewer
-            if separation(osc.gap.metric, trial.h, point.h) < 1e-6 * scale:
+            if separation(osc.gap.blocks, trial.h, point.h) < 1e-6 * scale:
                 return fewer, halved, spent
     return steps, half, spent
 
@@ -137,15 +136,15 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
     Every turn has to pass the test of ``orbit.attraction`` until the motion has come nearer for good, and one more, or
     is on the orbit.
     """
-    metric, norm = osc.gap.metric, shrinking_norm(osc.gap.metric, point.jacobian, contraction)
-    begun, at, nearer = separation(metric, h, point.h), h, False
+    blocks, norm = osc.gap.blocks, shrinking_norm(osc.gap.blocks, point.jacobian, contraction)
+    begun, at, nearer = separation(blocks, h, point.h), h, False
     for turn in range(1, most + 1):
         image = iterate_alone(osc, at, point.contact, steps, half).h
         if not falls_into(norm, point.jacobian, contraction, point.h, at, image):
             return False, turn
-        if nearer or separation(metric, image, point.h) <= ON_ORBIT * scale:
+        if nearer or separation(blocks, image, point.h) <= ON_ORBIT * scale:
             return True, turn
-        nearer = stays_nearer(metric, norm, point.jacobian, point.h, image, begun)
+        nearer = stays_nearer(blocks, norm, point.jacobian, point.h, image, begun)
         at = image
     return False, most
 
@@ -178,7 +177,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
-    if separation(osc.gap.metric, h, point.h) > ON_ORBIT * scale:
+    if separation(osc.gap.blocks, h, point.h) > ON_ORBIT * scale:
         most = min(CYCLES, turns_left - tried - turns + 2)
         falls, flown = approaches(osc, point, h, steps, half, -math.expm1(largest), scale, most)
         spent += flown * unit
@@ -195,7 +194,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
 
 
 @kernel
-def recurrence(metric, sections, near, longest):
+def recurrence(blocks, sections, near, longest):
     """Periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest first.
 
     It returned within ``near`` in the energy norm; of those, each p that came ten times closer than any
@@ -205,7 +204,7 @@ def recurrence(metric, sections, near, longest):
     count, last = 0, len(sections) - 1
     record = near
     for p in range(1, min(last, longest) + 1):
-        here = separation(metric, sections[last], sections[last - p])
+        here = separation(blocks, sections[last], sections[last - p])
         if here < record:
             found[2], found[1], found[0] = found[1], found[0], p
             count = min(count + 1, 3)
@@ -216,7 +215,7 @@ def recurrence(metric, sections, near, longest):
 
 
 @kernel
-def far_from_closing(metric, swing, h, sections, cells, returns, limit):
+def far_from_closing(blocks, h, sections, cells, returns, limit):
     """Of which of these cells none of the ``returns`` sections before the last lies within ``limit`` of it.
 
     Relative to the motion's scale. The number of returns is fixed, since on a torus more of them come nearer.
@@ -227,8 +226,8 @@ def far_from_closing(metric, swing, h, sections, cells, returns, limit):
         r = cells[e]
         nearest = np.inf
         for k in range(last - returns, last):
-            nearest = min(nearest, separation(metric[r], sections[r, last], sections[r, k]))
-        found[e] = nearest > limit * scale_at(metric[r], swing[r], h[r])
+            nearest = min(nearest, separation(blocks[r], sections[r, last], sections[r, k]))
+        found[e] = nearest > limit * scale_of(blocks[r], h[r])
     return found
 
 
@@ -243,8 +242,8 @@ def settle(osc, motion, sections, near, longest, budget):
     Sections recur where the last one has returned within ``near`` of the motion's scale, after ``longest`` periods at
     most. At most ``budget`` periods are spent.
     """
-    scale = scale_of(osc, motion.h)
-    returns = recurrence(osc.gap.metric, sections, near * scale, longest)
+    scale = scale_of(osc.gap.blocks, motion.h)
+    returns = recurrence(osc.gap.blocks, sections, near * scale, longest)
     shift, h, contact, flown = 0.0, motion.h.copy(), motion.contact[0], 0
     if len(returns) > 0 and budget > RESERVED_TURNS:
         shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
@@ -309,9 +308,9 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
     settled = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        osc = lend(oscillator_of(oscillators, r))
+        osc = lend(row_of(oscillators, r))
         known = sections[r, sections.shape[1] - kept[r] :]
-        result, orbit, shift, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
+        result, orbit, shift, spent[r] = settle(osc, row_of(motions, r), known, near[r], longest, budgets[r])
         there = lend(seen_later(osc, shift))
         settled[e] = result == SETTLED
         if settled[e] and highest(orbit.exponents, 0, len(orbit.exponents)) == -np.inf:

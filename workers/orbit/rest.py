@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import borrowed, row_of
 from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
-from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
+from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_with
 from workers.kernel.period import advance
 from workers.orbit.map import copy_into, separation, squares
 
@@ -60,9 +60,9 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
     gone = np.zeros(len(oscillators.tau), dtype=np.int64)
     K = sections.shape[1]
     for r in cells:
-        osc, moved = lend(oscillator_of(oscillators, r)), motion_of(motions, r)
+        osc, moved = lend(row_of(oscillators, r)), row_of(motions, r)
         n, kept[r] = moved.h.shape[0], 0
-        scale = scale_of(osc, moved.h)
+        scale = scale_of(osc.gap.blocks, moved.h)
         motion = motion_with(moved.h, moved.contact[0], axes(n), np.zeros(0), np.zeros((0, 0)))
         states, contacts = np.empty((K, n, 2)), np.empty(K, dtype=np.int64)
         releases = np.empty(RELEASES, dtype=np.int64)
@@ -78,7 +78,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             if released:
                 for e in range(known):
                     k = releases[e]
-                    near = separation(osc.gap.metric, states[k], states[count]) < SAME_RELEASE * scale
+                    near = separation(osc.gap.blocks, states[k], states[count]) < SAME_RELEASE * scale
                     if kept[r] == 0 and near and contacts[k] == contacts[count]:
                         kept[r] = count - k + 1
                 if known < RELEASES:

@@ -10,11 +10,10 @@ import math
 import numpy as np
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.jit import by_record, inline_always, kernel
+from workers.kernel.jit import for_modes, inline_always, kernel
 from workers.kernel.lend import lend, whole
 from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_with
 from workers.kernel.period import propagate
-from workers.model.hybrid import HybridCell
 from workers.model.oscillator import HEAD, Oscillator
 
 SHIFT = 0.3819660112501051
@@ -31,23 +30,11 @@ AT_SECTION = 1e-12
 
 
 @kernel
-def linear_later(osc, shift):
-    """seen_later of an Oscillator."""
-    o = whole(osc)
-    return borrowed(Oscillator(
-        o.gap, o.swing, o.rest, o.to_physical, o.to_blocks, o.gap_row, o.head, o.tau + 2.0 * math.pi * shift, o.held,
-    ))  # fmt: skip
-
-
-@kernel
-def hybrid_later(osc, shift):
-    """seen_later of a HybridCell: its phases begin at the section, so that it is only seen from there, shift = 0."""
-    return osc
-
-
-@by_record(HybridCell, hybrid_later, linear_later)
 def seen_later(osc, shift):
-    """The oscillator as it is seen from the section t = shift T."""
+    """The oscillator as it is seen from the section t = shift T; one with modes from t = 0, where its phases begin."""
+    o = whole(osc)
+    tau = o.tau + 2.0 * math.pi * shift
+    return borrowed(Oscillator(o.gap, o.to_physical, o.to_blocks, o.gap_row, o.head, tau, o.held, o.table))
 
 
 @inline_always
@@ -60,13 +47,16 @@ def moved(osc, h, contact, shift):
 
 @kernel
 def same_section(osc, h, contact):
-    """quiet_section of a HybridCell."""
+    """quiet_section of a machine with modes."""
     return 0.0, h.copy(), contact, 0
 
 
-@kernel
-def quiet_of_linear(osc, h, contact):
-    """quiet_section of an Oscillator."""
+@for_modes(same_section)
+def quiet_section(osc, h, contact):
+    """(shift, h (n, 2), contact, periods flown): a section on the way of a motion, near which nothing happens to it.
+
+    Given is its block state at t = 0, returned that at t = shift T.
+    """
     shift, there, at, tries = 0.0, h.copy(), contact, 0
     for tries in range(1, TRIES + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
@@ -80,14 +70,6 @@ def quiet_of_linear(osc, h, contact):
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break
     return shift, there, at, tries
-
-
-@by_record(HybridCell, same_section, quiet_of_linear)
-def quiet_section(osc, h, contact):
-    """(shift, h (n, 2), contact, periods flown): a section on the way of a motion, near which nothing happens to it.
-
-    Given is its block state at t = 0, returned that at t = shift T.
-    """
 
 
 @inline_always

@@ -9,28 +9,18 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import row_of
 from workers.kernel.flow import flow
 from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
 from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side
-from workers.kernel.jit import inline_always, kernel
+from workers.kernel.jit import kernel
 from workers.kernel.lend import lend
-from workers.kernel.motion import (
-    NOTHING_COUNTED,
-    OVERDRAFT,
-    RUNNING,
-    STATUS,
-    WORK,
-    hybrid_of,
-    spend,
-)
+from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
-
-Array = NDArray[np.float64]
+from workers.model.oscillator import Array
 
 EARLY = 0.3819660112501051
 """Share of a period after a section, by the golden ratio, at which a state and that half a turn later are compared: at
@@ -85,23 +75,6 @@ class Readings(NamedTuple):
     rubbed: Array
     damped: Array
     halves: Array
-
-
-@inline_always
-def meters_of(meters, r):
-    """Those of machine r."""
-    m = meters
-    return borrowed(Meters(m.rows[r], m.orders[r], m.peaks[r], m.damping[r], m.pad[r], m.rub[r]))
-
-
-@inline_always
-def readings_of(readings, r):
-    """Those of motion r."""
-    o = readings
-    return borrowed(Readings(
-        o.first[r], o.square[r], o.low[r], o.high[r], o.hits[r], o.endless[r], o.touching[r], o.stop[r], o.depth[r],
-        o.force[r], o.stuck[r], o.rubbed[r], o.damped[r], o.halves[r],
-    ))  # fmt: skip
 
 
 @kernel
@@ -184,15 +157,15 @@ def read_impact(elements, reading, c, end, following, counts):
 
 
 @kernel
-def read_leg(table, meter, reading, leg, following, begins, marks, flies, tally):
-    """Add what a leg shows, the next of which starts from state ``following`` (2n,).
+def read_leg(table, meter, reading, leg, signal, following, begins, marks, flies, tally):
+    """Add what a leg shows that ends with a signal, -1 for none; the next one starts from state ``following`` (2n,).
 
     What happens before the time ``begins`` does not count. marks (2,): when the states of ``halves`` are to be written
     down, NaN for not in this period. Where it does not fly, contacts alone are counted.
     """
     pieces, elements = table.pieces, table.elements
-    n, z = len(following) // 2, leg[LEG_STATE:]
-    t, s, k, signal = leg[LEG.start], leg[LEG.duration], int(leg[LEG.mode]), int(leg[LEG.signal])
+    n, z = len(following) // 2, leg[LEG_STATE : LEG_STATE + len(following)]
+    t, s, k = leg[LEG.start], leg[LEG.duration], int(leg[LEG.mode])
     states = np.zeros(len(elements.row), dtype=np.int64)
     slips = np.zeros(len(elements.slide), dtype=np.int64)
     where = read_number(table.codes[k], states, slips)
@@ -237,11 +210,12 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
     In place; see read_leg. Where a mode is missing it stays where it was, and nothing is added.
     """
     size, room = len(z), LEGS
-    none, flat, line, square = np.empty((0, 4)), np.empty((0, size)), np.empty(0), np.empty((0, 0))
+    none, flat, line, square = np.empty((0, 3)), np.empty((0, size)), np.empty(0), np.empty((0, 0))
+    columns = LEG_STATE + size + table.pieces.ends.shape[1]
     while True:
         there, number, spent = z.copy(), code.copy(), tally.copy()
-        legs = np.empty((room, LEG_STATE + size))
-        through_modes(table, there, flat, number, line, square, spent, np.empty((0, 3)), none, legs, duration)
+        legs = np.empty((room, columns))
+        through_modes(table, there, flat, number, line, square, spent, none, legs, duration)
         if spent[STATUS] != RUNNING or math.isnan(legs[room - 1, 0]):
             break
         room *= 4
@@ -252,8 +226,9 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
         if math.isnan(legs[i, 0]):
             break
         last = i + 1 == room or math.isnan(legs[i + 1, 0])
-        following = there if last else legs[i + 1, LEG_STATE:]
-        read_leg(table, meter, reading, legs[i], following, begins, marks, flies, tally)
+        signal = -1 if last else int(legs[i + 1, LEG.signal])
+        following = there if last else legs[i + 1, LEG_STATE : LEG_STATE + size]
+        read_leg(table, meter, reading, legs[i], signal, following, begins, marks, flies, tally)
     z[:], code[0] = there, number[0]
 
 
@@ -263,12 +238,12 @@ def read_motions(oscillators, meters, readings, states, codes, done, periods, cl
 
     In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
     (N,): 1 where these are a turn of an orbit, of which an impact at the section counts once. allowance (N,): the
-    evaluations that they may take. Of these cells of a Hybrid; a motion that misses a mode goes on when called again.
+    evaluations that they may take. Of these machines with modes; a motion that misses a mode goes on when called again.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:
-        table = lend(hybrid_of(oscillators, r)).table
-        meter, reading = lend(meters_of(meters, r)), lend(readings_of(readings, r))
+        table = lend(row_of(oscillators, r)).table
+        meter, reading = lend(row_of(meters, r)), lend(row_of(readings, r))
         period, turn = 2.0 * math.pi / table.omega, closes[r] > 0
         tally, marks = NOTHING_COUNTED.copy(), np.empty(2)
         while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:

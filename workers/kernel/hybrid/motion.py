@@ -18,17 +18,16 @@ from workers.kernel.hybrid.events import (
     strikes_while_held,
 )
 from workers.kernel.hybrid.neutral import count_progress, keep_neighbours, note_slips
-from workers.kernel.hybrid.notes import note, note_leg
+from workers.kernel.hybrid.notes import note
 from workers.kernel.hybrid.state import (
     enter,
-    from_vectors,
     guard_rate,
-    into_vectors,
     leave,
     product,
     read_number,
     reset,
     right_hand_side,
+    transform,
 )
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import (
@@ -72,7 +71,7 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
         if low == -np.inf and high == np.inf:
             continue
-        mode = Mode(pieces.blocks[k, g], pieces.metric[k], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k])
+        mode = Mode(pieces.blocks[k, g], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k])
         at, there, evaluations = next_crossing(mode, h, phase, pieces.offset[k, g], high, low, begun[g], s, scratch)
         spend(tally, evaluations)
         if there == 2:
@@ -93,7 +92,7 @@ def fly(pieces, k, s, h, V, growth, triangle, tally):
     else:
         flow_with_tangent(blocks, s, h, V)
     if framed:
-        orthonormalise(pieces.metric[k], V, growth, triangle, rank)
+        orthonormalise(blocks, V, growth, triangle, rank)
 
 
 @kernel
@@ -136,14 +135,14 @@ def keep_held(elements, states, slips, z):
 
 
 @kernel
-def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs, duration):
+def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
 
-    In place, with the number of their mode in code (1,). growth (m,), triangle: see tangent.orthonormalise; of no
-    length where the vectors are not to be made orthonormal. hits (K, 3): the first K contacts, (time, +-(1 + contact)
-    with the side's sign, speed); events (K, NOTED + G): the first K events, (time, signal, side, its rate, number of
-    the mode from then on, how its G signals begin), NaN after them; of signal -1 are the start and changes of phase;
-    legs (K, LEG_STATE + 2n): the first K legs, see Leg, each with the state that it starts from, NaN from there on.
+    All in place:
+    code (1,)                   number of their mode
+    growth (m,), triangle       see tangent.orthonormalise; of no length where the vectors are not to be orthonormal
+    hits (K, 3)                 the first K contacts: time, +-(1 + contact) with the side's sign, speed
+    legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.Leg
     Stops early with tally[STATUS] set where it cannot go on.
     """
     pieces, elements = table.pieces, table.elements
@@ -153,8 +152,8 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
     begun = np.zeros(pieces.ends.shape[1], dtype=np.int64)
     h, scratch, V = np.empty((n, 2)), np.empty((n, 2)), np.empty((m, n, 2))
     f, after, slopes = np.empty(2 * n), np.empty(2 * n), np.empty(m)
-    t, phase, period, seen, gone = 0.0, table.tau, 2.0 * math.pi / table.omega, 0, 0
-    events[:], legs[:] = np.nan, np.nan
+    t, phase, period, seen = 0.0, table.tau, 2.0 * math.pi / table.omega, 0
+    legs[:] = np.nan
     read_number(code[0], states, slips)
     where = 0  # a section is where the first phase begins
     keep_held(elements, states, slips, z)
@@ -165,19 +164,19 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
             stop_at(table, tally, k, number)
         if tally[STATUS] != RUNNING:
             return
-        if seen < events.shape[0]:
-            note(events[seen], t, hit, side, rate, number, begun)
-            seen += 1
         tally[LOST] = max(tally[LOST], pieces.lost[k] + table.drifts)
         until = min(duration, period, elements.starts[where + 1] * period)
         enter(pieces, k, z, W, phase, h, V)
         if t == 0.0:
             keep_neighbours(elements, states, pieces.lost[k], V)
         note_slips(slips, tally)
-        s, hit, side = first_event(pieces, k, h, phase, begun, until - t, scratch, tally)
+        s, reached, end = first_event(pieces, k, h, phase, begun, until - t, scratch, tally)
         if tally[STATUS] != RUNNING:
             return
-        gone = note_leg(legs, gone, t, s, k, hit, z)
+        if seen < legs.shape[0]:
+            note(legs[seen], t, hit, side, rate, number, k, s, z, begun)
+            seen += 1
+        hit, side = reached, end
         fly(pieces, k, s, h, V, growth, triangle, tally)
         tally[CONTRACTION] -= pieces.trace[k] * s
         tally[STUCK] += s if pieces.lost[k] > 0.0 else 0.0
@@ -225,18 +224,17 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
 
 @kernel
 def propagate_hybrid(osc, motion, duration):
-    """period.propagate of a HybridCell. Where a mode is missing the motion stays where it was."""
+    """period.propagate of a machine with modes. Where a mode is missing the motion stays where it was."""
     size = 2 * motion.h.shape[0]
     h, z, W = motion.h.copy().reshape((1, size // 2, 2)), np.zeros((1, size)), np.zeros((motion.V.shape[0], size))
     growth, triangle, tally = motion.growth.copy(), motion.triangle.copy(), motion.tally.copy()
-    from_vectors(osc.to_physical, h, z)
-    from_vectors(osc.to_physical, motion.V, W)
+    transform(osc.to_physical, h, z)
+    transform(osc.to_physical, motion.V, W)
     code = motion.contact - FIRST_NUMBER
-    none = np.empty((0, 0))
-    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, none, none, duration)
+    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, np.empty((0, 0)), duration)
     if tally[STATUS] == RUNNING:
-        into_vectors(osc.to_blocks, z, h)
-        into_vectors(osc.to_blocks, W, motion.V)
+        transform(osc.to_blocks, z, h)
+        transform(osc.to_blocks, W, motion.V)
         motion.tally[:] = tally
         if osc.table.drifts > 0.0 and duration >= osc.head[HEAD.period]:
             count_progress(motion, h[0], osc.table.omega)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from workers.kernel.hybrid.state import from_vectors, into_vectors, product, read_number, slot_of
+from workers.kernel.hybrid.state import product, read_number, slot_of, transform
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import LOST, NEUTRAL, PROGRESS, SLID
 from workers.model.hybrid import FIRST_NUMBER
@@ -50,8 +50,8 @@ def freeze(osc, motion):
     read_number(number, states, slips)
     k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
     W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
-    from_vectors(osc.to_physical, motion.V, W)
-    into_vectors(table.pieces.to_blocks[k], W, V)
+    transform(osc.to_physical, motion.V, W)
+    transform(table.pieces.to_blocks[k], W, V)
     place, neutral = n, 0
     for e in range(len(slips) - 1, -1, -1):
         if slips[e] != 0 or rests_on_stop(elements, e, states):
@@ -63,8 +63,8 @@ def freeze(osc, motion):
             for i in range(m):
                 V[i, place, 0] = 0.0
     if neutral > 0:
-        from_vectors(table.pieces.to_physical[k], V, W)
-        into_vectors(osc.to_blocks, W, motion.V)
+        transform(table.pieces.to_physical[k], V, W)
+        transform(osc.to_blocks, W, motion.V)
         motion.tally[NEUTRAL] = neutral
         motion.tally[LOST] += neutral
 
@@ -80,7 +80,7 @@ def rests_on_stop(elements, e, states):
 
 @inline_always
 def count_progress(motion, h, omega):
-    """Reset the coordinate that drifts, of a motion that a period took to block state h (n, 2): see model.Hybrid."""
+    """Reset the coordinate that drifts, of a motion that a period took to block state h (n, 2): see Oscillator."""
     last = h.shape[0] - 1
     motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega
     h[last, 1] = 0.0

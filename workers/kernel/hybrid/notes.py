@@ -1,4 +1,4 @@
-"""What the one loop of motion.py writes down of a period: its events, and its legs from event to event."""
+"""What the one loop of motion.py writes down of a period: its legs, each with the event that it begins with."""
 
 from typing import NamedTuple
 
@@ -6,37 +6,35 @@ from workers.kernel.jit import inline_always
 
 
 class Leg(NamedTuple):
-    """What is written down of a motion in one mode, as columns: when it starts and how long it lasts, which mode of the
-    table it is in, and the signal that ends it, -1 for the time or a phase.
+    """What is written down of a motion in one mode, as columns of legs (K, LEG_STATE + 2n + G); NaN after the last one.
+
+    start            time since the section
+    signal, side     signal that has reached an end of its range then, and which: -1 and 0 at the start and where the
+                     phase changes
+    rate             of that signal
+    number, mode     of the mode: see hybrid_modes.Code; its place in the table
+    duration         until the next leg
+    The state (2n,) that it starts from follows, and how each of its G signals begins: see events.py.
     """
 
     start: int
-    duration: int
-    mode: int
     signal: int
+    side: int
+    rate: int
+    number: int
+    mode: int
+    duration: int
 
 
 LEG = Leg(*range(len(Leg._fields)))
 LEG_STATE = len(LEG)
 """Column of the first component of the state that a leg starts from."""
 
-NOTED = 5
-"""Numbers written of an event before the numbers of the signals."""
-
 
 @inline_always
-def note(row, t, signal, side, rate, number, begun):
-    """Write down what has happened, see through_modes."""
-    row[0], row[1], row[2], row[3], row[4] = t, signal, side, rate, number
-    row[NOTED:] = begun
-
-
-@inline_always
-def note_leg(legs, place, t, s, k, hit, z):
-    """Write a leg down while there is room in legs (K, LEG_STATE + 2n); the place of the next one."""
-    if place < legs.shape[0]:
-        legs[place, LEG.start], legs[place, LEG.duration] = t, s
-        legs[place, LEG.mode], legs[place, LEG.signal] = k, hit
-        for i in range(len(z)):
-            legs[place, LEG_STATE + i] = z[i]
-    return place + 1
+def note(row, t, signal, side, rate, number, mode, duration, z, begun):
+    """Write a leg down, see Leg."""
+    row[LEG.start], row[LEG.signal], row[LEG.side], row[LEG.rate] = t, signal, side, rate
+    row[LEG.number], row[LEG.mode], row[LEG.duration] = number, mode, duration
+    row[LEG_STATE : LEG_STATE + len(z)] = z
+    row[LEG_STATE + len(z) :] = begun

@@ -9,7 +9,7 @@ from workers.kernel.excursion import turning_points, velocity_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import MARCH_GAVE_UP, STATUS, spend
 from workers.kernel.signal import derivative_bounds, evaluate
-from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Mode
+from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, OF_GUARD, Mode
 
 NODES, WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(10))
 """Gauss points and weights on [-1, 1], exact for polynomials of degree 19."""
@@ -54,14 +54,14 @@ def mode_with(pieces, k, row, direct):
     """
     blocks, forced, waves = pieces.blocks[k, 0].copy(), pieces.forced[k], direct.copy()
     size = 2 * len(blocks)
-    blocks[:, OF_FLOW:] = 0.0
+    blocks[:, OF_FLOW:OF_GUARD] = 0.0
     offset = row[size]
     for i in range(size):
         seen = 0.0
         for j in range(size):
             seen += row[j] * pieces.to_physical[k, j, i]
         blocks[i // 2, COLUMN.c0 + i % 2] = seen
-        offset += seen * pieces.rest[k, i]
+        offset += seen * blocks[i // 2, COLUMN.rest0 + i % 2]
         for w in range(len(waves)):
             waves[w, 0] += seen * forced[i // 2, i % 2, w, 0]
             waves[w, 1] += seen * forced[i // 2, i % 2, w, 1]
@@ -71,7 +71,7 @@ def mode_with(pieces, k, row, direct):
         block[COLUMN.cAA0], block[COLUMN.cAA1] = (
             -lam * block[COLUMN.cA1], block[COLUMN.cA0] - 2.0 * eta * block[COLUMN.cA1]
         )  # fmt: skip
-    return Mode(blocks, pieces.metric[k], waves, pieces.numbers[k, 0], forced), offset
+    return Mode(blocks, waves, pieces.numbers[k, 0], forced), offset
 
 
 @kernel

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from workers.kernel.contact import forced_state
-from workers.kernel.elementary import sin_cos
+from workers.kernel.contact import wave
 from workers.kernel.jit import inline_always, kernel
 from workers.model.hybrid_modes import CONTACT_DIGIT, SLIP_DIGIT
+from workers.model.oscillator import COLUMN
 
 
 @kernel
@@ -38,17 +38,6 @@ def slot_of(codes, number):
         if codes[k] == number:
             return k
     return -1
-
-
-@kernel
-def wave(parts, phase):
-    """sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian."""
-    value, rate = 0.0, 0.0
-    for k in range(len(parts)):
-        sin, cos = sin_cos((k + 1.0) * phase)
-        value += parts[k, 0] * sin + parts[k, 1] * cos
-        rate += (k + 1.0) * (parts[k, 0] * cos - parts[k, 1] * sin)
-    return value, rate
 
 
 @kernel
@@ -90,49 +79,38 @@ def right_hand_side(pieces, k, z, phase, f):
 @kernel
 def enter(pieces, k, z, W, phase, h, V):
     """Write the block state h (n, 2), forced response taken off, and the tangent vectors V (m, n, 2) in mode k."""
-    matrix, rest, forced = pieces.to_blocks[k], pieces.rest[k], pieces.forced[k]
+    matrix, blocks, forced = pieces.to_blocks[k], pieces.blocks[k, 0], pieces.forced[k]
     size = len(z)
     for i in range(size):
-        total = -rest[i] - forced_state(forced, phase, i // 2, i % 2)
+        total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], phase)[0]
         for j in range(size):
             total += matrix[i, j] * z[j]
         h[i // 2, i % 2] = total
-    into_vectors(matrix, W, V)
+    transform(matrix, W, V)
 
 
 @kernel
 def leave(pieces, k, h, V, phase, z, W):
     """Write the physical state z (2n,) and the tangent vectors W (m, 2n) of those of mode k."""
-    matrix, rest, forced = pieces.to_physical[k], pieces.rest[k], pieces.forced[k]
+    matrix, blocks, forced = pieces.to_physical[k], pieces.blocks[k, 0], pieces.forced[k]
     size = len(z)
     z[:] = 0.0
     for j in range(size):
-        full = h[j // 2, j % 2] + forced_state(forced, phase, j // 2, j % 2) + rest[j]
+        rest = blocks[j // 2, COLUMN.rest0 + j % 2]
+        full = h[j // 2, j % 2] + wave(forced[j // 2, j % 2], phase)[0] + rest
         for i in range(size):
             z[i] += matrix[i, j] * full
-    from_vectors(matrix, V, W)
+    transform(matrix, V, W)
 
 
 @kernel
-def into_vectors(matrix, W, V):
-    """Write the vectors V (m, n, 2) that a matrix (2n, 2n) makes of W (m, 2n)."""
-    for e in range(W.shape[0]):
-        for i in range(W.shape[1]):
-            total = 0.0
-            for j in range(W.shape[1]):
-                total += matrix[i, j] * W[e, j]
-            V[e, i // 2, i % 2] = total
-
-
-@kernel
-def from_vectors(matrix, V, W):
-    """Write the vectors W (m, 2n) that a matrix (2n, 2n) makes of V (m, n, 2)."""
-    for e in range(W.shape[0]):
-        for i in range(W.shape[1]):
-            total = 0.0
-            for j in range(W.shape[1]):
-                total += matrix[i, j] * V[e, j // 2, j % 2]
-            W[e, i] = total
+def transform(matrix, given, found):
+    """Write the m vectors that a matrix (2n, 2n) makes of given ones, each (m, 2n), or (m, n, 2) in blocks."""
+    m, size = len(given), len(matrix)
+    given, found = given.reshape((m, size)), found.reshape((m, size))
+    for e in range(m):
+        for i in range(size):
+            found[e, i] = product(matrix[i], given[e], 0)
 
 
 @kernel

@@ -31,9 +31,7 @@ from workers.kernel.lanes.layout import (
 )
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.tangent import MAX_SPREAD, graded_flow, impact_spread, needs_reset, orthonormalise
-from workers.model.oscillator import COLUMN
-
-Array = NDArray[np.float64]
+from workers.model.oscillator import Array
 
 MAX_SPREAD_OF_ONE = 100.0
 """MAX_SPREAD of a frame of one vector, which no other can drown: its square stays in range."""
@@ -272,12 +270,10 @@ def fly_frame_far(a, i, blocks, frames, growths):
     """As transfer_pass for the flight of lane i, which spreads its frame far; blocks (N, n, columns): of all cells."""
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
-    V, growth, metric, no_triangle = np.empty((m, n, 2)), np.empty(m), np.empty(n), np.zeros((0, 0))
-    for j in range(n):
-        metric[j] = constants[j, COLUMN.metric]
+    V, growth, no_triangle = np.empty((m, n, 2)), np.empty(m), np.zeros((0, 0))
     take_frame(frames, growths, i, V, growth)
     graded_flow(constants, a[LANE.flown + i], V, growth, no_triangle, rank)
-    orthonormalise(metric, V, growth, no_triangle, rank)
+    orthonormalise(constants, V, growth, no_triangle, rank)
     give_frame(V, growth, frames, growths, i)
 
 

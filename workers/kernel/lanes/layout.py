@@ -164,7 +164,7 @@ GAP_SIZE = len(GapFields._fields) * STRIDE
 
 @inline_always
 def room_for_vectors(size):
-    """So many zeros from a multiple of a vector register's size on: memory that lies across two lines is read twice."""
+    """Zeros (size,) that begin at a multiple of a vector register's size: a register across two lines is read twice."""
     room = np.zeros(size + VECTOR_WIDTH)
     first = (VECTOR_WIDTH - np.int64(room.ctypes.data) // 8 % VECTOR_WIDTH) % VECTOR_WIDTH
     return room[first : first + size]

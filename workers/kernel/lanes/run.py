@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
+from workers.kernel.borrow import row_of
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.frames import give_frame, measure_pass, move_frames, take_frame, workspace
 from workers.kernel.lanes.layout import (
@@ -35,6 +36,7 @@ from workers.kernel.motion import (
     LOWER,
     MAX_SPEED,
     MIN_SPEED,
+    MODE_MISSING,
     RECORDED,
     RUNNING,
     SPEEDS,
@@ -43,15 +45,11 @@ from workers.kernel.motion import (
     UPPER,
     WORK,
     Motion,
-    motion_of,
-    oscillator_of,
 )
 from workers.kernel.period import advance
 from workers.kernel.signal import all_forced
 from workers.kernel.tangent import log_length, loss_spread, spread_rate
-from workers.model.oscillator import COLUMN, NUMBER, OF_LANE, Oscillator
-
-Array = NDArray[np.float64]
+from workers.model.oscillator import COLUMN, NUMBER, OF_LANE, Array, Oscillator
 
 
 class Batch(NamedTuple):
@@ -166,17 +164,17 @@ def over(r, done, periods, tally):
 @inline_always
 def go_alone(batch, r):
     """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
-    motion = motion_of(batch.motions, r)
-    osc = lend(oscillator_of(batch.oscillators, r))
+    motion = row_of(batch.motions, r)
+    osc = lend(row_of(batch.oscillators, r))
     vectors = motion.growth.shape[0] > 0
-    before = log_length(osc.gap.metric, motion.V, motion.growth) if vectors else 0.0
+    before = log_length(osc.gap.blocks, motion.V, motion.growth) if vectors else 0.0
     while not over(r, batch.done, batch.periods, batch.motions.tally):
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             return
         k = batch.done[r]
         if vectors:
-            length = log_length(osc.gap.metric, motion.V, motion.growth)
+            length = log_length(osc.gap.blocks, motion.V, motion.growth)
             add_growth(batch.levels[r], batch.weighted[r], length - before, k, batch.periods[r])
             before = length
         keep_section(batch.motions.h, r, k, batch.periods[r], batch.sections)
@@ -187,8 +185,13 @@ def go_alone(batch, r):
 
 @kernel
 def run_alone(batch, cells):
-    """Advance these cells of a batch by their periods, one after the other, as run_batch does."""
+    """Advance these cells of a batch by their periods, one after the other, as run_batch does.
+
+    Those that missed a mode have it now.
+    """
     for r in cells:
+        if batch.motions.tally[r, STATUS] == MODE_MISSING:
+            batch.motions.tally[r, STATUS] = RUNNING
         if batch.done[r] == 0:
             batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
         go_alone(batch, r)
