@@ -1,0 +1,107 @@
+"""The ball on a shaken table that bounces once in n periods of the table.
+
+The table is A sin(omega t + tau), a = A omega^2 / g. Both bounces of a turn are at the same height, so that the flight
+takes n periods T if the relative speed before the impact is g n T / (1 + R). The speed of the table is then
+(g n T / 2) (1 - R) / (1 + R), which its amplitude has to allow:
+
+    a >= n pi (1 - R) / (1 + R).
+
+With the exact times of flight the derivative of the map from bounce to bounce has the determinant R^2 and the trace
+1 + R^2 - (1 + R)^2 a sin(phase), so that a multiplier is -1 at
+
+    a^2 = (n pi (1 - R) / (1 + R))^2 + (2 (1 + R^2) / (1 + R)^2)^2.
+
+Holmes neglects the motion of the table during the flight. His map has the same orbits, and 1 for the last bracket.
+"""
+
+from math import hypot, log, pi
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from scripts.published.entry import Entry, Statement
+from scripts.published.finding import cell, event, plane
+from scripts.published.picture import finish
+
+START = {"omega": 1.0, "g": 1.0, "y": 0.5, "v": 2.0}
+CASES = ((0.5, 1, 1.3), (0.9, 1, 0.5), (0.9, 2, 0.7))
+"""R, n and an acceleration at which that orbit is stable."""
+
+
+def least(R: float, n: int) -> float:
+    """The acceleration at which the orbits of n periods are born."""
+    return n * pi * (1.0 - R) / (1.0 + R)
+
+
+def doubling(R: float, n: int) -> float:
+    """The acceleration at which the period doubles."""
+    return hypot(least(R, n), 2.0 * (1.0 + R**2) / (1.0 + R) ** 2)
+
+
+def doubling_of_holmes(R: float, n: int) -> float:
+    """The same of his map."""
+    return hypot(least(R, n), 1.0)
+
+
+def speed(R: float, n: int) -> float:
+    """Relative speed before an impact, at omega = g = 1."""
+    return 2.0 * pi * n / (1.0 + R)
+
+
+def start(R: float, n: int, A: float) -> dict[str, float]:
+    """Parameters of a cell, which starts just after the bounce of its orbit."""
+    phase = np.arccos(least(R, n) / A)
+    return {"omega": 1.0, "g": 1.0, "R": R, "A": A, "tau": float(phase), "y": 0.0, "v": R * speed(R, n)}
+
+
+def statements() -> list[Statement]:
+    """Birth, speed and period doubling of three orbits, and the doubling by the map of Holmes."""
+    found = []
+    for R, n, A in CASES:
+        given, where = start(R, n, A), f"R = {R}, n = {n}"
+        solved = cell("bouncing-ball", given)
+        window = (0.1, 3.0)
+        ours = event("bouncing-ball", given, "A", window, "period_doubling")
+        found += [
+            Statement(f"{where}: period at a = {A}", n, solved["period"]),
+            Statement(f"{where}: speed before the impact", speed(R, n), solved["max_impact_speed"]),
+            Statement(f"{where}: exponent ln R / n at a = {A}", log(R) / n, solved["largest"]),
+            Statement(f"{where}: a at birth", least(R, n), event("bouncing-ball", given, "A", window, "fold")),
+            Statement(
+                f"{where}: a at the period doubling, by the map of Holmes", doubling_of_holmes(R, n), ours, 1e-3,
+                "approximation for high bounces",
+                "The map of Holmes neglects the motion of the table during the flight. It is better the closer R is to"
+                " 1 and the larger n is.",
+            ),
+            Statement(f"{where}: a at the period doubling, exact times of flight", doubling(R, n), ours),
+        ]  # fmt: skip
+    return found
+
+
+def draw(path: Path) -> None:
+    """A plane of accelerations and R, with the closed forms."""
+    with TemporaryDirectory() as folder:
+        ds = plane("holmes-1982", folder)
+        figure = ds.atlas.plot("period", width="5in")
+        ax, R = figure.axes[0], np.linspace(*(float(ds["R"][i]) for i in (0, -1)), 200)
+        for bound, style, label in (
+            (least, "-", "birth"), (doubling, "--", "doubling"), (doubling_of_holmes, ":", "doubling, Holmes")
+        ):  # fmt: skip
+            ax.plot([bound(each, 1) for each in R], R, style, color="black", lw=1.5, label=label)
+        finish(figure, path, ds, legend=ax)
+
+
+ENTRY = Entry(
+    name="holmes-1982",
+    work="P. J. Holmes, J. Sound Vib. 84 (1982) 173",
+    place="existence and stability of the orbits with one bounce in n periods of the table",
+    title="Ball on a shaken table",
+    machine="System `bouncing-ball`, omega = g = 1, so that A is the acceleration a = A omega² / g.",
+    statements=statements,
+    example="holmes-1982",
+    commands=("atlas branch --system bouncing-ball --set A=1.3 --set v=2 --set y=0.5 --along A --from 0.5 --to 2",),
+    picture=draw,
+    caption="Where the ball bounces once in a period (period 1) lies between birth and doubling. Left of the lines it"
+    " comes to rest on the table in every period.",
+)
