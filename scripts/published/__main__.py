@@ -32,7 +32,7 @@ def run(names: Sequence[str]) -> dict[str, Any]:
         print(f"{name}: {verdict(found[name]).replace('*', '')} ({time.perf_counter() - began:.1f} s)", flush=True)
         for each in found[name]["statements"]:
             if not each["agrees"]:
-                print(f"    {each['text']}: published {each['published']}, ours {each['ours']}", flush=True)
+                print(f"    {each['text']}: reference {each['reference']}, ours {each['ours']}", flush=True)
     return found
 
 

@@ -2,43 +2,48 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 from typing import Any
 
 Value = float | int | str
 
 CLOSED_FORM = "closed form"
-"""The basis of a number from a formula that the entry's module writes out; tests/test_published.py checks it apart."""
+"""The basis of a number from a formula that the entry's module derives; tests/test_published.py checks it apart."""
+FINDING = "finding"
+"""The basis of a count or a word."""
 EXACT = 1e-9
 """Largest difference from a closed form."""
 
 
 @dataclass(frozen=True)
 class Statement:
-    """One number or word that a work states, and ours.
+    """One number or finding of a work, and ours.
 
-    ``basis`` says how accurately it is known. A number agrees within ``tolerance``, a count or a word if it is equal.
+    ``basis`` says how the reference is known. A number agrees within ``tolerance``, a count or a word if it is equal.
     ``reason`` explains a difference.
     """
 
     text: str
-    published: Value
+    reference: Value
     ours: Value
     tolerance: float = EXACT
-    basis: str = CLOSED_FORM
+    basis: str = ""
     reason: str = ""
 
     @property
     def agrees(self) -> bool:
-        """Whether ours is the published value."""
-        if isinstance(self.published, str | int) or isinstance(self.ours, str | int):
-            return self.published == self.ours
-        return abs(self.ours - self.published) <= self.tolerance
+        """Whether ours is the reference."""
+        if isinstance(self.reference, str | int) or isinstance(self.ours, str | int):
+            return self.reference == self.ours
+        return abs(self.ours - self.reference) <= self.tolerance
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
-        told = {"text": self.text, "basis": self.basis, "published": self.published, "tolerance": self.tolerance}
-        return {**told, "ours": self.ours, "agrees": self.agrees, "reason": self.reason}
+        basis = self.basis or (FINDING if isinstance(self.reference, str | int) else CLOSED_FORM)
+        ours = "not found" if isinstance(self.ours, float) and isnan(self.ours) else self.ours
+        known = {"text": self.text, "basis": basis, "reference": self.reference, "tolerance": self.tolerance}
+        return {**known, "ours": ours, "agrees": self.agrees, "reason": self.reason}
 
 
 @dataclass(frozen=True)

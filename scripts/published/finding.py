@@ -9,26 +9,29 @@ from typing import Any
 import numpy as np
 
 import atlas
-from workers import Settings, solve_tile
+from workers import Settings, System, solve_tile
 from workers.results import REGIMES
 
+Machine = str | System
+Given = Mapping[str, float]
+Window = tuple[float, float]
 PERIODIC = Settings(survival=0, max_periods=4000)
 """Of cells with a stable orbit."""
 
 
-def events(system: str, given: Mapping[str, float], along: str, window: tuple[float, float], kind: str) -> list[float]:
+def events(system: Machine, given: Given, along: str, window: Window, kind: str) -> list[float]:
     """Where events of a kind lie on the branch of a cell's orbit, in ascending order."""
     found = atlas.branch(given, along=along, window=window, system=system, settings=PERIODIC).events
     return sorted(found[along][found["kind"] == kind])
 
 
-def event(system: str, given: Mapping[str, float], along: str, window: tuple[float, float], kind: str) -> float:
+def event(system: Machine, given: Given, along: str, window: Window, kind: str) -> float:
     """The only event of a kind on the branch of a cell's orbit; NaN if there is none or there are several."""
     found = events(system, given, along, window, kind)
     return float(found[0]) if len(found) == 1 else float("nan")
 
 
-def cell(system: Any, given: Mapping[str, Any], settings: Settings = PERIODIC) -> dict[str, Any]:
+def cell(system: Machine, given: Mapping[str, Any], settings: Settings = PERIODIC) -> dict[str, Any]:
     """The results of one cell; the regime by its name."""
     solved = {name: value.tolist() for name, value in solve_tile(system, given, settings).items()}
     return {**solved, "regime": next(each.name for each in REGIMES if each.code == solved["regime"])}
@@ -42,13 +45,6 @@ def curves_of(example: str) -> Any:
         atlas.run(atlas.Spec.from_toml(example), store)
         atlas.find_curves(store)
         return atlas.open(store).atlas.curves()
-
-
-def plane(example: str, folder: str | Path) -> Any:
-    """A packaged plane as a dataset, computed into a folder."""
-    store = Path(folder) / f"{example}.zarr"
-    atlas.run(atlas.Spec.from_toml(example), store)
-    return atlas.open(store)
 
 
 def largest_difference(ours: Any, published: Any) -> float:

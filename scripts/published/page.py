@@ -1,27 +1,23 @@
 """docs/published.md, made from the JSON that a run writes and from nothing else."""
 
+import re
 from collections.abc import Mapping
 from textwrap import fill
 from typing import Any
 
 Record = Mapping[str, Any]
 
-HEAD = """\
-# Published results
-
-Does impact-atlas reproduce what the field has published? This page compares {statements} numbers and findings of
-{works} works with ours, made with solver version {solver}. Differences are shown as differences, each with its reason.
-Pictures have axes like those of the sources, so that they can be laid side by side.
-
-Each entry says how well the published value is known. A *closed form* is a formula of the work, or one that follows
-from its equations. The module of the entry in `scripts/published/entries/` derives it, and `tests/test_published.py`
-checks it against an integration or a map that shares no code with the solver. Differences up to {exact:g} from a closed
-form count as agreement.
-
-`python -m scripts.published` computes all entries again, writes `docs/published.json`, and this page from it. With names
-it does so for these entries alone.
-
-"""
+HEAD = (
+    "Does impact-atlas reproduce what the field has published? This page compares {statements} numbers and findings of"
+    " {works} works with its results (solver version {solver}). Differences are shown as differences, with their"
+    " reasons. Where the axes of a source are known, its picture here has the same.",
+    "The tables say how each reference is known. A *closed form* follows from the equations that the work solves. The"
+    " module of the entry in `scripts/published/entries/` derives it anew, so that symbols may differ from the work's,"
+    " and `tests/test_published.py` checks it by integrations and maps that share no code with the solver. Differences"
+    " of at most {exact:g} from a closed form count as agreement.",
+    "`python -m scripts.published` computes all entries again and writes `docs/published.json` and this page; with"
+    " names of entries it computes these alone.",
+)
 
 TAIL = """\
 ## Not included
@@ -51,7 +47,7 @@ LEFT_OUT = (
     ("C. Budd and F. Dux, Phil. Trans. R. Soc. A 347 (1994) 365: chatter",
      "its laws are asymptotic, and no number of it could be confirmed"),
     ("Q.-H. Li and J.-Y. Tan (2011), readings of the curves in the figures",
-     "no table gives them; the digits above are those of independent arithmetic at the figures' parameters"),
+     "they are curves without digits; the references above were computed at the figures' parameters"),
 )  # fmt: skip
 """Works and why they have no entry."""
 
@@ -61,7 +57,8 @@ def page_of(results: Record) -> str:
     entries = results["entries"]
     count = sum(len(entry["statements"]) for entry in entries)
     works = len({entry["work"] for entry in entries})
-    head = HEAD.format(statements=count, works=works, solver=results["solver_version"], exact=results["exact"])
+    facts = {"statements": count, "works": works, "solver": results["solver_version"], "exact": results["exact"]}
+    head = "# Published results\n\n" + "".join(wrapped(text.format(**facts)) + "\n\n" for text in HEAD)
     tail = TAIL.format(rows="\n".join(f"| {work} | {reason} |" for work, reason in LEFT_OUT))
     return head + summary(entries) + "\n" + "\n".join(section(entry) for entry in entries) + "\n" + tail
 
@@ -71,7 +68,7 @@ def summary(entries: list[Record]) -> str:
     rows = ["| work | entry | agree | verdict |", "|---|---|---|---|"]
     for entry in entries:
         agreeing = [each for each in entry["statements"] if each["agrees"]]
-        anchor = entry["title"].lower().replace(" ", "-").replace("'", "").replace(",", "")
+        anchor = re.sub(r"[^\w\- ]", "", entry["title"].lower()).replace(" ", "-")
         count = f"{len(agreeing)} of {len(entry['statements'])}"
         rows.append(f"| {entry['work']} | [{entry['title']}](#{anchor}) | {count} | {verdict(entry)} |")
     return "\n".join(rows) + "\n"
@@ -105,20 +102,23 @@ def section(entry: Record) -> str:
 
 def table(statements: list[Record]) -> str:
     """The statements of an entry."""
-    rows = ["| statement | known as | published | ours | difference | |", "|---|---|---|---|---|---|"]
+    rows = ["| statement | basis | reference | ours | difference | verdict |", "|---|---|---|---|---|---|"]
     for each in statements:
-        published, ours = each["published"], each["ours"]
-        apart = "" if isinstance(published, str | int) else f"{abs(ours - published):.1e}"
+        reference, ours = each["reference"], each["ours"]
+        words = isinstance(reference, str | int) or isinstance(ours, str | int)
+        apart = "" if words else f"{abs(ours - reference):.0e}"
         said = "agrees" if each["agrees"] else "**differs**"
         digits = 4 if each["tolerance"] > 1e-4 else 10
-        cells = [each["text"], each["basis"], shown(published, digits), shown(ours, digits), apart, said]
+        cells = [each["text"], each["basis"], shown(reference, digits), shown(ours, digits), apart, said]
         rows.append("| " + " | ".join(cells) + " |")
     return "\n".join(rows)
 
 
 def shown(value: Any, digits: int) -> str:
-    """A value as the table has it; a number smaller than rounding of such results is 0."""
-    return f"{value:.{digits}g}" if isinstance(value, float) and abs(value) > 1e-12 else str(value if value else 0)
+    """A value as the table has it; a number smaller than the rounding of such results is 0."""
+    if isinstance(value, float):
+        return f"{value:.{digits}g}" if abs(value) > 1e-12 else "0"
+    return str(value)
 
 
 def wrapped(text: str) -> str:

@@ -14,14 +14,12 @@ and the symmetric orbit loses its symmetry, at tan(theta) = -2 / (pi mu):
 
 from math import atan2, cos, hypot, pi, sin
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import numpy as np
 from scipy.optimize import brentq
 
 from scripts.published.entry import Entry, Statement
-from scripts.published.finding import cell, event, plane
-from scripts.published.picture import finish
+from scripts.published.finding import cell, event
+from scripts.published.picture import plane_with_bounds
 
 
 def mu(R: float) -> float:
@@ -65,13 +63,8 @@ def statements() -> list[Statement]:
 
 def draw(path: Path) -> None:
     """A plane of clearance and R, with the closed forms."""
-    with TemporaryDirectory() as folder:
-        ds = plane("bapat-1983", folder)
-        figure = ds.atlas.plot("period", width="5in")
-        ax, R = figure.axes[0], np.linspace(*(float(ds["R"][i]) for i in (0, -1)), 400)
-        for bound, style, label in ((breaking, "-", "symmetry breaking"), (longest, "--", "fold")):
-            ax.plot([bound(each) for each in R], R, style, color="black", lw=1.5, label=label, scalex=False)
-        finish(figure, path, ds, legend=ax)
+    bounds = {"symmetry breaking": ("-", breaking), "fold": ("--", longest)}
+    plane_with_bounds(path, "bapat-1983", bounds, legend=(0.4, 0.55))
 
 
 ENTRY = Entry(
@@ -84,6 +77,7 @@ ENTRY = Entry(
     example="bapat-1983",
     commands=("atlas branch --system impact-pair --set R=0.6 --set nu=3 --along nu --from 0.8 --to 20",),
     picture=draw,
-    caption="Between the two lines the symmetric orbit with two impacts in a period is stable. Other motions coexist"
-    " with it.",
+    caption="The lines are closed forms. Between them the symmetric orbit with two impacts in a period is stable. Other"
+    " motions coexist with it. Left of the solid line period 1 is asymmetric. In undetermined cells the mass rests on a"
+    " wall from time to time, and the period is unknown.",
 )

@@ -8,6 +8,7 @@ above, its period doubles before it grazes.
 
 from math import log, sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -65,27 +66,29 @@ def draw(path: Path) -> None:
         sigma = law.response * np.cos(angles) + law.alpha * v
         ax.plot(sigma, v, color=f"C{k}", lw=1.0, label=rf"$\omega = {omega:g}$")
         stops = np.linspace(sigma.min(), sigma.max(), 26)[1:-1]
-        given = ON_THE_WAY | {"omega": omega, "sigma": stops, "r": R, "x": np.minimum(-1.0, stops - 0.1)}
+        begin = np.minimum(ON_THE_WAY["x"], stops - 0.1)
+        given: dict[str, Any] = {**ON_THE_WAY, "omega": omega, "sigma": stops, "r": R, "x": begin}
         cells = solve_tile(system, given, PERIODIC)
         one = (cells["period"] == 1) & (cells["impacts_upper"] == 1)
         ax.plot(stops[one], cells["max_impact_speed"][one], "o", ms=4, color=f"C{k}")
     ax.axhline(0.0, color="black", lw=0.8)
     ax.set(xlabel=r"position of the stop $\sigma$", ylabel="speed of the impact", ylim=(0.0, None))
     ax.legend(frameon=False)
-    save(figure, path, "impact oscillator, orbits with one impact", {"system": "impact-oscillator", "r": R})
+    save(figure, path, "impact oscillator, orbits with one impact", {"example": EXAMPLE, "r": R} | ON_THE_WAY)
 
 
 ENTRY = Entry(
     name="budd-dux-1994",
     work="C. Budd and F. Dux, Nonlinearity 7 (1994) 1191",
     link="https://doi.org/10.1088/0951-7715/7/4/007",
-    place="the (1, n) orbits close to the resonances omega = 2 n; the same ellipses are computed by the public"
-    " repository FelixDux/imposccpp",
+    place="the (1, n) orbits close to the resonances omega = 2 n, which the public programs of F. Dux (imposccpp and"
+    " others) draw as ellipses",
     title="Impact oscillator without damping",
     machine="The machine of the spec: x'' + x = cos(omega t), x < sigma, with r = 0.8.",
     statements=statements,
     example=EXAMPLE,
     picture=draw,
-    caption="Ellipses of the orbits with one impact in each period. Dots: cells that reach them; the lower arcs are"
-    " unstable, and so is what lies beyond the period doubling.",
+    caption="Ellipses of the orbits with one impact in each period, from the closed form. Dots: cells that reach such"
+    " an orbit. Where there is no dot the orbit is unstable, is not reached from this start, or passes beyond the stop,"
+    " which the closed form does not exclude.",
 )

@@ -78,8 +78,10 @@ ENTRY = Entry(
     title="COCO's impact oscillator",
     machine="System `single-mass`, zeta = 0.05, R = 0.8, b = 1.",
     statements=statements,
-    commands=("atlas branch --system single-mass --set omega=1 --set A=1 --set zeta=0.05 --set R=0.8 --along A"
-              " --from 0.05 --to 1.5",),  # fmt: skip
+    commands=(
+        "atlas branch --system single-mass --set omega=1 --set A=1 --set zeta=0.05 --set R=0.8 --along A"
+        " --from 0.05 --to 1.5",
+    ),
     picture=draw,
     caption="Left: orbits of the branch. Right: grazes, the line from the closed form, dots from branches. The axes"
     " are those of the demo.",

@@ -7,6 +7,7 @@ V = 1 / (1 - omega^2) and U = sin(pi / omega) / (omega (1 + cos(pi / omega))). I
 
 from math import cos, hypot, pi, sin, sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -67,8 +68,8 @@ def draw(path: Path) -> None:
     line = np.concatenate([np.linspace(*below, 400), [np.nan], np.linspace(*above, 400)])
     dots = np.concatenate([np.linspace(*below, 16), np.linspace(*above, 16)])
     for k, A in enumerate(FORCES):
-        given, settings = DRY | {"omega": dots, "A": A}, Settings(survival=0, tolerance=0.05)
-        cells = solve_tile("friction-oscillator", given, settings)
+        given: dict[str, Any] = {**DRY, "omega": dots, "A": A}
+        cells = solve_tile("friction-oscillator", given, Settings(survival=0, tolerance=0.05))
         sizes, color = 0.5 * cells["peak_to_peak"] / A, f"C{k}"
         ax.plot(line, [amplitude(w, A) / A for w in line], color=color, lw=1.2, label=f"$A = {A:g}$")
         for stops in (False, True):

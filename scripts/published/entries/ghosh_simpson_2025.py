@@ -3,8 +3,8 @@
 Each point that is found has to lie on the closed form of ``one_impact``.
 """
 
-from scripts.published.entry import Entry, Statement
 from scripts.published.entries.simpson_ghosh_2026 import EXAMPLE, ZETA, R
+from scripts.published.entry import Entry, Statement
 from scripts.published.finding import curves_of, largest_difference
 from scripts.published.one_impact import OneImpact
 

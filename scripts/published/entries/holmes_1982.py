@@ -14,17 +14,14 @@ With the exact times of flight the derivative of the map from bounce to bounce h
 Holmes neglects the motion of the table during the flight. His map has the same orbits, and 1 for the last bracket.
 """
 
-from math import hypot, log, pi
+from functools import partial
+from math import acos, hypot, log, pi
 from pathlib import Path
-from tempfile import TemporaryDirectory
-
-import numpy as np
 
 from scripts.published.entry import Entry, Statement
-from scripts.published.finding import cell, event, plane
-from scripts.published.picture import finish
+from scripts.published.finding import cell, event
+from scripts.published.picture import plane_with_bounds
 
-START = {"omega": 1.0, "g": 1.0, "y": 0.5, "v": 2.0}
 CASES = ((0.5, 1, 1.3), (0.9, 1, 0.5), (0.9, 2, 0.7))
 """R, n and an acceleration at which that orbit is stable."""
 
@@ -51,8 +48,7 @@ def speed(R: float, n: int) -> float:
 
 def start(R: float, n: int, A: float) -> dict[str, float]:
     """Parameters of a cell, which starts just after the bounce of its orbit."""
-    phase = np.arccos(least(R, n) / A)
-    return {"omega": 1.0, "g": 1.0, "R": R, "A": A, "tau": float(phase), "y": 0.0, "v": R * speed(R, n)}
+    return {"omega": 1.0, "g": 1.0, "R": R, "A": A, "tau": acos(least(R, n) / A), "y": 0.0, "v": R * speed(R, n)}
 
 
 def statements() -> list[Statement]:
@@ -80,16 +76,10 @@ def statements() -> list[Statement]:
 
 
 def draw(path: Path) -> None:
-    """A plane of accelerations and R, with the closed forms."""
-    with TemporaryDirectory() as folder:
-        ds = plane("holmes-1982", folder)
-        figure = ds.atlas.plot("period", width="5in")
-        ax, R = figure.axes[0], np.linspace(*(float(ds["R"][i]) for i in (0, -1)), 200)
-        for bound, style, label in (
-            (least, "-", "birth"), (doubling, "--", "doubling"), (doubling_of_holmes, ":", "doubling, Holmes")
-        ):  # fmt: skip
-            ax.plot([bound(each, 1) for each in R], R, style, color="black", lw=1.5, label=label)
-        finish(figure, path, ds, legend=ax)
+    """A plane of accelerations and R, with the closed forms for n = 1."""
+    laws = {"birth": ("-", least), "doubling": ("--", doubling), "doubling, Holmes": (":", doubling_of_holmes)}
+    bounds = {label: (style, partial(law, n=1)) for label, (style, law) in laws.items()}
+    plane_with_bounds(path, "holmes-1982", bounds, legend=(0.2, 0.13))
 
 
 ENTRY = Entry(
@@ -102,6 +92,7 @@ ENTRY = Entry(
     example="holmes-1982",
     commands=("atlas branch --system bouncing-ball --set A=1.3 --set v=2 --set y=0.5 --along A --from 0.5 --to 2",),
     picture=draw,
-    caption="Where the ball bounces once in a period (period 1) lies between birth and doubling. Left of the lines it"
-    " comes to rest on the table in every period.",
+    caption="The lines are closed forms. Between birth and doubling the ball may bounce once in a period (period 1)."
+    " Up to R = 0.65 it does so from this start, and the doubling is the border of period 2. Left of the birth it comes"
+    " to rest on the table in every period, which is period 1 too.",
 )

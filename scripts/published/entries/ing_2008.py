@@ -1,8 +1,8 @@
 """The soft-impact oscillator grazes its stop where the amplitude of the motion without contact equals the clearance.
 
-a omega^2 / sqrt((1 - omega^2)^2 + (2 zeta omega)^2) = e is a quadratic equation in omega^2, with two solutions if a < e:
-one below the resonance and one above. The lower one is followed from the motion without contact, the upper one from a
-motion with contact, which begins there too.
+a omega^2 / sqrt((1 - omega^2)^2 + (2 zeta omega)^2) = e is a quadratic equation in omega^2. If a < e it has two
+solutions, one below the resonance and one above. The lower one is found on the branch of the motion without contact,
+the upper one on that of a motion with contact, which begins there too.
 """
 
 from math import sqrt

@@ -1,4 +1,4 @@
-"""A free mass that hits both walls of its container in turn, half a period apart, and so damps the mass that carries it.
+"""A free mass that hits both walls of its container in turn, half a period apart, and so damps the container.
 
 Between impacts the free mass moves at the speed U. An impact of relative speed w changes it by 2 U = (1 + R) w /
 (1 + mu), and the main mass by J = 2 mu U. The free part of the main mass's motion, (u, u') after the impact at the
@@ -115,5 +115,7 @@ ENTRY = Entry(
     machine=f"System `energy-sink`, mu = {MU}, zeta = {ZETA}, R = {R}, xi = 0: nothing but impacts acts on the free"
     " mass.",
     statements=statements,
-    commands=("atlas branch --system energy-sink --set xi=0 --set omega=1 --set A=0.025 --along A --from 0.01 --to 0.06",),
+    commands=(
+        "atlas branch --system energy-sink --set xi=0 --set omega=1 --set A=0.025 --along A --from 0.01 --to 0.06",
+    ),
 )

@@ -1,9 +1,9 @@
 """A completely inelastic ball on a shaken table: it stays on the table until the table falls away from under it.
 
 Lengths and times are such that omega = 1; a = A omega^2 / g. The ball leaves at the phase sin(theta) = 1 / a with the
-speed of the table and lands at the first zero of its height. Up to a = pi it rests again in every period. From there on
-it may land and leave at once, with a turn of exactly one period, whose only multiplier is 1 - sqrt(a^2 - pi^2); it lands
-where it would leave anyway at a = sqrt(1 + pi^2), and the multiplier is -1 at a = sqrt(4 + pi^2).
+speed of the table and lands at the first zero of its height. It rests in every period up to a = sqrt(1 + pi^2). From
+there on it lands where the table already falls faster than the ball would, and leaves at once: a turn takes exactly one
+period, its only multiplier is 1 - sqrt(a^2 - pi^2), and this is -1 at a = sqrt(4 + pi^2).
 """
 
 from math import asin, cos, log, pi, sin, sqrt
@@ -42,6 +42,11 @@ def statements() -> list[Statement]:
                       f"{solved['period']}, {solved['impacts_lower']}, {'yes' if solved['sticks'] else 'no'}"),
             Statement(f"a = {a}: largest exponent", log(abs(1.0 - sqrt(a**2 - pi**2))), solved["largest"]),
         ]  # fmt: skip
+    border = sqrt(1.0 + pi**2)
+    rests = [cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": share * border, "R": 0.0})["sticks"]
+             for share in (0.999, 1.001)]  # fmt: skip
+    found.append(Statement("rest 0.1 % below and above a = sqrt(1 + pi²)", "yes, no",
+                           ", ".join("yes" if each else "no" for each in rests)))  # fmt: skip
     sides = [cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": share * sqrt(4.0 + pi**2), "R": 0.0})["period"]
              for share in (0.999, 1.001)]  # fmt: skip
     found.append(Statement("period 0.1 % below and above a = sqrt(4 + pi²)", "1, 2", ", ".join(map(str, sides))))

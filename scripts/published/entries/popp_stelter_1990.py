@@ -54,7 +54,8 @@ ENTRY = Entry(
     work="K. Popp and P. Stelter, Phil. Trans. R. Soc. A 332 (1990) 89",
     place="the self-excited limit cycle of the mass on a belt, here without damping, which has a closed form",
     title="Stick-slip on a belt",
-    machine="System `stick-slip`, A = 0, zeta = 0, started at rest on the belt.",
+    machine="System `stick-slip`, A = 0, zeta = 0, started at rest on the belt. The cell itself is undetermined:"
+    " nothing ties the phase of the cycle to the forcing period.",
     statements=statements,
     commands=("atlas point --system stick-slip --set A=0 --set zeta=0 --set omega=0.90652468 --set v=0.5",),
 )

@@ -44,9 +44,10 @@ def statements() -> list[Statement]:
     given = {"omega": 0.9, "A": A, "zeta": ZETA, "s": S}
     ours = events("friction-oscillator", given, "omega", (0.5, 1.5), "stick_onset") or [float("nan")]
     low, high = onsets()
+    size = 0.5 * cell("friction-oscillator", given)["peak_to_peak"]
     below = cell("friction-oscillator", given | {"omega": 2.0 * pi / 8.667})
     return [
-        Statement("amplitude at omega = 0.9", turning(0.9)[0], 0.5 * cell("friction-oscillator", given)["peak_to_peak"]),
+        Statement("amplitude at omega = 0.9", turning(0.9)[0], size),
         Statement("lowest omega without sticking", low, ours[0]),
         Statement("highest omega without sticking", high, ours[-1]),
         Statement("sticks at the period 8.667, from which the demo of PWSDDE-cont goes on with sticking", "yes",

@@ -7,11 +7,12 @@ curve of grazes, A = b / F, with the same slope.
 
 from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from scripts.published.entry import EXACT, Entry, Statement
+from scripts.published.entry import Entry, Statement
 from scripts.published.finding import curves_of
 from scripts.published.one_impact import OneImpact
 from scripts.published.picture import save
@@ -38,24 +39,27 @@ def statements() -> list[Statement]:
                 Statement(f"{where}: omega", resonance(n, m), float(ends["omega"].iloc[0])),
                 Statement(f"{where}: A", A, float(ends["A"].iloc[0])),
             ]
-    found.append(Statement("distance between doublings and grazes over (omega - omega*)^2, in A, at the end",
-                           quadratic(1), measured(curves), 0.01 * abs(quadratic(1)), "limit, 1 %"))  # fmt: skip
+    for kind, n, reach in (("period_doubling", 1, 0.05), ("fold", 2, 0.03)):
+        words = f"(A of the {kind.replace('_', ' ')} - A of the graze) / (omega - omega of the end)², limit at the end"
+        exact = quadratic(kind, n)
+        ours = measured(curves, kind, n, reach)
+        found.append(Statement(words, exact, ours, 0.01 * abs(exact), "closed form, to 1 %"))
     return found
 
 
-def quadratic(n: int) -> float:
-    """Limit of (A of the doubling - A of the graze) / (omega - omega*)^2, from the closed form by differences."""
+def quadratic(kind: str, n: int) -> float:
+    """Limit of (A of a curve - A of the graze) / (omega - omega*)^2, from the closed form near the end."""
     step = 1e-4
     law = OneImpact(resonance(1, 1) + step, ZETA, R, n)
-    return (1.0 / law.doubling - 1.0 / law.response) / step**2
+    return (1.0 / (law.fold if kind == "fold" else law.doubling) - 1.0 / law.response) / step**2
 
 
-def measured(curves: "np.ndarray") -> float:
-    """The same from the points of the curve: a parabola through the end, by least squares, near it."""
-    rows = curves[(curves["kind"] == "period_doubling") & (curves["period"] == 1)]
+def measured(curves: Any, kind: str, n: int, reach: float) -> float:
+    """The same from the points of the curve up to ``reach`` from the end, by a parabola in least squares."""
+    rows = curves[(curves["kind"] == kind) & (curves["period"] == n)]
     away = rows["omega"].to_numpy() - resonance(1, 1)
     grazes = np.array([1.0 / OneImpact(omega, ZETA, R).response for omega in rows["omega"]])
-    near = (away > 1e-6) & (away < 0.05)
+    near = (away > 1e-3) & (away < reach)
     quotient = (rows["A"].to_numpy() - grazes)[near] / away[near] ** 2
     return float(np.polyfit(away[near], quotient, 2)[-1])
 
@@ -70,7 +74,7 @@ def draw(path: Path) -> None:
     fold = np.array([1.0 / two.fold if two.alpha > 0.0 else np.nan for _, two in laws])
     kinds = (("graze", graze, 1), ("period_doubling", doubling, 1), ("fold", fold, 2))
     for k, (kind, line, n) in enumerate(kinds):
-        label = f"{kind.replace('_', ' ')}, n = {n}"
+        label = "graze of the motion without impact" if kind == "graze" else f"{kind.replace('_', ' ')}, $n = {n}$"
         ax.plot(omega, line, color=f"C{k}", lw=1.0, label=label)
         rows = curves[(curves["kind"] == kind) & (curves["period"] == n)]
         ax.plot(rows["omega"][::4], rows["A"][::4], ".", ms=5, color=f"C{k}")
@@ -84,7 +88,7 @@ ENTRY = Entry(
     name="simpson-ghosh-2026",
     work="D. J. W. Simpson and I. Ghosh, arXiv 2602.22797 (2026)",
     link="https://arxiv.org/abs/2602.22797",
-    place="where curves of folds and period doublings end: omega = 2 n omega_d / m, quadratically tangent to the grazes",
+    place="where curves of folds and doublings end, quadratically tangent to the grazes: omega = 2 n omega_d / m",
     title="Resonant grazes",
     machine=f"System `single-mass`, zeta = {ZETA}, R = {R}, b = 1, whose omega_d is sqrt(1 - zeta²).",
     statements=statements,
