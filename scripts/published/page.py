@@ -6,6 +6,8 @@ from textwrap import fill
 from typing import Any
 
 Record = Mapping[str, Any]
+HELD = "\0"
+"""In place of a blank at which no line ends."""
 
 HEAD = (
     "Does impact-atlas reproduce what the field has published? This page compares {statements} numbers and findings of"
@@ -122,5 +124,6 @@ def shown(value: Any, digits: int) -> str:
 
 
 def wrapped(text: str) -> str:
-    """Text in lines of the pages' width; links and code stay whole."""
-    return fill(text, 120, break_long_words=False, break_on_hyphens=False)
+    """Text in lines of the pages' width; a span of code stays on one line."""
+    whole = re.sub(r"`[^`]+`", lambda span: span[0].replace(" ", HELD), text)
+    return fill(whole, 120, break_long_words=False, break_on_hyphens=False).replace(HELD, " ")
