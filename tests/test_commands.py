@@ -65,7 +65,7 @@ def coarse(example: str) -> str:
 
 EXAMPLES = """
 bouncing-ball capsule chain-3 energy-harvester energy-sink friction-oscillator gear-mesh impact-damper impact-pair
-single-mass soft-impact soft-suspension stick-slip two-stops
+simpson-ghosh-2026 single-mass soft-impact soft-suspension stick-slip two-stops
 """
 """Of other systems, each with a plane of its own."""
 POINTS = """

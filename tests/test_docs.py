@@ -69,7 +69,9 @@ def script_calls(page: Path) -> list[list[str]]:
     for line in code(page):
         words = shlex.split(line, comments=True) if "scripts" in line else []
         if words[:2] == ["python", "-m"] and words[2].startswith("scripts."):
-            calls.append([words[2].replace(".", "/") + ".py", *words[3:]])
+            module = words[2].replace(".", "/")
+            file = f"{module}/__main__.py" if (ROOT / module).is_dir() else f"{module}.py"
+            calls.append([file, *words[3:]])
     return calls
 
 

@@ -1,0 +1,45 @@
+"""How pictures of entries are drawn and written: with the provenance that every picture of these pages has."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import atlas
+from atlas.render.provenance import Provenance, computed_here, metadata, provenance_of
+
+DPI = 150
+Bounds = Mapping[str, tuple[str, Callable[[float], float]]]
+
+
+def save(figure: Figure, path: Path, title: str, spec: Mapping[str, Any]) -> None:
+    """Write a figure of numbers that this process has computed, from all that decides them."""
+    _write(figure, path, computed_here(title, spec))
+
+
+def plane_with_bounds(path: Path, example: str, bounds: Bounds, legend: tuple[float, float]) -> None:
+    """Draw the periods of a packaged plane, and over it x at each y of some bounds, by label: line style, function.
+
+    The legend's centre is at that place of the axes.
+    """
+    with TemporaryDirectory() as folder:
+        store = Path(folder) / f"{example}.zarr"
+        atlas.run(atlas.Spec.from_toml(example), store)
+        ds = atlas.open(store)
+        figure = ds.atlas.plot("period", width="5in")
+        ax = figure.axes[0]
+        values = ds[ds["period"].dims[0]].values
+        y = np.linspace(float(values[0]), float(values[-1]), 400)
+        for label, (style, bound) in bounds.items():
+            ax.plot([bound(each) for each in y], y, style, color="black", lw=1.5, label=label, scalex=False)
+        name = ax.xaxis.label
+        font = {"family": name.get_fontfamily(), "size": 0.9 * name.get_fontsize()}
+        ax.legend(loc="center", bbox_to_anchor=legend, framealpha=0.9, prop=font)
+        _write(figure, path, provenance_of(ds))
+
+
+def _write(figure: Figure, path: Path, provenance: Provenance) -> None:
+    figure.savefig(path, dpi=DPI, metadata=metadata(provenance, path.suffix.removeprefix(".")))
