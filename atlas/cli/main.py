@@ -17,6 +17,7 @@ from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import basin_measures, export, extremes, query, regions
 from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
+from atlas.cli.stability import stability
 from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
@@ -108,6 +109,7 @@ for command in (
     render,
     figures,
     point,
+    stability,
     portrait,
     branch,
     explore,
