@@ -27,6 +27,7 @@ from workers.attractors.starts import MOST_STARTS, Starts
     epilog=examples(
         "atlas stability --set omega=4 --set b=0.1",
         "atlas stability --set omega=4 --set b=0.1 --norm v1=0.5 --norm v2=0.5 --json",
+        "atlas stability --system gear-mesh --shocks",
     )
 )
 @set_option
@@ -44,12 +45,19 @@ from workers.attractors.starts import MOST_STARTS, Starts
     show_default=True,
     help="Initial states from which the attractors are found.",
 )
+@click.option("--shocks", is_flag=True, help="Also the smallest shock found that leads to another attractor.")
 @settings_options()
 @json_option
 def stability(
-    given: tuple[str, ...], system: str, norm: tuple[str, ...], starts: int, as_json: bool, **solve: Any
+    given: tuple[str, ...],
+    system: str,
+    norm: tuple[str, ...],
+    starts: int,
+    shocks: bool,
+    as_json: bool,
+    **solve: Any,
 ) -> None:
-    """Print how stable each attractor of one cell is: basin stability, return time, reactivity, amplification."""
+    """Print how stable each attractor of one cell is: basin stability, return time, reactivity and more."""
     from atlas.robustness.cell import stability as measure
 
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
@@ -60,7 +68,7 @@ def stability(
     with reporter(sys.stderr) as show:
         prepare_kernels(show, *kernels_for(record, ATTRACTORS))
         show(Progress("solving"))
-        found = measure(pairs, system=record, settings=settings, starts=starts, norm=weights)
+        found = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
     if as_json:
         click.echo(to_json(found))
         return

@@ -29,6 +29,7 @@ def stability(
     settings: Settings | None = None,
     starts: int = Starts.count,
     norm: Mapping[str, float] | None = None,
+    shocks: bool = False,
 ) -> dict[str, Any]:
     """How stable each attractor of one cell is: basin stability, return time, reactivity, amplification.
 
@@ -39,6 +40,11 @@ def stability(
     log growth of a small deviation over one forcing period; ``amplification``, its largest growth over any number of
     periods, and ``amplified_after``, that number. What is not known is NaN, or -1, and ``reason`` says why; chaos and
     tori have none of these.
+    With ``shocks``, which costs thousands of motions, also ``fatal_shock``: the size |dz| of the smallest deviation
+    found at the section that takes the motion to another attractor, ``shock_state``, the state it leads to, and
+    ``shock_reaches``, the place of the attractor reached from there, -2 for an orbit that is not listed. It is an upper
+    bound of the minimal fatal shock; ``shock_tried`` states that fill the ball of this size evenly are not fatal. NaN
+    and ``shock_reason`` if no other attractor is known.
     Raises InputError for a parameter or a component that does not exist, and for a value out of range.
 
     >>> import atlas
@@ -66,12 +72,12 @@ def stability(
     if not table.attractors:  # then the cell's own initial state says why
         own = table.own.result(0)
         found |= {"regime": _NAMES[int(own[REGIME.name])], "reason": REASONS[int(own[REASON.name])].text}
-    each = [_measured(table, place, w) for place in range(len(table.attractors))]
+    each = [_measured(table, place, w, shocks) for place in range(len(table.attractors))]
     described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
     return record.resolved() | described | found | {"coexisting": each}
 
 
-def _measured(table: "Table", place: int, weights: "Array") -> dict[str, Any]:
+def _measured(table: "Table", place: int, weights: "Array", shocks: bool) -> dict[str, Any]:
     """What is known of the attractor in this place of the table."""
     from atlas.robustness.linear import measures_of
 
@@ -92,4 +98,22 @@ def _measured(table: "Table", place: int, weights: "Array") -> dict[str, Any]:
         "amplified_after": linear.after,
         **({"reason": linear.reason} if linear.reason else {}),
         "state": attractor.result["state"].tolist(),
+        **(_shocked(table, place, weights) if shocks else {}),
+    }
+
+
+def _shocked(table: "Table", place: int, weights: "Array") -> dict[str, Any]:
+    """The minimal fatal shock of the attractor in this place of the table."""
+    from atlas.robustness.shock import shock_of
+
+    found = shock_of(table, place, weights)
+    if found is None:
+        return {"fatal_shock": np.nan, "shock_reason": "no other attractor is known"}
+    return {
+        "fatal_shock": found.size,
+        "shock_reaches": found.reached,
+        "shock_tried": found.tried,
+        "shock_unseen_share": found.unseen,
+        "shock_from": found.phase,
+        "shock_state": found.state.tolist(),
     }
