@@ -7,9 +7,9 @@ from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one 
 a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
 a plane, within the budget of ``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one
 branch from cell to cell.
-Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``portrait`` draws its motion,
-``branch`` follows its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`` gives a motion in
-time.
+Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``stability`` measures how stable
+they are, ``portrait`` draws its motion, ``branch`` follows its orbit along a parameter, ``solve_tile`` takes arrays of
+parameters, ``trace`` gives a motion in time.
 ``errors`` has what they raise.
 """
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         point,
         portrait,
         run,
+        stability,
         status,
         verify,
     )
@@ -62,6 +63,7 @@ __all__ = [
     "portrait",
     "run",
     "solve_tile",
+    "stability",
     "status",
     "trace",
     "verify",

@@ -13,6 +13,7 @@ from atlas.check.verify import verify
 from atlas.curves.settings import CurveSettings
 from atlas.query.open import Chunks, open_atlas
 from atlas.render import portrait
+from atlas.robustness.cell import stability
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.pack import pack
@@ -47,6 +48,7 @@ __all__ = [
     "point",
     "portrait",
     "run",
+    "stability",
     "status",
     "verify",
 ]

@@ -20,6 +20,7 @@ from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import basin_measures, export, extremes, query, regions
 from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
+from atlas.cli.stability import stability
 from atlas.cli.store import cite, pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
@@ -120,6 +121,7 @@ for command in (
     render,
     figures,
     point,
+    stability,
     portrait,
     branch,
     explore,

@@ -46,7 +46,7 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
 def print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
     """The attractors of one cell as a table, a column each."""
     if several:
-        names = [name for name, value in several[0].items() if not isinstance(value, list)]
+        names = dict.fromkeys(name for each in several for name, value in each.items() if not isinstance(value, list))
         rows = [(name, *(text(each.get(name, "")) for each in several)) for name in names]
         print_table("attractors", ["", *map(str, range(len(several)))], rows)
 

@@ -1,0 +1,119 @@
+"""Stability measures of all attractors of one cell."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from atlas.robustness.norm import checked_weights, weights_of
+from atlas.spec.attractors import checked_attractors, resolved_attractors
+from atlas.spec.spec import checked_parameters
+from atlas.spec.system import checked_system
+from workers import Settings
+from workers.attractors.starts import MOST_KEPT, Starts, unseen_share, wilson
+from workers.model.system import DEFAULT, System
+from workers.results import REASON, REASONS, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    from workers.attractors.basins import Table
+    from workers.model.oscillator import Array
+
+_NAMES = {regime.code: regime.name for regime in REGIMES}
+
+
+def stability(
+    given: Mapping[str, Any] | None = None,
+    *,
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
+    starts: int = Starts.count,
+    norm: Mapping[str, float] | None = None,
+    shocks: bool = False,
+) -> dict[str, Any]:
+    """How stable each attractor of one cell is: basin stability, return time, reactivity, amplification.
+
+    ``given`` are the parameters that differ from the defaults. The attractors are those that ``atlas.attractors`` finds
+    from as many ``starts``; ``share`` is the basin stability, with its 95 % interval. ``norm`` has weights w > 0 of
+    components of the state, |dz| = sqrt(sum (w dz)^2); the others have 1 if displacements, 1/omega if velocities.
+    Each of ``coexisting`` has ``return_time`` in forcing periods, -1 / largest exponent; ``reactivity``, the largest
+    log growth of a small deviation over one forcing period; ``amplification``, its largest growth over any number of
+    periods, and ``amplified_after``, that number. What is not known is NaN, or -1, and ``reason`` says why; chaos and
+    tori have none of these.
+    With ``shocks``, which costs thousands of motions, also ``fatal_shock``: the size |dz| of the smallest deviation
+    found at the section that takes the motion to another attractor, ``shock_state``, the state it leads to, and
+    ``shock_reaches``, the place of the attractor reached from there, -2 for an orbit that is not listed. It is an upper
+    bound of the minimal fatal shock; ``shock_tried`` states that fill the ball of this size evenly are not fatal. NaN
+    and ``shock_reason`` if no other attractor is known.
+    Raises InputError for a parameter or a component that does not exist, and for a value out of range.
+
+    >>> import atlas
+    >>> found = atlas.stability({"omega": 4.0, "b": 0.1}, starts=8)
+    >>> [(each["period"], round(each["return_time"], 3)) for each in found["coexisting"]]
+    [(1, 4.245), (3, 4.276)]
+    """
+    from workers.attractors.basins import Table
+
+    record, settings = checked_system(system), settings or Settings()
+    parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
+    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
+    assert search is not None
+    table = Table(record, parameters, settings, search)
+    w = weights_of(weights, record, float(table.oscillators.period[0]))
+    tried = int(table.tried[0])
+    found: dict[str, Any] = {
+        "norm": dict(zip(record.states, w.tolist(), strict=True)),
+        "attractors": len(table.attractors),
+        "starts": tried,
+        "undecided": len(table.cell.undecided),
+        "unseen_share": float(unseen_share(tried)) if tried else np.nan,
+        "periods_used": int(table.used[0]),
+    }
+    if not table.attractors:  # then the cell's own initial state says why
+        own = table.own.result(0)
+        found |= {"regime": _NAMES[int(own[REGIME.name])], "reason": REASONS[int(own[REASON.name])].text}
+    each = [_measured(table, place, w, shocks) for place in range(len(table.attractors))]
+    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
+    return record.resolved() | described | found | {"coexisting": each}
+
+
+def _measured(table: "Table", place: int, weights: "Array", shocks: bool) -> dict[str, Any]:
+    """What is known of the attractor in this place of the table."""
+    from atlas.robustness.linear import measures_of
+
+    attractor, tried = table.attractors[place], int(table.tried[0])
+    hits = len(attractor.starts)
+    low, high = wilson(hits, tried)
+    linear = measures_of(table.cell.oscillator, attractor, weights)
+    return {
+        "regime": _NAMES[attractor.regime],
+        "share": hits / tried,
+        "share_low": float(low),
+        "share_high": float(high),
+        "period": int(attractor.result["period"]),
+        "largest": float(attractor.result["largest"]),
+        "return_time": linear.return_time,
+        "reactivity": linear.reactivity,
+        "amplification": linear.amplification,
+        "amplified_after": linear.after,
+        **({"reason": linear.reason} if linear.reason else {}),
+        "state": attractor.result["state"].tolist(),
+        **(_shocked(table, place, weights) if shocks else {}),
+    }
+
+
+def _shocked(table: "Table", place: int, weights: "Array") -> dict[str, Any]:
+    """The minimal fatal shock of the attractor in this place of the table."""
+    from atlas.robustness.shock import shock_of
+
+    found = shock_of(table, place, weights)
+    if found is None:
+        return {"fatal_shock": np.nan, "shock_reason": "no other attractor is known"}
+    return {
+        "fatal_shock": found.size,
+        "shock_reaches": found.reached,
+        "shock_tried": found.tried,
+        "shock_unseen_share": found.unseen,
+        "shock_from": found.phase,
+        "shock_state": found.state.tolist(),
+    }

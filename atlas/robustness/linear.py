@@ -1,0 +1,143 @@
+"""Measures of an attracting orbit that follow from its linearised map: return time, reactivity, amplification.
+
+An orbit of p forcing periods T has section states z_1, ..., z_p and Jacobians J_k = DP(z_k) of one forcing period: a
+small deviation dz of z_k is J_k dz one period later. In the norm |W dz| of ``norm.weights_of``:
+
+    return time     -1 / lambda_1 in forcing periods, lambda_1 the largest Lyapunov exponent per period
+    reactivity      max_k ln |W J_k W^-1|, the fastest growth over one period; above 0 a deviation can grow before it
+                    decays
+    amplification   max_m max_k |W J_{k+m-1} ... J_k W^-1|, m = 0, 1, ...: the largest growth ever, at least 1
+
+The amplification is exact: if every product of m matrices has a norm below 1, then no longer product exceeds the
+largest of the shorter ones, since |A B| <= |A| |B|. The search ends at the first such m.
+
+Neubert & Caswell, Ecology 78 (1997) 653; Krakovska, Kuehn & Longo, Eur. J. Appl. Math. 35 (2024) 155.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from atlas.robustness.norm import weighted
+from workers.attractors.record import STABLE, Attractor
+from workers.kernel.cells import physical_states
+from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, Motion, axes, motions_at
+from workers.model.hybrid import Hybrid, drifts, rigid_stops, with_modes
+from workers.model.oscillator import Array, Oscillator
+from workers.orbit.map import iterate, jacobian_of
+
+MOST_PRODUCTS = 100_000
+"""Matrix products after which the growth of deviations is no longer followed."""
+
+AT_SECTION = 1e-9
+"""Share of a period before and after the section within which an impact counts as at the section."""
+
+ENDLESS = 1e-10
+"""Decay per forcing period below which a deviation is taken to last."""
+
+NO_ORBIT, TOUCHES, STICKS, DRIFTS, LASTING, LONG, LOST = (
+    "chaos or a torus: there is no orbit to linearise about",
+    "the orbit touches a stop at the section, where the map is not smooth",
+    "friction holds the orbit at rest: deviations there last",
+    "a coordinate drifts: deviations of it last",
+    "a deviation in some direction does not decay",
+    f"deviations may still grow after {MOST_PRODUCTS} products of Jacobians",
+    "one turn of the orbit could not be followed",
+)
+"""Why a measure of an attractor is not known."""
+
+
+class Phases(NamedTuple):
+    """The section states (p, 2n) of an orbit, physical, and the Jacobians (p, 2n, 2n) of one forcing period there."""
+
+    states: Array
+    jacobians: Array
+
+
+class Linear(NamedTuple):
+    """The measures of an orbit, NaN if unknown, and the reason; ``after``: the m of the amplification."""
+
+    return_time: float = np.nan
+    reactivity: float = np.nan
+    amplification: float = np.nan
+    after: int = -1
+    reason: str = ""
+
+
+def measures_of(oscillator: Oscillator | Hybrid, attractor: Attractor, weights: Array) -> Linear:
+    """The measures of an attractor of one machine, a record of many, in the norm of weights (2n,)."""
+    if attractor.regime not in STABLE:
+        return Linear(reason=NO_ORBIT)
+    largest = float(attractor.result["largest"])
+    time = np.inf if largest >= -ENDLESS else -1.0 / largest
+    found = phases_of(oscillator, attractor)
+    if isinstance(found, str):
+        return Linear(time, reason=found)
+    matrices = weighted(found.jacobians, weights)
+    fastest = reactivity(matrices)
+    if largest >= -ENDLESS:
+        return Linear(time, fastest, reason=LASTING)
+    growth = amplification(matrices)
+    return Linear(time, fastest, reason=LONG) if growth is None else Linear(time, fastest, *growth)
+
+
+def phases_of(oscillator: Oscillator | Hybrid, orbit: Attractor) -> Phases | str:
+    """The phases of an orbit of one machine, a record of many; or the reason if its map has no Jacobian there."""
+    if drifts(oscillator):
+        return DRIFTS
+    h, contact = orbit.h, orbit.contact
+    states, jacobians = list[Array](), list[Array]()
+    for _ in range(orbit.period):
+        start = motions_at(h[None], np.array([[contact]]))
+        states.append(physical_states(oscillator, start, np.zeros(1, dtype=np.int64))[0])
+        motion = _one_period(oscillator, h, contact)
+        if motion.tally[STATUS] != RUNNING:
+            return LOST
+        if motion.tally[NEUTRAL] > 0.0:
+            return STICKS
+        jacobians.append(oscillator.to_physical[0] @ jacobian_of(motion.V) @ oscillator.to_blocks[0])
+        h, contact = motion.h, int(motion.contact[0])
+    phases = Phases(np.array(states), np.array(jacobians))
+    return TOUCHES if touches_a_stop(oscillator, phases.states) else phases
+
+
+def _one_period(oscillator: Oscillator | Hybrid, h: Array, contact: int) -> Motion:
+    """The motion one period after block state h (n, 2), with tangent vectors along the block axes."""
+    none, one = (np.zeros(0), np.zeros((0, 0))), (1, np.bool_(False))
+    motion: Motion = with_modes(oscillator, lambda osc: iterate(osc, h, contact, axes(len(h)), *none, *one))
+    return motion
+
+
+def touches_a_stop(oscillator: Oscillator | Hybrid, states: Array) -> bool:
+    """Whether one of these section states (p, 2n) of one machine is on a rigid stop, to within AT_SECTION periods."""
+    n, period = states.shape[1] // 2, float(oscillator.period[0])
+    for row, *stops in rigid_stops(oscillator):
+        y, v = states[:, :n] @ row[0], states[:, n:] @ row[0]
+        for stop in stops:
+            near = AT_SECTION * (period * np.abs(v) + np.abs(states[:, :n]) @ np.abs(row[0]))
+            if np.isfinite(stop[0]) and np.any(np.abs(y - stop[0]) <= near):
+                return True
+    return False
+
+
+def reactivity(matrices: Array) -> float:
+    """The log of the largest 2-norm of matrices (p, d, d); -infinity if all are zero."""
+    with np.errstate(divide="ignore"):
+        return float(np.log(np.linalg.norm(matrices, 2, axis=(1, 2)).max()))
+
+
+def amplification(matrices: Array, most: int = MOST_PRODUCTS) -> tuple[float, int] | None:
+    """The largest 2-norm of products of consecutive matrices (p, d, d), cyclic; and the number of factors.
+
+    1 and 0 if no product has a norm above 1; None if that is still open after ``most`` products.
+    """
+    p = len(matrices)
+    products, best = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape), (1.0, 0)
+    for m in range(1, most // p + 1):
+        products = matrices[(np.arange(p) + m - 1) % p] @ products
+        size = float(np.linalg.norm(products, 2, axis=(1, 2)).max())
+        if size < 1.0:
+            return best
+        if size > best[0]:
+            best = (size, m)
+    return None

@@ -1,0 +1,40 @@
+"""The norm in which deviations of a section state are measured."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from atlas.errors import InputError, check_names
+from atlas.spec.axis import number
+from workers.model.oscillator import Array
+from workers.model.system import System
+
+
+def checked_weights(given: Mapping[str, Any] | None, record: System) -> dict[str, float]:
+    """The weights that a user gives, by component of the state; InputError for a bad name or a weight that is not > 0.
+
+    >>> from workers.model.system import find_system
+    >>> checked_weights({"v1": 2}, find_system("two-mass"))
+    {'v1': 2.0}
+    """
+    check_names("component of the state in norm", given or {}, record.states)
+    weights = {name: number(f"norm.{name}", value) for name, value in (given or {}).items()}
+    for name, weight in weights.items():
+        if weight <= 0.0:
+            raise InputError(f"norm.{name}: found {weight:g}, must be above 0")
+    return weights
+
+
+def weights_of(given: Mapping[str, float], record: System, period: float) -> Array:
+    """The weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2): those given, else 1, for velocities T / 2 pi.
+
+    So the norm has the unit of displacement by default. period: the forcing period T
+    """
+    default = [1.0] * (len(record.states) // 2) + [period / (2.0 * np.pi)] * (len(record.states) // 2)
+    return np.array([given.get(name, usual) for name, usual in zip(record.states, default, strict=True)])
+
+
+def weighted(matrices: Array, weights: Array) -> Array:
+    """W J W^-1 of matrices J (..., d, d), W the diagonal matrix of weights (d,): its 2-norm is the norm of J."""
+    return np.asarray(weights[:, None] * matrices / weights)
