@@ -15,7 +15,10 @@ from PIL import Image
 
 from atlas.cell.orbit import CellOrbit
 from atlas.curves.table import Corner, Curve, Curves
-from atlas.render import style
+from atlas.render import maps, style
+from atlas.render.kinds import TABLE
+from atlas.render.options import Wanted
+from atlas.render.page import STANDARD
 from workers import Settings
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC, UNDETERMINED
@@ -42,6 +45,14 @@ def atlas(axes: dict[str, Any], scales: dict[str, str] | None = None, **variable
         coords,
         {"digest": "d1ge57", "spec": json.dumps(spec), "software": "numpy 2"},
     )
+
+
+def painted(kind: str, *scale: Any, **variables: np.ndarray) -> maps.Painted:
+    """A kind of map of variables (y, x), on the scale of others where that is given."""
+    rows, columns = variables["regime"].shape
+    ds = atlas({"omega": 1.0 + np.arange(columns), "b": 0.1 + 0.1 * np.arange(rows)}, **variables)
+    found: maps.Painted = TABLE[kind].painter(maps.read(TABLE[kind], ds, Wanted(STANDARD)), *scale)
+    return found
 
 
 def every_regime() -> xr.Dataset:

@@ -7,7 +7,10 @@ from unittest.mock import patch
 from matplotlib.figure import Figure
 
 from atlas import render
-from atlas.render.single import draw_map
+from atlas.render.kinds import TABLE
+from atlas.render.maps import draw_map
+from atlas.render.options import Wanted
+from atlas.render.page import STANDARD
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 
 FOLDER = Path(__file__).parent / "reference"
@@ -25,14 +28,14 @@ def regions() -> Figure:
 
 def basins() -> Figure:
     ds, table = basin()
-    with patch("atlas.render.basins.table", return_value=table):
-        return draw_map("basins", ds)
+    with patch("atlas.query.basins.table", return_value=table):
+        return draw_map(TABLE["basins"], ds, Wanted(STANDARD))
 
 
 def labels() -> Figure:
     ds, table = labelled()
     with patch("atlas.render.classes.branches", return_value=table):
-        return draw_map("labels", ds)
+        return draw_map(TABLE["labels"], ds, Wanted(STANDARD))
 
 
 PICTURES: dict[str, Callable[[], Figure]] = {

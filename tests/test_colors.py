@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import classes, events, impacts, orbit, scales, spectrum, style, sweep
+from atlas.render import classes, orbit, scales, style, sweep
 from atlas.render.kinds import TABLE
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
@@ -29,7 +29,8 @@ _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", 
 _PERIODS = {f"period {first}": color for first, _, color in classes.PERIODS}
 _CHAOS = {f"chaos {i}": tuple(scales.CHAOS(i / 4)[:3]) for i in range(5)}
 
-_UNLISTED = {f"unlisted {i}": color for i, color in enumerate(impacts.UNLISTED)}
+_SYMMETRIES = (classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.ALONE)
+_UNLISTED = {f"unlisted {i}": color for i, color in enumerate(classes.UNLISTED)}
 
 OF_A_COLOR = {"contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding"}
 """Kinds of events with the colour of another: losses of some kind, and those of what sticks or slides."""
@@ -37,13 +38,13 @@ PALETTES = {
     "period": _REGIMES | {f"period {first}": color for first, _, color in classes.PERIODS},
     "combined": _COLD | _PERIODS,
     "combined with chaos": _PLAIN | _PERIODS | _CHAOS,
-    "impacts": _REGIMES | {color: color for pair in impacts.HUES.values() for color in pair} | _UNLISTED,
-    "symmetry": _REGIMES | {color: color for color in classes.SYMMETRIES},
-    "spectrum": {f"exponent {i}": spectrum.color(i) for i in range(4)},
+    "impacts": _REGIMES | {color: color for pair in classes.HUES.values() for color in pair} | _UNLISTED,
+    "symmetry": _REGIMES | {color: color for color in _SYMMETRIES},
+    "spectrum": {f"exponent {i}": sweep.color_of(i) for i in range(4)},
     "points of a sweep": {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
     },
-    "events": {kind: look.color for kind, look in events.LOOKS.items() if kind not in OF_A_COLOR},
+    "events": {kind: look.color for kind, look in style.LOOKS.items() if kind not in OF_A_COLOR},
     "hysteresis": dict(zip("ab", sweep.COLORS, strict=True)),
 }
 
@@ -71,7 +72,7 @@ def test_any_two_classes_of_a_picture_differ_in_colour(palette: str, sight: str)
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_impacts_of_a_portrait_are_told_from_each_other_and_from_all_else_in_it(sight: str) -> None:
     (upper, lower), others = (look[1] for look in orbit.IMPACTS.values()), [orbit.LINE, orbit.STOP]
-    others += [spectrum.color(i) for i in range(4)] + list(style.INK.values())
+    others += [sweep.color_of(i) for i in range(4)] + list(style.INK.values())
     seen = {color: lab(color, EVERY_SIGHT[sight]) for color in (upper, lower, *others)}
     for own, rest in ((upper, others), (lower, [*others, upper])):
         closest = min((float(np.linalg.norm(seen[own] - seen[other])), own, other) for other in rest)
@@ -83,7 +84,7 @@ def test_impacts_of_a_portrait_differ_in_their_marker_too() -> None:
 
 
 def test_events_of_one_colour_differ_in_line_and_marker() -> None:
-    looks = events.LOOKS.values()
+    looks = style.LOOKS.values()
     for one, other in itertools.combinations(looks, 2):
         assert one.marker != other.marker
         assert one.dashes != other.dashes
@@ -145,6 +146,14 @@ def test_the_lightness_of_a_scale_rises_or_falls_all_the_way(scale: str, sight: 
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_a_cell_is_the_darker_the_more_attractors_it_has(sight: str) -> None:
+    """So the counts can be read in greyscale too."""
+    seen = [lab(classes.COUNTS[count], EVERY_SIGHT[sight]) for count in sorted(classes.COUNTS)]
+    assert np.all(np.diff([L for L, _, _ in seen]) < -8.0)
+    assert min(ciede2000(*pair) for pair in itertools.pairwise(seen)) > 10.0
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) -> None:
     below, above = (lab(scales.EXPONENT(each)[:3], EVERY_SIGHT[sight]) for each in (0.4999, 0.5001))
     assert ciede2000(below, above) > 40.0
@@ -160,12 +169,12 @@ def test_a_labelled_branch_is_seen_on_white_and_differs_from_its_mirror_image(si
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
-@pytest.mark.parametrize("kind", events.LOOKS)
+@pytest.mark.parametrize("kind", style.LOOKS)
 def test_a_curve_is_told_from_its_ground_by_its_colour_or_by_its_white_casing(kind: str, sight: str) -> None:
     """Of every ground: by its own colour where the ground is pale, elsewhere by the white beside it, which
     test_maps finds under every curve.
     """
-    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (events.LOOKS[kind].color, "white"))
+    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (style.LOOKS[kind].color, "white"))
     chaos = {f"chaos {v}": tuple(scales.EXPONENT(v)[:3]) for v in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)}
     for name, color in (_REGIMES | _PERIODS | chaos).items():
         ground = lab(color, EVERY_SIGHT[sight])

@@ -9,13 +9,14 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
 
 import atlas
 from atlas import render
 from atlas.curves.table import Corner, Curves
 from atlas.errors import InputError
-from atlas.render.events import LOOKS, corner_name
+from atlas.render.style import CORNERS, LOOKS, corner_look
 from tests.pictures import atlas as atlas_of
 from tests.pictures import curve, curves, keeping, labels, plane
 from workers.results import CHAOTIC, PERIODIC
@@ -39,8 +40,9 @@ def lines(ax: Axes, kind: str) -> list[np.ndarray]:
     return whole
 
 
-def names(ax: Axes, gid: str = "corner name") -> list[str]:
-    return [text.get_text() for text in ax.texts if text.get_gid() == gid]
+def corners(ax: Axes) -> list[Line2D]:
+    """The marks of points of codimension two."""
+    return [each for each in ax.lines if each.get_gid() == "corner"]
 
 
 def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
@@ -77,7 +79,7 @@ def test_kinds_differ_in_line_style_not_in_colour_alone() -> None:
 
 
 def test_the_legend_names_the_kinds_in_view_and_no_others() -> None:
-    assert labels(drawn(curves()))[-5:-1] == ["fold", "period doubling", "graze", "codimension two"]
+    assert labels(drawn(curves()))[-4:] == ["fold", "period doubling", "graze", "graze–period doubling"]
     part = labels(drawn(curves(), window={"omega": (3.6, 5.0), "b": (0.2, 0.45)}))
     assert part[-2:] == ["fold", "graze"]
 
@@ -87,46 +89,47 @@ def test_curves_outside_the_window_are_said_to_be() -> None:
     assert labels(drawn(away))[-1] == "curves: none in this window"
 
 
-def test_a_point_of_codimension_two_of_several_curves_is_marked_and_named_once() -> None:
+def test_a_point_of_codimension_two_of_several_curves_is_marked_once_and_named_in_the_legend() -> None:
     figure = drawn(curves())
-    ax = figure.axes[0]
-    marks = [each for each in ax.lines if each.get_gid() == "corner"]
-    assert [(each.get_xdata(), each.get_ydata()) for each in marks] == [([3.0], [0.37])]
-    assert names(ax) == ["a"]
-    assert "a:\xa0graze–period\xa0doubling" in labels(figure)
+    (mark,) = corners(figure.axes[0])
+    assert (mark.get_xdata(), mark.get_ydata()) == ([3.0], [0.37])
+    assert "graze–period doubling" in labels(figure)
+    assert not figure.axes[0].texts
 
 
-def test_resonances_are_named_by_their_order_and_other_points_by_letters_of_a_key() -> None:
+def test_each_kind_of_point_of_codimension_two_has_a_mark_of_its_own() -> None:
     points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
     kinds = ("cusp", "resonance_1_2", "fold_flip", "cusp")
     marked = tuple(Corner(kind, 1.5 + k, 0.3, 5) for k, kind in enumerate(kinds))
     figure = drawn(Curves(("omega", "b"), (curve("fold", points, corners=marked),)))
-    assert sorted(names(figure.axes[0])) == ["1:2", "a", "a", "b"]
-    assert labels(figure)[-2:] == ["codimension two", "a:\xa0cusp; b:\xa0fold–flip"]
+    shapes = {float(each.get_xdata()[0]): each.get_marker() for each in corners(figure.axes[0])}
+    assert shapes[1.5] == shapes[4.5]
+    assert len(set(shapes.values())) == 3
+    assert labels(figure)[-3:] == ["cusp", "fold–flip", "1:2 resonance"]
+    assert len({marker for _, marker in CORNERS.values()}) == len(CORNERS)
 
 
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
-        ("cusp", "cusp"), ("resonance_1_3", "1:3"), ("fold_flip", "fold–flip"), ("graze_fold", "graze–fold"),
+        ("cusp", "cusp"), ("resonance_1_3", "1:3 resonance"), ("fold_flip", "fold–flip"), ("graze_fold", "graze–fold"),
         ("graze_neimark_sacker", "graze–Neimark–Sacker"), ("double_graze", "double graze"),
     ],
 )  # fmt: skip
 def test_points_of_codimension_two_are_named_in_words(kind: str, name: str) -> None:
-    assert corner_name(kind) == name
+    assert corner_look(kind, 4.0)["label"] == name
 
 
 def test_the_kinds_of_curves_that_are_drawn_can_be_chosen() -> None:
     figure = drawn(curves(), curves="fold,graze")
     assert {each.get_gid() for each in figure.axes[0].collections} >= {"fold", "graze"}
     assert labels(figure)[-2:] == ["fold", "graze"]
-    assert names(figure.axes[0]) == []
+    assert corners(figure.axes[0]) == []
 
 
 def test_points_of_codimension_two_are_drawn_where_they_are_chosen() -> None:
     figure = drawn(curves(), curves=["graze", "codimension_two"])
-    assert labels(figure)[-3:] == ["graze", "codimension two", "a:\xa0graze–period\xa0doubling"]
-    assert names(figure.axes[0]) == ["a"]
+    assert labels(figure)[-2:] == ["graze", "graze–period doubling"]
 
 
 def test_kinds_of_curves_ask_for_the_overlay_by_themselves() -> None:
@@ -143,9 +146,8 @@ def test_an_unknown_kind_of_curve_is_refused_with_all_that_there_are() -> None:
 
 def test_curves_can_be_drawn_without_names_and_without_a_legend() -> None:
     figure = drawn(curves(), names=False, legend=False)
-    ax = figure.axes[0]
-    assert [each for each in ax.lines if each.get_gid() == "corner"]
-    assert (names(ax), labels(figure)) == ([], [])
+    assert corners(figure.axes[0])
+    assert (figure.axes[0].texts[:], labels(figure)) == ([], [])
 
 
 def test_a_region_chart_takes_kinds_and_leaves_names_out() -> None:
@@ -155,18 +157,16 @@ def test_a_region_chart_takes_kinds_and_leaves_names_out() -> None:
     assert not figure.axes[0].texts
 
 
-def test_names_of_crowded_points_keep_off_each_other() -> None:
-    x = np.linspace(1.0, 5.0, 21)
-    corners = tuple(Corner("graze_period_doubling", 2.9 + 0.02 * k, 0.3, 10) for k in range(5))
-    crowd = Curves(("omega", "b"), (curve("graze", np.column_stack([x, 0.3 + 0.0 * x]), corners=corners),))
-    figure = drawn(crowd)
+def test_a_long_legend_beside_a_map_is_shown_whole() -> None:
+    """A point of every kind: the page grows with the legend unless its height is asked for."""
+    points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
+    every = tuple(Corner(kind, 1.2 + 0.2 * k, 0.3, 5) for k, kind in enumerate(CORNERS))
+    found = Curves(("omega", "b"), tuple(curve(kind, points, corners=every) for kind in LOOKS))
+    figure = drawn(found)
     figure.draw_without_rendering()
-    ax = figure.axes[0]
-    boxes = [text.get_window_extent() for text in ax.texts if text.get_gid() == "corner name"]
-    assert len([each for each in ax.lines if each.get_gid() == "corner"]) == 5
-    assert 2 <= len(boxes) <= 5
-    for k, box in enumerate(boxes):
-        assert box.padded(-2.0).count_overlaps(boxes[k + 1 :]) == 0
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert box.y0 >= 0.0 and box.y1 <= figure.bbox.y1
 
 
 def test_curves_that_run_beside_each_other_are_thinner_than_one_alone() -> None:

@@ -14,7 +14,8 @@ from atlas.cell import orbit as cell
 from atlas.cell.orbit import CellOrbit, cell_orbit, describe
 from atlas.errors import InputError
 from atlas.query import grazing, hysteresis, machine
-from atlas.render import classes, gap
+from atlas.render import classes, words
+from atlas.spec.system import stored_system
 from tests.pictures import labels
 from tests.test_maps import drawn
 from workers.model.system import System, find_system
@@ -205,7 +206,7 @@ def test_a_gap_coordinate_that_depends_on_parameters_is_that_of_each_cell() -> N
     ds = swept_section(geared).drop_vars("ratio")
     ds = ds.rename(omega="ratio").assign_coords(ratio=[1.0, 2.0, 3.0, 4.0], omega=0.5)
     assert machine.gap_values(ds, "ratio", ds["section"]).tolist() == [[9.0] * 3, [8.0] * 3, [7.0] * 3, [6.0] * 3]
-    assert gap.gap_label(ds) == "gap coordinate\n$y$ at $t = kT$"
+    assert words.gap_label(stored_system(ds.attrs)) == "gap coordinate\n$y$ at $t = kT$"
 
 
 @pytest.mark.parametrize(
@@ -213,7 +214,7 @@ def test_a_gap_coordinate_that_depends_on_parameters_is_that_of_each_cell() -> N
     [((-1.0, 1.0), "b - a"), ((1.0, 0.0), "a"), ((2.0, -0.5), r"2\,a - 0.5\,b"), ((-1.0, 0.0), "-a")],
 )
 def test_a_combination_is_spelled_as_it_would_be_by_hand(row: tuple[float, ...], text: str) -> None:
-    assert gap.combination(row, ("a", "b")) == text
+    assert words.combination(row, ("a", "b")) == text
 
 
 # Portraits

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib import colors
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
 from atlas.query import grazing
 from atlas.query.queries import boundary
-from atlas.render import classes, impacts, kinds, maps, names, overlays, scales
-from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
+from atlas.render import classes, kinds, layout, maps, overlays, scales
+from tests.pictures import NAN, atlas, colour, curves, keeping, labels, painted, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
@@ -107,47 +108,50 @@ def test_a_torus_is_textured_where_it_shows_its_class_and_not_where_it_shows_its
 
 @pytest.mark.parametrize("kind", kinds.TABLE)
 def test_every_row_of_the_table_names_a_function_that_draws_it(kind: str) -> None:
-    assert callable(kinds.drawn_by(kind))
+    assert callable(kinds.TABLE[kind].painter)
 
 
 # Impact pairs
 
 
-def counted(*motions: tuple[int, int, int]) -> tuple[np.ndarray, ...]:
-    n, p, q = (np.array([column], np.int32) for column in zip(*motions, strict=True))
-    return np.full(n.shape, PERIODIC, np.int8), n, p, q
+def motions(*given: tuple[int, int, int]) -> tuple[np.ndarray, list[Artist]]:
+    """The colours of a row of motions, and the legend's entries."""
+    n, p, q = (np.array([column], np.int32) for column in zip(*given, strict=True))
+    regime = np.full(n.shape, PERIODIC, np.int8)
+    found = painted("impacts", regime=regime, period=n, impacts_upper=p, impacts_lower=q)
+    return found.rgba, list(found.legend)
 
 
 def test_motions_of_different_impacts_have_different_colours() -> None:
-    rgba, legend, _ = impacts.paint(*counted((1, 1, 1), (1, 2, 2), (2, 2, 2), (2, 2, 3)))
+    rgba, legend = motions((1, 1, 1), (1, 2, 2), (2, 2, 2), (2, 2, 3))
     assert len({tuple(cell) for cell in rgba[0]}) == 4
     assert [entry.get_label() for entry in legend] == ["1-1-1", "1-2-2", "2-2-2", "2-2-3"]
 
 
 def test_mirror_images_share_a_hue_and_differ_in_lightness() -> None:
-    rgba, _, _ = impacts.paint(*counted((1, 2, 1), (1, 1, 2)))
+    rgba, _ = motions((1, 2, 1), (1, 1, 2))
     (hue, _, value), (mirrored, _, other) = (colors.rgb_to_hsv(cell[:3] / 255) for cell in rgba[0])
     assert hue == pytest.approx(mirrored, abs=0.05)
     assert abs(value - other) > 0.2
 
 
 def test_motions_that_stick_are_one_class() -> None:
-    rgba, legend, _ = impacts.paint(*counted((1, -1, -1), (2, -1, -1), (1, 1, 1)))
+    rgba, legend = motions((1, -1, -1), (2, -1, -1), (1, 1, 1))
     assert tuple(rgba[0, 0]) == tuple(rgba[0, 1]) != tuple(rgba[0, 2])
     assert [entry.get_label() for entry in legend] == ["1-1-1", "periodic, sticks"]
 
 
 def test_a_motion_has_its_colour_whatever_else_there_is_on_the_plane() -> None:
     many = [(1, k, k) for k in range(1, 15)]
-    alone, _, _ = impacts.paint(*counted((7, 9, 9)))
-    among, _, _ = impacts.paint(*counted(*many * 3, (7, 9, 9)))
+    alone, _ = motions((7, 9, 9))
+    among, _ = motions(*many * 3, (7, 9, 9))
     assert tuple(alone[0, 0]) == tuple(among[0, -1])
 
 
 def test_motions_that_share_a_colour_share_a_line_of_the_legend() -> None:
     many = [(n, 40, 40) for n in range(1, 60)]
-    _, legend, _ = impacts.paint(*counted(*many, (1, 1, 1)))
-    assert len(legend) == 1 + len(impacts.UNLISTED)
+    _, legend = motions(*many, (1, 1, 1))
+    assert len(legend) == 1 + len(classes.UNLISTED)
     assert legend[0].get_label() == "1-1-1"
     assert legend[1].get_label().count("-40-40") == 3 and legend[1].get_label().endswith(", …")
 
@@ -169,10 +173,10 @@ def test_a_motion_is_named_inside_its_region() -> None:
 def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
     rows, columns = np.mgrid[:200, :200]
     band = np.abs(rows - columns) < 12
-    row, column, angle = names.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    row, column, angle = layout.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
     assert angle == pytest.approx(45.0, abs=3.0)
     assert abs(row - column) < 6
-    assert names.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+    assert layout.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
 
 
 # Combined
@@ -209,11 +213,11 @@ def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() ->
 def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
     upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
     symmetric = np.array([[True, False, False, False, False]])
-    every = np.ones((1, 5), bool)
-    painted = classes.symmetries(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower, every)
+    regime = np.full((1, 5), PERIODIC, np.int8)
+    found = painted("symmetry", regime=regime, symmetric=symmetric, impacts_upper=upper, impacts_lower=lower)
     expected = [classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.UNTOLD]
-    assert [tuple(cell[:3]) for cell in painted.rgba[0]] == [rgb(color) for color in expected]
-    assert len(painted.legend) == 4
+    assert [tuple(cell[:3]) for cell in found.rgba[0]] == [rgb(color) for color in expected]
+    assert len(found.legend) == 4
 
 
 def test_the_symmetry_map_colours_what_is_not_periodic_by_its_regime() -> None:
@@ -303,7 +307,7 @@ def test_the_grazing_line_is_that_of_the_solver() -> None:
 
 
 def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut() -> None:
-    x, y = (maps.read(plane(), (), "test").x, maps.read(plane(), (), "test").y)
+    _, (x, y) = maps.rising(plane())
     fixed = {p.name: p.default for p in TWO_MASS.parameters}
     xs, ys, quick = grazing.grazing_grid(TWO_MASS, fixed, x, y, points=12)
     assert quick == pytest.approx(grazing.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
@@ -372,7 +376,7 @@ def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it()
         {"omega": np.linspace(0.5, 4.5, n), "mu_k": np.linspace(1.0, 5.0, n)},
         regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
     ).assign_coords(zeta=0.002, b=1.5)  # fmt: skip
-    x, y = maps.read(ds, (), "test").x, maps.read(ds, (), "test").y
+    _, (x, y) = maps.rising(ds)
     fixed = {p.name: float(ds[p.name]) for p in TWO_MASS.parameters if ds[p.name].ndim == 0}
     xs, _, ratio = grazing.grazing_grid(TWO_MASS, fixed, x, y)
     ridge = ratio[:, (xs > 1.2) & (xs < 2.2)].max(axis=1)
@@ -401,8 +405,8 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
 
 def test_the_legend_names_the_overlays() -> None:
     found = labels(render.figure(plane(), "period", overlay=render.MAP_OVERLAYS))
-    assert found[-8:-5] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
-    assert found[-5:-1] == ["fold", "period doubling", "graze", "codimension two"]
+    assert found[-7:-4] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+    assert found[-4:] == ["fold", "period doubling", "graze", "graze–period doubling"]
 
 
 def test_there_are_lines_for_every_overlay() -> None:

@@ -19,7 +19,7 @@ from atlas.errors import InputError
 from atlas.labels.table import _MEANINGS, BRANCH
 from atlas.overview.coarsen import SHARE, level_variables
 from atlas.overview.coordinates import bounds_name
-from atlas.render import figure, gap
+from atlas.render import figure, words
 from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
 from atlas.store import store
@@ -89,7 +89,7 @@ def test_a_symbol_that_is_no_mathtext_is_shown_as_the_name(tmp_path: Path, symbo
     drawn = figure(atlas.open(header.path))
     drawn.canvas.draw()
     assert drawn.axes[0].get_xlabel() == r"stiff_2 $\mathrm{stiff\_2}$"
-    assert gap.symbol_of(header.spec.record, "p") == r"\mathrm{p}"
+    assert words.state_symbol(header.spec.record, "p") == r"\mathrm{p}"
 
 
 @pytest.mark.filterwarnings("error")

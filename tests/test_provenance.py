@@ -34,6 +34,7 @@ def test_a_picture_of_two_atlases_names_both_digests_and_each_solver_once(other:
 
 
 @pytest.mark.parametrize("suffix", ["svg", "pdf"])
-def test_vector_files_name_the_solver_too(suffix: str, tmp_path: Path) -> None:
+def test_vector_files_name_the_solver_and_the_spec_too(suffix: str, tmp_path: Path) -> None:
     path = render.render(every_regime().assign_attrs(solver_version=7), tmp_path / f"map.{suffix}")
     assert b"solver version 7" in path.read_bytes()
+    assert b"two-mass" in path.read_bytes().split(b"solver version 7")[1 if suffix == "pdf" else 0]

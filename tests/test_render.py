@@ -13,8 +13,8 @@ from PIL import Image
 from atlas import render
 from atlas.errors import InputError
 from atlas.query.queries import cell_edges
-from atlas.render import classes, scales, style
-from tests.pictures import NAN, atlas, colour, every_regime, labels, pixel, section, sweep
+from atlas.render import scales, style, words
+from tests.pictures import NAN, atlas, colour, every_regime, labels, painted, pixel, section, sweep
 from workers.model.system import System
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, REGIMES, UNDETERMINED
 
@@ -135,7 +135,8 @@ def test_a_sign_that_does_not_occur_gets_the_other_ones_range() -> None:
 
 def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent() -> None:
     codes = np.array([[PERIODIC, CHAOTIC]], np.int8)
-    rgba = scales.exponents(codes, np.array([[-1e-6, 1e-6]]), colors.TwoSlopeNorm(0.0, -2.0, 1.0)).rgba
+    scale = colors.TwoSlopeNorm(0.0, -2.0, 1.0)
+    rgba = painted("exponent", scale, regime=codes, largest=np.array([[-1e-6, 1e-6]])).rgba
     stable, chaotic = rgba[0].astype(int)
     assert stable[2] > stable[0]
     assert chaotic[0] > chaotic[2]
@@ -143,14 +144,14 @@ def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent()
 
 def test_cells_without_exponent_have_the_colour_of_their_regime() -> None:
     ds = every_regime()
-    rgba = scales.exponents(ds.regime.values, ds.largest.values, colors.TwoSlopeNorm(0.0, -1.0, 1.0)).rgba
+    rgba = painted("exponent", regime=ds.regime.values, largest=ds.largest.values).rgba
     for code in (UNDETERMINED, INVALID, FAILED):
         assert tuple(rgba[ds.regime.values == code][0]) == colour(code)
 
 
 def test_pending_cells_show_the_texture_behind_them() -> None:
     ds = every_regime()
-    rgba = scales.exponents(ds.regime.values, ds.largest.values, colors.TwoSlopeNorm(0.0, -1.0, 1.0)).rgba
+    rgba = painted("exponent", regime=ds.regime.values, largest=ds.largest.values).rgba
     assert rgba[0, 0, 3] == 0
     assert render.figure(ds).axes[0].patch.get_hatch()
 
@@ -193,23 +194,23 @@ def test_a_written_chaos_map_shows_known_cells_in_their_colours(tmp_path: Path) 
 
 def test_every_regime_has_its_own_colour_in_the_period_map() -> None:
     codes = np.array([[each.code for each in REGIMES]], np.int8)
-    painted = classes.periods(codes, (codes == PERIODIC).astype(np.int32))
-    rgba, legend = painted.rgba, painted.legend
+    found = painted("period", regime=codes, period=(codes == PERIODIC).astype(np.int32))
+    rgba, legend = found.rgba, found.legend
     assert len({tuple(cell) for cell in rgba[0]}) == len(legend) == len(REGIMES)
     assert "aperiodic" in [entry.get_label() for entry in legend]
 
 
 def test_every_class_of_periods_has_its_own_colour() -> None:
     periods = np.array([[1, 2, 3, 4, 5, 6, 7, 8, 9, 17, 65]], np.int32)
-    painted = classes.periods(np.full(periods.shape, PERIODIC, np.int8), periods)
-    rgba, legend = painted.rgba, painted.legend
+    found = painted("period", regime=np.full(periods.shape, PERIODIC, np.int8), period=periods)
+    rgba, legend = found.rgba, found.legend
     taken = {tuple(cell) for cell in rgba[0]} | {colour(each.code) for each in REGIMES if each.code != PERIODIC}
     assert len(taken) == 9 + len(REGIMES) - 1
     assert [entry.get_label() for entry in legend][-3:] == ["period 7–8", "period 9–16", "period ≥ 17"]
 
 
 def test_periods_of_one_class_share_a_colour() -> None:
-    rgba = classes.periods(np.full((1, 2), PERIODIC, np.int8), np.array([[9, 16]], np.int32)).rgba
+    rgba = painted("period", regime=np.full((1, 2), PERIODIC, np.int8), period=np.array([[9, 16]], np.int32)).rgba
     assert tuple(rgba[0, 0]) == tuple(rgba[0, 1])
 
 
@@ -223,7 +224,8 @@ def test_the_legend_of_the_period_map_names_the_classes_present_alone() -> None:
 
 
 def test_impact_free_cells_are_their_own_class_and_not_period_1() -> None:
-    rgba = classes.periods(np.array([[NO_IMPACT, PERIODIC]], np.int8), np.array([[1, 1]], np.int32)).rgba
+    codes = np.array([[NO_IMPACT, PERIODIC]], np.int8)
+    rgba = painted("period", regime=codes, period=np.ones((1, 2), np.int32)).rgba
     assert tuple(rgba[0, 0]) == colour(NO_IMPACT)
     assert tuple(rgba[0, 1]) == colour(PERIODIC)
 
@@ -245,8 +247,8 @@ def test_initial_values_of_a_system_of_ones_own_are_named_once() -> None:
     x, v = (System.from_mapping(hammer).parameter(name) for name in ("x", "v"))
     attributes = {p.name: {"long_name": p.meaning, "units": p.unit, "symbol": p.symbol} for p in (x, v)}
     ds = xr.Dataset(coords={name: (name, [0.0, 1.0], attributes[name]) for name in ("x", "v")})
-    assert style.axis_label(ds, "x") == "initial displacement $x(0)$"
-    assert style.axis_label(ds, "v") == r"initial velocity $\dot x(0)$"
+    assert words.axis_label(ds, "x") == "initial displacement $x(0)$"
+    assert words.axis_label(ds, "v") == r"initial velocity $\dot x(0)$"
 
 
 def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -> None:
@@ -255,7 +257,7 @@ def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -
 
 
 def test_the_title_names_an_initial_state_other_than_rest() -> None:
-    assert "$x_1(0) = 0.1$" in style.title_line(every_regime().assign_coords(x1=0.1))
+    assert "$x_1(0) = 0.1$" in words.title_line(every_regime().assign_coords(x1=0.1))
 
 
 @pytest.mark.parametrize(
@@ -270,7 +272,7 @@ def test_the_title_names_an_initial_state_other_than_rest() -> None:
     ],
 )
 def test_numbers_read_as_they_are_written_by_hand(value: float, text: str) -> None:
-    assert style.number(value) == text
+    assert words.number(value) == text
 
 
 def test_the_first_axis_is_drawn_to_the_right() -> None:

@@ -12,7 +12,7 @@ from scipy import stats
 from atlas import render
 from atlas.errors import InputError
 from atlas.query import hysteresis
-from atlas.render import spectrum, sweep
+from atlas.render import sweep
 from tests.pictures import atlas, labels, line, plane
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC
@@ -21,12 +21,12 @@ from workers.results import CHAOTIC
 def test_every_exponent_has_its_line() -> None:
     bottom = render.figure(line(), "spectrum").axes[1]
     drawn = {each.get_color(): each.get_ydata() for each in bottom.lines if len(each.get_xdata()) == 8}
-    assert [drawn[spectrum.color(i)][0] for i in range(4)] == pytest.approx([-0.4, -0.5, -0.6, -0.7])
+    assert [drawn[sweep.color_of(i)][0] for i in range(4)] == pytest.approx([-0.4, -0.5, -0.6, -0.7])
 
 
 def test_equal_exponents_take_turns_so_that_both_are_seen() -> None:
     values = np.stack([np.zeros(120), -np.ones(120), -2 * np.ones(120), -2 * np.ones(120)], axis=1)
-    shown = spectrum.turns(values, 1e-9)
+    shown = sweep.turns(values, 1e-9)
     assert shown[:, :2].all()
     assert (shown[:, 2] ^ shown[:, 3]).all()
     assert 40 < shown[:, 3].sum() < 80
@@ -38,7 +38,7 @@ def test_a_lost_direction_is_marked_and_not_drawn_as_a_number() -> None:
     bottom = render.figure(ds, "spectrum").axes[1]
     marks = next(each for each in bottom.lines if each.get_marker() == "v")
     assert list(marks.get_xdata()) == [ds["omega"].values[2]]
-    assert np.isnan(next(each for each in bottom.lines if each.get_color() == spectrum.color(3)).get_ydata()[2])
+    assert np.isnan(next(each for each in bottom.lines if each.get_color() == sweep.color_of(3)).get_ydata()[2])
 
 
 def test_a_spectrum_that_is_not_stored_is_refused_with_the_setting_that_stores_it() -> None:

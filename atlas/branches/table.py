@@ -6,7 +6,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
+from atlas.query import machine
 from atlas.spec.resolved import digest_of
 from atlas.text import plural
 from workers.model.system import System, identity
@@ -104,6 +106,13 @@ class Branches:
 
         columns = ["branch", "kind", self.along, *self.system.states, "unstable", "kappa", *_PATTERN, "leaving"]
         return pandas.DataFrame(list(self._events()), columns=columns)
+
+    def gap_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
+        """The gap coordinate (N, n) at the sections of a branch, and of its mirror image where there is one."""
+        rows = machine.gap_rows(self.system, {**self.parameters, self.along: branch.values})
+        for states in (branch.sections, branch.mirrored):
+            if states is not None:
+                yield np.einsum("ni,nki->nk", rows, states[..., : rows.shape[1]])
 
     @property
     def decided_by(self) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """Branches followed from orbits, and the branches that begin at their period doublings and symmetry breakings."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +63,14 @@ class Branch:
     def values(self) -> Array:
         """The parameter (N,) at each point."""
         return np.array([point.values[0] for point in self.run.points])
+
+    @property
+    def parts(self) -> Iterator[tuple[bool, slice]]:
+        """Stretches of points that are all stable, or all unstable, each joined to the next at the point between."""
+        unstable = np.array([point.unstable for point in self.run.points]) > 0
+        steps = unstable[1:] | unstable[:-1]
+        ends = [0, *(np.flatnonzero(steps[1:] != steps[:-1]) + 1).tolist(), len(steps)]
+        return ((not steps[first], slice(first, last + 1)) for first, last in pairwise(ends) if last > first)
 
 
 class Untried(NamedTuple):

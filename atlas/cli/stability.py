@@ -15,8 +15,9 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_attractors, print_table, text, to_json
+from atlas.cli.progress import reporter
 from atlas.robustness.norm import checked_weights
-from atlas.service.progress import Progress, prepare_kernels, reporter
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.spec import checked_parameters, checked_settings
 from atlas.spec.system import checked_system
 from atlas.task.compile import ATTRACTORS, kernels_for

@@ -69,6 +69,32 @@ class Curve:
         """Which points (N,) lie where the orbit is otherwise stable."""
         return self.unstable == 0
 
+    @property
+    def stable_parts(self) -> list[tuple[int, int]]:
+        """The first and the last point of each part along which the orbit is otherwise stable."""
+        steps = self.bounding[1:] & self.bounding[:-1]
+        ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
+        return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
+
+    @property
+    def stable_lines(self) -> list[NDArray[np.float64]]:
+        """These parts as lines (N, 2)."""
+        return [self.points[first : last + 1] for first, last in self.stable_parts]
+
+    @property
+    def stable_corners(self) -> list[Corner]:
+        """The points of codimension two at or beside such a part."""
+        return [each for each in self.corners if self.bounding[max(0, each.after - 1) : each.after + 2].any()]
+
+    @property
+    def loose_ends(self) -> list[NDArray[np.float64]]:
+        """Where such a part (2,) ends inside the plane at no point of codimension two: the search gave up, the orbit
+        ceased, or it is unstable beyond.
+        """
+        why = {0: self.ends[0], len(self.points) - 1: self.ends[1]}
+        ends = [k for part in self.stable_parts for k in part if why.get(k) not in ("edge", "closed")]
+        return [self.points[k] for k in ends if all(abs(corner.after - k) > 2 for corner in self.corners)]
+
 
 @dataclass(frozen=True, eq=False)
 class Curves:

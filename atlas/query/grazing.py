@@ -1,14 +1,20 @@
 """Where the impact-free motion would graze: its extremes over a period against the distances to the stops."""
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from contourpy import contour_generator
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from atlas.errors import InputError
 from atlas.query import machine
+from atlas.spec.system import refuse_modes
 from workers.model.oscillator import Mode, Oscillator
 from workers.model.system import System
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -43,6 +49,25 @@ class Axis(Protocol):
     @property
     def log(self) -> bool:
         """Whether the map has it on a logarithmic scale."""
+
+
+def grazing_lines(ds: "xr.Dataset", x: Axis, y: Axis) -> list[Array]:
+    """The lines (N, 2) of a plane along which the impact-free motion would just touch a stop, x first.
+
+    InputError where the system is unknown or has modes, and where a mode has no stiffness in any corner of the plane.
+    """
+    system = machine.known_system(ds, "overlay 'grazing'")
+    refuse_modes(system, "grazing lines")
+    same, ends = machine.fixed(ds, system), machine.corners({x.name: x.values, y.name: y.values})
+    if all(np.all(drifts(osc) | ~there) for _, osc, there in machine.oscillators(system, same, ends)):
+        raise InputError(
+            f"overlay 'grazing': there is no such line, since a mode of {system.name} has no stiffness and its "
+            "impact-free motion may drift anywhere"
+        )
+    xs, ys, ratio = grazing_grid(system, same, x, y)
+    if not (np.any(ratio < 0.0) and np.any(ratio > 0.0)):
+        return []
+    return [np.asarray(line) for line in contour_generator(xs, ys, ratio).lines(0.0)]
 
 
 def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array], y: tuple[str, Array]) -> Array:

@@ -51,6 +51,21 @@ def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Ar
     return found
 
 
+def twins_everywhere(ds: xr.Dataset, axes: Mapping[str, Array]) -> bool:
+    """Whether x(t) -> -x(t + T/2) takes motions to motions in all corners of a plane of these axes.
+
+    Not of an atlas whose system is unknown.
+    """
+    system = stored_system(ds.attrs)
+    return system is not None and bool(np.all(has_twins(system, fixed(ds, system), corners(axes))))
+
+
+def corners(axes: Mapping[str, Array]) -> dict[str, Array]:
+    """The four corners of a plane of two axes, as points (4,) of their parameters."""
+    ends = np.meshgrid(*(values[[0, -1]] for values in axes.values()))
+    return {name: each.ravel() for name, each in zip(axes, ends, strict=True)}
+
+
 def why_no_twins(system: System, values: Mapping[str, float]) -> str:
     """What keeps the machine of these parameters from having mirror images of its motions."""
     osc = system.build(values)

@@ -1,24 +1,33 @@
-"""The maps of classes, each with a colour and an entry in the legend: periods, symmetry, attractors, labels."""
+"""Maps of classes, each with a colour and an entry in the legend: periods, motions, symmetry, attractors, basins."""
 
 import colorsys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TypeAlias
+from zlib import crc32
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
-from atlas.query import machine
+from atlas.query import basins as reached
 from atlas.query.attractors import branches
-from atlas.render import maps, style
-from atlas.render.maps import Painted, View
-from workers.results import LABEL, NO_IMPACT, PERIODIC
+from atlas.query.motions import VARIABLES, Motion, broken_cells
+from atlas.query.motions import motions as motions_of
+from atlas.render import maps, style, words
+from atlas.render.maps import Cells, Colors, Painted, View
+from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, SETTLED
 
-PERIODS: tuple[tuple[int, int | None, str], ...] = (
+Class: TypeAlias = tuple[Cells, str, str]
+"""Cells (y, x), their colour and their name."""
+
+PERIODS: tuple[tuple[int, int, str], ...] = (
     (1, 1, style.COLORS[PERIODIC]),
     (2, 2, "#38ad83"),
     (3, 3, "#a467ff"),
@@ -27,7 +36,7 @@ PERIODS: tuple[tuple[int, int | None, str], ...] = (
     (6, 6, "#b5a3b7"),
     (7, 8, "#594e6e"),
     (9, 16, "#8faefc"),
-    (17, None, "#0314cf"),
+    (17, np.iinfo(np.int32).max, "#0314cf"),
 )
 """First and last period of each class and its colour, the same in every picture: cool ones, since warm ones are chaos.
 
@@ -35,20 +44,34 @@ Chosen, with the colours of the regimes and of the chaos, for the greatest least
 above 20 among periods, above 12 as seen without red, green or blue receptors.
 """
 
+HUES = {
+    (1, 1, 1): ("#4477aa", "#73b9ff"),
+    (1, 2, 2): ("#d9830a", "#433b2f"),
+    (2, 4, 2): ("#8d3bf3", "#4f297f"),
+    (2, 2, 2): ("#ffca97", "#9b8066"),
+    (1, 2, 1): ("#ff25d2", "#51314b"),
+    (2, 3, 2): ("#87cde4", "#186177"),
+    (1, 3, 3): ("#dbbc50", "#625a3c"),
+}
+"""Colours of the most frequent motions n-p-q with p >= q, and of their mirror images with p < q, in the same hue.
+
+Chosen, with the colours of the regimes, for the greatest least difference between any two, also as seen without red or
+without green receptors.
+"""
+UNLISTED = ("#d7ab9f", "#1d0335", "#0100f9", "#ffff8e")
+"""Colours of all other motions, which share them by a hash of their name: a motion has one colour in every picture."""
+_NAMED = 3
+"""Motions that the legend names at most for a colour that several share."""
+STICKS, STICKS_HATCH = "#d5ece6", "----"
+"""Colour and texture of periodic motions that rest on a stop."""
+
 SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#4a4ae8"
 """The colours of periodic motions: symmetric; broken with more impacts at the upper stop; at the lower; broken, with
 as many; of a machine whose stops, load or force are not symmetric, so that no motion has a mirror image.
 """
-SYMMETRIES = {
-    SYMMETRIC: "symmetric",
-    UPPER: "broken, twin A (more impacts above)",
-    LOWER: "broken, twin B (more impacts below)",
-    UNTOLD: "broken, as many impacts above as below",
-    ALONE: "periodic, of a machine that is not symmetric",
-}
 
-COUNTS = {1: "#dfe8ee", 2: "#8fb8d8", 3: "#4a7fb5", 4: "#f0b13c", 5: "#d9622b", 6: "#7a1f5c"}
-"""The colour of each number of attractors; the last of all larger ones."""
+COUNTS = {1: "#eff3f5", 2: "#bcd3e8", 3: "#d9a63a", 4: "#c8662a", 5: "#963050", 6: "#40103c"}
+"""The colour of each number of attractors, ever darker; the last of all larger ones."""
 
 PALETTE = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#c9703f", "#3aa6a6", "#8c7a2e")
 """Colours of the branches of largest share; each also in a darker tone, of its mirror image: as a point on white a
@@ -56,20 +79,22 @@ paler one would not be seen.
 """
 REST = "#4d4d4d"
 """The colour of all other branches."""
+BASINS = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#8fb8d8", "#c9703f", "#6d6d6d")
+"""Colours of the attractors of a plane of initial states; they begin anew where there are more."""
 PALER, DARKER = 0.8, 0.25
 """Lightness of the colour of a mirror image, whose hue is that of its twin, on the way from black 0 to white 1."""
-
-
-Class: TypeAlias = tuple[NDArray[np.bool_], str, str]
-"""Cells (y, x), their colour and their name."""
+SLOW = 0.55
+"""How dark the initial states are that take longest to settle, black 0."""
+SOONEST, LATEST = 5.0, 95.0
+"""Per cent of initial states that settle sooner than any that is shaded, and than those drawn darkest."""
 
 
 def colored(
     regime: NDArray[np.int8],
     classes: Iterable[Class],
     beside: str | None = None,
-    rgba: NDArray[np.uint8] | None = None,
-    known: NDArray[np.bool_] | None = None,
+    rgba: Colors | None = None,
+    known: Cells | None = None,
 ) -> Painted:
     """Cells in the colours of their classes, and those of no class in the colours of their regimes.
 
@@ -87,24 +112,51 @@ def colored(
 
 def period(view: View) -> Painted:
     """The forcing periods of each cell's orbit, and the regime where it never closes."""
-    return periods(view.plane.regime, view.plane["period"])
-
-
-def periods(regime: NDArray[np.int8], period: NDArray[np.int32]) -> Painted:
-    """The same of arrays (y, x)."""
-    counted = (regime == PERIODIC) & (period >= 1)
-    most = np.iinfo(np.int32).max
+    regime, period = view.plane.regime, view.plane["period"]
     classes = [
-        (counted & (period >= first) & (period <= (last or most)), color, _name_of_period(first, last))
+        ((regime == PERIODIC) & (period >= first) & (period <= last), color, _name_of_period(first, last))
         for first, last, color in PERIODS
     ]
     return colored(regime, classes, beside="")
 
 
-def _name_of_period(first: int, last: int | None) -> str:
-    if last is None:
+def _name_of_period(first: int, last: int) -> str:
+    if last == PERIODS[-1][1]:
         return f"period ≥ {first}"
     return f"period {first}" if first == last else f"period {first}–{last}"
+
+
+def motions(view: View) -> Painted:
+    """The periodic motions n-p-q of a plane, the large ones with their names on them."""
+    regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
+    found, number = motions_of(regime, *counts)
+    colors = [color_of(motion) for motion in found]
+    rgba = np.zeros((*regime.shape, 4), np.uint8)
+    if found:
+        rgba[number >= 0] = np.array([style.rgb(color) for color in colors], np.uint8)[number[number >= 0]]
+    own = [(color, motion.label) for motion, color in zip(found, colors, strict=True) if color not in UNLISTED]
+    legend = [style.swatch(color, label) for color, label in own if color != STICKS]
+    by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(found)), kind="stable")
+    for color in UNLISTED:
+        shared = [found[k].label for k in by_area if colors[k] == color]
+        more = ", …" if len(shared) > _NAMED else ""
+        legend += [style.swatch(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
+    legend += [style.swatch(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
+    legend += maps.paint_regimes(rgba, regime, number < 0)
+    rests = maps.Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
+    named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(found) if motion.p >= 0]
+    beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
+    return Painted(rgba, legend, textures=[rests], beside=beside, names=named)
+
+
+def color_of(motion: Motion) -> str:
+    """The colour of a motion, the same in every picture; mirror images have one hue."""
+    if motion.p < 0:
+        return STICKS
+    group = (motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
+    if group in HUES:
+        return HUES[group][motion.p < motion.q]
+    return UNLISTED[crc32(repr(group).encode()) % len(UNLISTED)]
 
 
 def symmetry(view: View) -> Painted:
@@ -114,50 +166,17 @@ def symmetry(view: View) -> Painted:
     infinite where the mass comes to rest. InputError where no machine of the periodic cells is symmetric.
     """
     plane = view.plane
-    counts = plane["impacts_upper"], plane["impacts_lower"]
-    return symmetries(plane.regime, plane["symmetric"], *counts, _has_twins(view.ds, plane))
-
-
-def symmetries(
-    regime: NDArray[np.int8],
-    symmetric: NDArray[np.bool_],
-    upper: NDArray[np.int32],
-    lower: NDArray[np.int32],
-    twins: NDArray[np.bool_],
-) -> Painted:
-    """The same of arrays (y, x); ``twins``: where motions have mirror images."""
-    periodic = regime == PERIODIC
-    own = periodic & symmetric.astype(bool)
-    broken = periodic & ~own & twins
-    cells = {
-        SYMMETRIC: own,
-        UPPER: broken & (upper > lower),
-        LOWER: broken & (upper < lower),
-        UNTOLD: broken & (upper == lower),
-        ALONE: periodic & ~own & ~twins,
-    }
-    return colored(regime, [(cells[color], color, name) for color, name in SYMMETRIES.items()])
-
-
-def _has_twins(ds: xr.Dataset, plane: maps.Plane) -> NDArray[np.bool_]:
-    """In which periodic cells (y, x) motions have mirror images; InputError where there are such cells, but in none."""
-    system = machine.known_system(ds, "kind 'symmetry'")
-    same = machine.fixed(ds, system)
-    periodic = plane.regime == PERIODIC
-    found = periodic & plane["symmetric"].astype(bool)  # which proves that its machine is
-    rows, columns = np.nonzero(periodic & ~found)
-    if not rows.size:
-        return found
-    points = {plane.x.name: plane.x.values[columns], plane.y.name: plane.y.values[rows]}
-    found[rows, columns] = machine.has_twins(system, same, points)
-    if not found.any():
-        here = {name: float(values[0]) for name, values in points.items()}
-        raise InputError(
-            f"kind 'symmetry' tells motions from their mirror images, which no motion has here: at "
-            f"{', '.join(f'{name} = {value:g}' for name, value in here.items())} "
-            f"{machine.why_no_twins(system, same | here)}"
-        )
-    return found
+    regime, upper, lower = plane.regime, plane["impacts_upper"], plane["impacts_lower"]
+    symmetric = plane["symmetric"].astype(bool)
+    broken = broken_cells(view.ds, plane.x, plane.y, regime, symmetric)
+    classes = [
+        ((regime == PERIODIC) & symmetric, SYMMETRIC, "symmetric"),
+        (broken & (upper > lower), UPPER, "broken, twin A (more impacts above)"),
+        (broken & (upper < lower), LOWER, "broken, twin B (more impacts below)"),
+        (broken & (upper == lower), UNTOLD, "broken, as many impacts above as below"),
+        ((regime == PERIODIC) & ~symmetric & ~broken, ALONE, "periodic, of a machine that is not symmetric"),
+    ]
+    return colored(regime, classes)
 
 
 def attractors(view: View) -> Painted:
@@ -165,14 +184,14 @@ def attractors(view: View) -> Painted:
 
     A cell of which some initial states are undecided may have more: it is counted by those that are known.
     """
-    regime, most = view.plane.regime, max(COUNTS)
-    count = np.where(maps.determined(regime), np.rint(view.plane["attractors"]), 0).astype(np.int64)
+    most = max(COUNTS)
+    count = np.minimum(np.nan_to_num(view.plane.known("attractors")).round(), most)
     names = {1: "1 attractor", most: f"{most} or more"}
-    classes = [
-        (count >= most if number == most else count == number, color, names.get(number, f"{number} attractors"))
-        for number, color in COUNTS.items()
-    ]
-    return colored(regime, classes, beside="")
+    classes = [(count == n, color, names.get(n, f"{n} attractors")) for n, color in COUNTS.items()]
+    return colored(view.plane.regime, classes, beside="")
+
+
+# Attractors by their labels
 
 
 def labels(view: View) -> Painted:
@@ -180,18 +199,17 @@ def labels(view: View) -> Painted:
 
     A mirror image has a darker tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
     """
-    known, regime = branches(view.ds), view.plane.regime
-    label = np.rint(view.plane[LABEL.name]).astype(np.int64)
+    known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
     table = np.array([style.rgb(color) for color in [*branch_colors(known), "white"]], np.uint8)
-    painted = colored(regime, (), "", table[label], label >= 0)
+    painted = colored(view.plane.regime, (), "", table[label], label >= 0)
     return replace(painted, legend=[*branch_entries(known, label), *painted.legend])
 
 
 def colors_of(
     known: xr.Dataset, palette: Sequence[str], mirrored: float, quiet: str, rest: str | None = None
 ) -> list[str]:
-    """The colour of every attractor of a table: that of a mirror image has the hue of its twin's and this lightness,
-    that of no impact is ``quiet``.
+    """The colour of every attractor of a table: ``quiet`` without impact; of a mirror image its twin's hue in this
+    lightness.
 
     Where the palette is used up it begins anew, or ``rest`` is the colour of all others.
     """
@@ -233,6 +251,47 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
     """A branch in a few words: n-p-q, periods, impacts at either stop; and whose mirror image it is."""
     one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
-        return style.name_of(NO_IMPACT)
-    name = "-".join(str(int(one[each])) for each in ("period", "impacts_upper", "impacts_lower"))
+        return words.name_of(NO_IMPACT)
+    name = "-".join(str(int(one[each])) for each in VARIABLES)
     return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
+
+
+def basins(view: View) -> Painted:
+    """Which attractor each initial state of a plane reaches, darker where motion takes longer to settle.
+
+    A mirror image has a paler tone of its twin's hue; the section points of the attractors lie on top.
+    """
+    known, plane = reached.table(view.ds), view.plane
+    colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
+    label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
+    named = [(label == k, color, _name_of_attractor(known, k)) for k, color in enumerate(colors)]
+    painted, there = colored(plane.regime, named), label >= 0
+    rgba, legend = painted.rgba, list(painted.legend)
+    if there.any():
+        soon, late = np.percentile(settled[there], [SOONEST, LATEST])
+        slow = np.clip((settled[there] - soon) / max(late - soon, 1.0), 0.0, 1.0)
+        rgba[there, :3] = (rgba[there, :3] * (1.0 - (1.0 - SLOW) * slow)[:, None]).astype(np.uint8)
+        if late > soon:
+            meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} periods"
+            at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
+            legend.insert(at, style.Gradient("#c8c8c8", SLOW, meaning))
+    return Painted(rgba, legend, over=partial(_draw_points, known=known, plane=plane, colors=colors))
+
+
+def _name_of_attractor(known: xr.Dataset, label: int) -> str:
+    """An attractor in a few words: its label, its regime or period, its share."""
+    one = known.isel({ATTRACTOR: label})
+    regime = int(one["regime"])
+    what = f"period {int(one['period'])}" if regime == PERIODIC else words.name_of(regime)
+    return f"{label}: {what}, {100 * float(one['share']):.3g} %"
+
+
+def _draw_points(ax: Axes, known: xr.Dataset, plane: maps.Plane, colors: list[str]) -> list[Artist]:
+    """Draw the section points of the attractors on the plane of the initial states; the legend entry."""
+    names = [str(name) for name in known["component"].values]
+    x, y = names.index(plane.x.name), names.index(plane.y.name)
+    for k, color in enumerate(colors):
+        points = known["points"].isel({ATTRACTOR: k}).values
+        look = ("o", 5.0, color, "black", 0.8) if int(known["period"][k]) > 0 else (".", 2.0, color, "black", 0.2)
+        ax.plot(points[:, x], points[:, y], zorder=4, scalex=False, scaley=False, **style.mark(*look))
+    return [Line2D([], [], label="attractor at $t = kT$", **style.mark("o", 5.0, "white", "black", 1.0))]

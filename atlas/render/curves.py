@@ -1,17 +1,13 @@
-"""Exact curves over a map, with their points of codimension two and the ends of what was followed.
+"""Exact curves over a map, with their points of codimension two and their ends.
 
-Drawn is where the orbit of a curve is otherwise stable: there the curve bounds a region that attractors live in. The
-rest passes through regions without changing what is seen in them, and is left out.
+A curve is drawn where its orbit is otherwise stable: there it bounds a region with attractors. The rest passes through
+regions without changing them, and is left out.
 """
 
-import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from string import ascii_lowercase
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -19,11 +15,11 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from atlas.curves import asking
-from atlas.curves.table import Corner, Curve, Curves
+from atlas.curves.table import Curve
 from atlas.errors import InputError
 from atlas.query.window import axis_names
-from atlas.render import axes, crowding, maps, names
-from atlas.render.events import LOOKS, corner_name, line_entry
+from atlas.render import layout, maps, style
+from atlas.render.maps import View
 
 Array = NDArray[np.float64]
 
@@ -33,162 +29,76 @@ _WIDTHS = {False: 1.1, True: 0.75}
 """Width in points of a curve, likewise."""
 _BESIDE = 6.0
 """Distance in points within which two curves crowd each other."""
-_MARKER, _END, _TYPE = 4.0, 2.6, 7.5
-"""Size in points of the mark of a point of codimension two, of an end, and of the name of such a point."""
-_KEY_WIDTH = 38
-"""Letters in a line of the key to such names, at most where there are several in it."""
-_HARD_SPACE = "\N{NO-BREAK SPACE}"
+_MARK, _END = 4.6, 2.6
+"""Size in points of the mark of a point of codimension two, and of an end."""
 _SAME = 1.0
-"""Distance in points below which two marks of one name are one."""
+"""Distance in points below which two marks of one kind are one."""
 
 
-def of(ds: xr.Dataset, who: str) -> Curves:
-    """The curves of a map; InputError, in one line, where ``who`` needs them and there are none."""
+def wanted(view: View, who: str) -> list[Curve]:
+    """The curves of a map that are to be drawn; InputError where ``who`` needs them and there are none."""
     try:
-        found = asking.curves_of(ds)
+        found = asking.curves_of(view.ds)
     except InputError as error:
         raise InputError(f"{who}: {error}") from None
-    if found.axes != axis_names(ds):
-        raise InputError(f"{who}: curves over {', '.join(found.axes)}, found a map of {', '.join(axis_names(ds))}")
-    return found
+    if found.axes != axis_names(view.ds):
+        raise InputError(f"{who}: curves over {', '.join(found.axes)}, found a map of {', '.join(axis_names(view.ds))}")
+    return [curve for curve in found if view.wanted.curves is None or curve.kind in view.wanted.curves]
 
 
-def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
+def draw(ax: Axes, view: View) -> list[Artist]:
     """Draw the curves that the atlas keeps over a map, and return their legend entries."""
-    return draw_lines(ax, of(ds, "overlay 'curves'"), options, CASING)
+    return draw_lines(ax, wanted(view, "overlay 'curves'"), view, CASING)
 
 
-def wanted(found: Curves, options: maps.Options) -> Curves:
-    """The curves of the kinds that are drawn."""
-    if options.curves is None:
-        return found
-    kept = tuple(curve for curve in found if curve.kind in options.curves)
-    return replace(found, curves=kept)
-
-
-def draw_lines(ax: Axes, found: Curves, options: maps.Options, casing: dict[bool, float] | None = None) -> list[Artist]:
+def draw_lines(ax: Axes, found: list[Curve], view: View, casing: dict[bool, float] | None = None) -> list[Artist]:
     """Draw curves, each kind in its own colour and line style, and return the legend entries of those in view.
 
     Where curves crowd, lines and casings are thinner, for the map to be seen between them.
     """
-    found = wanted(found, options)
-    every = [(curve.kind, line) for curve in found for line in bounding(curve) if _is_in_view(ax, line)]
+    size, scale = view.page.map_size, view.page.scale
+    every = [(curve.kind, line) for curve in found for line in curve.stable_lines if _is_in_view(ax, line)]
     if not every:
         return [Line2D([], [], linestyle="", label="curves: none in this window")]
     lines = [line for _, line in every]
-    places = [axes.in_points(ax, line, options.size) for line in lines]
     drawn: dict[str, list[tuple[Array, bool]]] = {}
-    for number, part, crowded in crowding.parts(lines, places, _BESIDE):
+    for number, part, crowded in layout.parts(lines, [maps.in_points(ax, line, size) for line in lines], _BESIDE):
         drawn.setdefault(every[number][0], []).append((part, crowded))
     entries: list[Artist] = []
-    for kind in [kind for kind in LOOKS if kind in drawn]:
-        segments, widths = [part for part, _ in drawn[kind]], np.array([_WIDTHS[each] for _, each in drawn[kind]])
+    for kind, look in style.LOOKS.items():
+        parts, widths = drawn.get(kind, []), np.array([_WIDTHS[crowded] for _, crowded in drawn.get(kind, [])])
+        if not parts:
+            continue
+        segments = [part for part, _ in parts]
         if casing:
-            wide = widths + [casing[crowded] for _, crowded in drawn[kind]]
+            wide = widths + [casing[crowded] for _, crowded in parts]
             ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
-        look = LOOKS[kind]
         front = LineCollection(segments, colors=look.color, linewidths=widths, linestyles=[look.dashes], zorder=3.2)
         front.set_gid(kind)
         ax.add_collection(front, autolim=False)
-        entries.append(line_entry(kind, _WIDTHS[False]))
-    if options.curves is None or "codimension_two" in options.curves:
-        dense = np.concatenate([crowding.dense(place)[0] for place in places])
-        entries += _draw_corners(ax, found, dense, options)
-    return entries + _draw_ends(ax, found, options)
+        entries.append(style.line_entry(kind, _WIDTHS[False]))
+    kinds = view.wanted.curves
+    if kinds is None or "codimension_two" in kinds:
+        corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})
+        looks = {kind: style.corner_look(kind, _MARK * scale) for kind, _, _ in corners}
+        for kind in sorted(looks, key=[*style.CORNERS, *looks].index):
+            places = [(x, y) for each, x, y in corners if each == kind]
+            entries += _draw_marks(ax, places, size, "corner", 4.2, looks[kind])
+    end = style.mark("o", _END * scale, "black", "white", 0.4) | {"label": "end of a curve"}
+    return entries + _draw_marks(ax, [at for curve in found for at in curve.loose_ends], size, "end", 4.1, end)
 
 
-def bounding(curve: Curve) -> Iterator[Array]:
-    """The parts (N, 2) of a curve along which its orbit is otherwise stable."""
-    for first, last in _stable(curve):
-        yield curve.points[first : last + 1]
-
-
-def corners(found: Curves) -> list[Corner]:
-    """The points of codimension two at or beside a part that is drawn."""
-    kept = []
-    for curve in found:
-        for corner in curve.corners:
-            beside = curve.bounding[max(0, corner.after - 1) : corner.after + 2]
-            if beside.any():
-                kept.append(corner)
-    return kept
-
-
-def loose_ends(found: Curves) -> list[Array]:
-    """Where a drawn part (2,) ends inside the plane at no point of codimension two: the search gave up, the orbit
-    ceased, or it is unstable beyond.
-    """
-    ends = []
-    for curve in found:
-        last_point = len(curve.points) - 1
-        for part in _stable(curve):
-            for k in part:
-                why = {0: curve.ends[0], last_point: curve.ends[1]}.get(k)
-                marked = any(abs(corner.after - k) <= 2 for corner in curve.corners)
-                if not marked and why not in ("edge", "closed"):
-                    ends.append(curve.points[k])
-    return ends
-
-
-def _stable(curve: Curve) -> Iterator[tuple[int, int]]:
-    """The first and the last point of each part of a curve along which its orbit is otherwise stable."""
-    steps = curve.bounding[1:] & curve.bounding[:-1]
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
-    yield from zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True)
-
-
-def _draw_corners(ax: Axes, found: Curves, lines: Array, options: maps.Options) -> list[Artist]:
-    """Mark points of codimension two in view, and name those whose name has room; the legend entries.
-
-    Resonances have their names, others a letter that the legend explains.
-    """
-    kinds = {corner_name(corner.kind): corner for corner in corners(found)}
-    marked = _in_view(ax, [(corner_name(corner.kind), corner.x, corner.y) for corner in corners(found)], options)
-    if not marked:
-        return []
-    look = _mark(_MARKER * options.page.scale, "white", 0.9)
-    for _, _, (x, y) in marked:
-        ax.plot(x, y, zorder=4.2, gid="corner", **look)
-    entries: list[Artist] = [Line2D([], [], label="codimension two", **look)]
-    if options.names:
-        present = [name for name in kinds if ":" not in name and any(name == each for each, _, _ in marked)]
-        letters = dict(zip(sorted(present), ascii_lowercase, strict=False))
-        short = [(letters.get(name, name), at) for name, at, _ in marked]
-        scale = options.page.scale
-        names.beside_marks(ax, short, lines, _MARKER * scale, _TYPE * scale, options.size)
-        key = "; ".join(f"{letter}: {name}".replace(" ", _HARD_SPACE) for name, letter in letters.items())
-        lines_of_key = textwrap.fill(key, _KEY_WIDTH, break_long_words=False, break_on_hyphens=False)
-        entries += [Line2D([], [], linestyle="", label=lines_of_key)] if key else []
-    return entries
-
-
-def _draw_ends(ax: Axes, found: Curves, options: maps.Options) -> list[Artist]:
-    """Mark ends in view that no point of codimension two explains; the legend entry."""
-    look = _mark(_END * options.page.scale, "black", 0.4) | {"markeredgecolor": "white"}
-    marked = _in_view(ax, [("", *end) for end in loose_ends(found)], options)
-    for _, _, (x, y) in marked:
-        ax.plot(x, y, zorder=4.1, gid="end", **look)
-    return [Line2D([], [], label="end of a curve", **look)] if marked else []
-
-
-def _mark(size: float, color: str, edge: float) -> dict[str, Any]:
-    return {
-        "linestyle": "", "marker": "o", "markersize": size, "color": color, "markeredgecolor": "black",
-        "markeredgewidth": edge,
-    }  # fmt: skip
-
-
-def _in_view(
-    ax: Axes, places: Sequence[tuple[str, float, float]], options: maps.Options
-) -> list[tuple[str, Array, tuple[float, float]]]:
-    """The places in view, those of one name that lie on each other once: name, place in points, in data."""
-    found: list[tuple[str, Array, tuple[float, float]]] = []
-    for name, x, y in places:
-        at = axes.in_points(ax, np.array([[x, y]]), options.size)[0]
-        known = any(name == other and np.hypot(*(at - there)) < _SAME for other, there, _ in found)
-        if np.all((at >= 0.0) & (at <= options.size)) and not known:
-            found.append((name, at, (x, y)))
-    return found
+def _draw_marks(
+    ax: Axes, places: Iterable[Any], size: tuple[float, float], gid: str, zorder: float, look: dict[str, Any]
+) -> list[Artist]:
+    """Mark the places (x, y) in view, those that lie on each other once; the legend entry."""
+    seen: list[Array] = []
+    for x, y in places:
+        at = maps.in_points(ax, np.array([[x, y]]), size)[0]
+        if np.all((at >= 0.0) & (at <= size)) and all(np.hypot(*(at - other)) >= _SAME for other in seen):
+            seen.append(at)
+            ax.plot(x, y, zorder=zorder, gid=gid, **look)
+    return [Line2D([], [], **look)] if seen else []
 
 
 def _is_in_view(ax: Axes, line: Array) -> bool:

@@ -1,27 +1,24 @@
-"""One picture of an atlas: the kind that fits it, drawn from what is in view, with what is said about that."""
+"""From a subject to its picture: one figure for atlases, comparisons, orbits of cells and branches, and its file."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
+from atlas.cell.orbit import CellOrbit, cell_orbit
 from atlas.errors import InputError
 from atlas.query.attractors import leading
+from atlas.query.compare import Comparison
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
-from atlas.render.kinds import (
-    AXES,
-    KINDS,
-    MOST_PANELS,
-    SCALAR,
-    axes_of,
-    check_overlays,
-    chosen_kind,
-    drawn_by,
-    scalar_variable,
-)
+from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE, check_overlays, chosen_curves, chosen_kind
+from atlas.render.options import Look, MapLook, Sheet, Wanted, takes
+from atlas.render.provenance import check_path, provenance_of, save
 from atlas.spec.spec import MOST_AXES
-from workers.results import ATTRACTOR, FAILED, INVALID, LARGEST, PENDING, REGIMES, SECTION, UNDETERMINED
+from workers import Settings
+from workers.model.system import DEFAULT, System
+from workers.results import ATTRACTOR, FAILED, INVALID, LARGEST, PENDING, REGIMES, UNDETERMINED
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,114 +28,193 @@ if TYPE_CHECKING:
     from atlas.branches.table import Branches
     from atlas.render.page import Page
 
-
-@dataclass(frozen=True)
-class Wanted:
-    """What is to be drawn of an atlas, and how; see ``atlas.render.render`` and ``figure``."""
-
-    page: "Page"
-    kind: str | None = None
-    window: Window | None = None
-    overlays: tuple[str, ...] = ()
-    curves: tuple[str, ...] | None = None
-    names: bool = True
-    against: "xr.Dataset | None" = None
-    pixels: tuple[int, int] | None = None
-    variable: str | None = None
-    log: bool = False
-
-    @property
-    def is_scalar(self) -> bool:
-        """Whether a variable that is named is to be mapped."""
-        return self.kind == SCALAR or self.variable is not None or self.log
+    Subject: TypeAlias = xr.Dataset | Sequence[xr.Dataset] | Comparison | CellOrbit | Branches
 
 
-def draw(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
-    """The figure of an atlas; InputError, in one line, for what cannot be drawn of it."""
-    every, ds = ds, leading(ds)
-    axes, page, window, against = axis_names(ds), wanted.page, wanted.window, wanted.against
-    if len(axes) == MOST_AXES:
-        return _stack(ds, wanted)
-    variable = scalar_variable(ds, wanted.kind, wanted.variable, against) if wanted.is_scalar else None
-    kind = SCALAR if variable is not None else chosen_kind(ds, wanted.kind, against, page)
-    lines = wanted.overlays
-    if wanted.curves is not None and "curves" not in lines and kind != "regions":
+def figure(
+    subject: "Subject",
+    kind: str | None = None,
+    window: Window | None = None,
+    *,
+    path: str | Path | None = None,
+    pixels: tuple[int, int] | None = None,
+    titles: Sequence[str] = (),
+    **options: "Unpack[MapLook]",
+) -> Any:
+    """A matplotlib Figure of a subject, which a notebook shows; written to ``path`` too (.png, .svg or .pdf) if given.
+
+    One atlas as ``atlas.open`` returns it, half done or whole: ``kind`` is one of KINDS, by default "exponent" for two
+    axes, "period" where there are no exponents, and "sweep" for one axis; a stack of up to MOST_PANELS planes is drawn
+    as several atlases are.
+    Several atlases: maps on one scale, of "exponent" or "period", by default the first that all of them hold;
+    ``titles`` stand over them where no parameter differs.
+    A comparison: the difference of the exponents, there minus here, where there are any, and where the regime is
+    another there, which. The orbit of a cell: its portrait. Branches: section values over the parameter.
+
+    ``window`` gives, for any axis, the (low, high) ends of the part to draw. ``pixels`` is the size, (x, y), of the
+    plot area that a map's cells are to fill, where it is not that of a file. ``options`` as in ``options.MEANINGS``;
+    with ``ax``, axes of yours to draw into, those are returned in place of a figure, and keep their size and type.
+    Raises InputError, in one line, for another suffix and a path that cannot be written, for a kind that does not fit
+    the number of axes, and where the atlas does not hold what the kind draws.
+    Reads only the variables that the kind draws, of a map only the chunks in view, from the overview whose cells are
+    as large as pixels. A file's metadata carry the atlas's digest; the same atlas gives the same bytes with the same
+    software.
+    """
+    if path is not None:
+        check_path(path)
+    look: dict[str, Any] = dict(options)
+    overlay, curves = look.pop("overlay", ()), chosen_curves(look.pop("curves", None))
+    own = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
+    lines = (overlay,) if isinstance(overlay, str) else tuple(overlay)
+    wanted = Wanted(_page(look), kind, window, lines, curves, pixels=pixels, **own)
+    drawn = _drawn(subject, wanted, titles)
+    if path is not None:
+        save(drawn, Path(path), provenance_of(*_sources(subject, wanted)), wanted.page)
+    return drawn if options.get("ax") is None else options["ax"]
+
+
+def render(
+    subject: "Subject", path: str | Path, kind: str | None = None, window: Window | None = None, **options: Any
+) -> Path:
+    """Draw a subject to a file and return its path; arguments and errors as in ``figure``."""
+    figure(subject, kind, window, path=path, **options)
+    return Path(path)
+
+
+@takes(Sheet)
+def portrait(
+    given: Mapping[str, Any] | None = None,
+    *,
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
+    path: str | Path | None = None,
+    **look: "Unpack[Look]",
+) -> "Figure":
+    """The portrait of one cell as a matplotlib Figure, which a notebook shows; written to ``path`` too (.png, .svg or
+    .pdf) if given.
+
+    Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
+    exponents as they converge, with their exact values where the motion is periodic. ``given`` are the parameters
+    that differ from the defaults, initial state included: with several attractors it decides which is shown. ``look``
+    is size, type and resolution.
+    Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
+
+    >>> import atlas
+    >>> figure = atlas.portrait({"omega": 4.0, "b": 0.1}, path="cell.png", width="85mm")
+    """
+    if path is not None:
+        check_path(path)
+    _page(look).refuse_ends("a portrait")  # before the cell is solved
+    drawn: Figure = figure(cell_orbit(given or {}, system, settings), path=path, **look)
+    return drawn
+
+
+def _page(look: Mapping[str, Any]) -> "Page":
+    from atlas.render.page import page  # with it matplotlib
+
+    return page(**look)
+
+
+def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure":
+    import xarray as xr
+
+    page = wanted.page
+    if isinstance(subject, xr.Dataset):
+        drawn = _of_atlas(subject, wanted)
+    elif isinstance(subject, CellOrbit):
+        from atlas.render import orbit
+
+        page.refuse_ends("a portrait")
+        drawn = orbit.figure(subject, page)
+    elif isinstance(subject, Comparison | Sequence):
+        from atlas.render import together
+
+        if page.given:
+            raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
+        atlases = _sources(subject, wanted)
+        for ds in atlases:
+            _check_units(ds)
+        if isinstance(subject, Comparison):
+            drawn = together.difference(subject, page)
+        else:
+            drawn = together.side_by_side(atlases, wanted.kind, wanted.window, titles, page)
+    else:
+        from atlas.render import branch
+
+        page.refuse_ends("branches are lines")
+        drawn = branch.figure(subject, page)
+    page.fit(drawn)
+    return drawn
+
+
+def _sources(subject: "Subject", wanted: Wanted) -> list[Any]:
+    """Where the numbers of a picture are from: atlases, an orbit or branches."""
+    if isinstance(subject, Comparison):
+        return [subject.one, subject.other]
+    if isinstance(subject, Sequence):
+        return [leading(ds) for ds in subject]
+    return [subject, *([] if wanted.against is None else [wanted.against])]
+
+
+def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
+    """The figure of one atlas; InputError, in one line, where it cannot be drawn."""
+    ds, page, against = leading(every), wanted.page, wanted.against
+    if len(axis_names(ds)) == MOST_AXES:
+        return _of_stack(ds, wanted)
+    kind, lines = chosen_kind(ds, wanted), wanted.overlays
+    if wanted.curves is not None and "curves" not in lines and kind.name != "regions":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
-    check_units(ds)
-    shown = within(every if kind == "coexistence" else ds, window)
-    picture: Figure
+    _check_units(ds)
+    shown = within(every if kind.name == "coexistence" else ds, wanted.window)
+    wanted = replace(wanted, overlays=lines, against=None if against is None else within(against, wanted.window))
     with counted() as reads:
-        if len(axes) == 1:
-            sweeps = [within(ds, window)] + ([] if against is None else [within(against, window)])
-            branches = _branches(sweeps) if "branches" in lines else None
-            picture = drawn_by(kind)(shown, *sweeps[1:], page, branches)
+        if ".figure" in kind.paint:
+            drawn: Figure = kind.painter(shown, wanted)
         else:
-            from atlas.render import maps
-            from atlas.render.single import draw_map
+            from atlas.render.maps import draw_map
 
-            options = maps.Options(lines, page, wanted.pixels, wanted.curves, wanted.names)
-            picture = draw_map(kind, shown, options, variable, wanted.log)
+            drawn = draw_map(kind, shown, wanted)
     if ds.attrs.get(ATTRACTOR, 0):
-        _say_fewer(picture, ds.attrs[ATTRACTOR])
+        _explain_pending(drawn, ds.attrs[ATTRACTOR])
     if max(reads.block) > 1 and page.title:
-        _note_coarseness(page.given[0] if page.given else picture.axes[0], shown, reads.block, page)
-    page.fit(picture)
-    return picture
+        _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
+    return drawn
 
 
-def _stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
+def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
     """The planes of a stack as maps on one scale, each under its value of the third axis; a lone plane as it is."""
     kind, page, name, shown = wanted.kind, wanted.page, axis_names(ds)[-1], within(ds, wanted.window)
     rest = {axis: ends for axis, ends in (wanted.window or {}).items() if axis != name}
     count = shown.sizes[name]
     if count == 1:
-        return draw(shown.isel({name: 0}), replace(wanted, window=rest))
+        return _of_atlas(shown.isel({name: 0}), replace(wanted, window=rest))
     first = f"--select {name}={float(shown[name][0]):g}"
     if count > MOST_PANELS:
         raise InputError(f"a stack of {count} planes: at most {MOST_PANELS} are drawn together; pick one by {first}")
     alone = {
-        "overlay": wanted.overlays,
-        "curves": wanted.curves is not None,
-        "against": wanted.against is not None,
-        "ax": page.given,
-        "variable": wanted.variable,
-        "log": wanted.log,
-    }
-    for what, given in alone.items():
-        if given:
-            raise InputError(f"{what}: goes with one plane, found a stack of {count}; pick one by {first}")
-    if kind in KINDS and axes_of(kind) != 2:
-        raise InputError(f"kind {kind!r} draws {AXES[axes_of(kind)]}, found a stack of {count} planes")
+        "overlay": wanted.overlays, "curves": wanted.curves is not None, "against": wanted.against is not None,
+        "ax": page.given, "variable": wanted.variable, "log": wanted.log,
+    }  # fmt: skip
+    for option in [option for option, given in alone.items() if given]:
+        raise InputError(f"{option}: goes with one plane, found a stack of {count}; pick one by {first}")
+    if kind in KINDS and TABLE[kind].axes != 2:
+        raise InputError(f"kind {kind!r} draws {AXES[TABLE[kind].axes]}, found a stack of {count} planes")
     from atlas.render import together
 
-    check_units(ds)
-    picture = together.side_by_side([shown.isel({name: k}) for k in range(count)], kind, rest, page=page)
-    page.fit(picture)
-    return picture
+    _check_units(ds)
+    return together.side_by_side([shown.isel({name: k}) for k in range(count)], kind, rest, page=page)
 
 
-def check_units(ds: "xr.Dataset") -> None:
+def _check_units(ds: "xr.Dataset") -> None:
     """Raise InputError where exponents are in another unit than forcing periods: pictures have no other."""
     units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
     if units != LARGEST.units:
         raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw the atlas as stored")
 
 
-def _branches(sweeps: "Sequence[xr.Dataset]") -> "Branches":
-    """The branches through sweeps, of an atlas of which sections are drawn."""
-    from atlas.branches.sweep import tree_through  # with it Numba
-    from atlas.branches.table import Branches
-
-    if any(SECTION.name not in each for each in sweeps):
-        raise InputError(
-            "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
-        )
-    return Branches.of(tree_through(sweeps))
-
-
-def _say_fewer(drawn: "Figure", place: int) -> None:
-    """Say in the legends that cells without a result may have too few attractors for this place."""
+def _explain_pending(drawn: "Figure", place: int) -> None:
+    """Explain in the legends that cells without a result may have too few attractors for this place."""
     for legend in [*drawn.legends, *(ax.get_legend() for ax in drawn.axes)]:
         for label in legend.get_texts() if legend is not None else ():
             if label.get_text() == "pending":
@@ -146,11 +222,11 @@ def _say_fewer(drawn: "Figure", place: int) -> None:
 
 
 def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "Page") -> None:
-    """Say above a map that it is coarser than its atlas, and the exact shares of doubtful cells, too few to be seen."""
+    """Note above a map that it is coarser than its atlas, and the exact shares of doubtful cells."""
     shares = fractions(ds)
     doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
-    least = 1e-4  # less is not worth its digits, but that there is some is
-    percent = {name: f"{100 * shares[name]:.2g} %" if shares[name] >= least else "< 0.01 %" for name in shares}
+    # A share below 0.01 % is not worth its digits, but that there is one is.
+    percent = {name: f"{100 * share:.2g} %" if share >= 1e-4 else "< 0.01 %" for name, share in shares.items()}
     listed = "".join(f",  {name} {percent[name]}" for name in doubtful if name in percent)
     cells = " × ".join(map(str, block))
     with page.context():

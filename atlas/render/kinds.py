@@ -8,14 +8,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from atlas.errors import InputError
+from atlas.errors import InputError, check_names
+from atlas.query.extremes import numbers_of_cells
 from atlas.query.window import axis_names
 from workers.results import ERROR, LABEL, LARGEST, REGIME, SETTLED, SPECTRUM
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from atlas.render.page import Page
+    from atlas.render.options import Wanted
 
 STABLE = ("#f8fbfe", "#dfecf6", "#c3dbee", "#a5cae5", "#86b6db", "#64a1d2")
 CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
@@ -51,7 +52,7 @@ class Kind:
     variables       of a map those that it reads besides the regimes; without the first there is nothing to draw
     meaning         in the words of the command's help
     paint           "module.function" in atlas/render: of a map the colours of its cells, ``maps.Painted`` of a
-                    ``maps.View``; of other kinds the whole figure
+                    ``maps.View``; of other kinds, "module.figure", the figure of an atlas and what is ``Wanted``
     scale           of its numbers, whose ends may be given; CLASSES where it draws none
     lacking         what to do for an atlas to hold its variables
     """
@@ -64,6 +65,12 @@ class Kind:
     scale: Scale = CLASSES
     atlases: int = 1
     lacking: str = ""
+
+    @property
+    def painter(self) -> Any:
+        """The function that ``paint`` names; its module is imported at first use, and with it matplotlib."""
+        module, function = self.paint.split(".")
+        return getattr(import_module(f"atlas.render.{module}"), function)
 
 
 BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
@@ -81,7 +88,7 @@ TABLE = {
              Scale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
         Kind("period", 2, ("period",), "one colour for each period", "classes.period"),
         Kind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop",
-             "impacts.motions"),
+             "classes.motions"),
         Kind("symmetry", 2, ("symmetric", "impacts_upper", "impacts_lower"),
              "periodic motions that are their own mirror image, and those with a twin", "classes.symmetry"),
         Kind("regions", 2, _MOTIONS,
@@ -94,8 +101,8 @@ TABLE = {
         Kind("cost", 2, ("periods_used",), "forcing periods simulated", "scales.cost",
              Scale("forcing periods simulated", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
                    ("#dddddd", "none needed"), log=True)),
-        Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest on a stop", "scales.number",
-             Scale("share of the time at rest on a stop",
+        Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick", "scales.number",
+             Scale("share of the time at rest",
                    ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
                    ("#f3f1ea", "never at rest"))),
         Kind("attractors", 2, ("attractors",), "how many attractors a cell has", "classes.attractors"),
@@ -108,7 +115,7 @@ TABLE = {
              "which branch the attractor shown is on, in colours that persist from cell to cell, by atlas label",
              "classes.labels", lacking="label its attractors by atlas label"),
         Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
-             "basins.paint",
+             "classes.basins",
              lacking="both axes must be initial states, and the spec have [attractors]"),
         Kind(SCALAR, 2, (), "any number of each cell, which --variable names", "scales.scalar",
              Scale("", ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f"))),
@@ -116,8 +123,8 @@ TABLE = {
              "coexistence.figure", _EXPONENTS),
         Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", "sweep.figure",
              _EXPONENTS),
-        Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents", "spectrum.figure",
-             _EXPONENTS),
+        Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents",
+             "sweep.figure_of_all", _EXPONENTS),
         Kind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
              "sweep.figure_of_two", _EXPONENTS, atlases=2),
     )
@@ -170,17 +177,6 @@ class OverlayError(InputError):
         self.overlay = overlay
 
 
-def axes_of(kind: str) -> int:
-    """How many axes a kind of picture draws."""
-    return TABLE[kind].axes
-
-
-def drawn_by(kind: str) -> Any:
-    """The function that ``paint`` of a kind names; its module is imported at first use, and with it matplotlib."""
-    module, function = TABLE[kind].paint.split(".")
-    return getattr(import_module(f"atlas.render.{module}"), function)
-
-
 def needs(kind: str) -> list[str]:
     """The variables that a map of this kind draws, besides the regimes."""
     return list(TABLE[kind].variables)
@@ -191,44 +187,48 @@ def has_scale(kind: str) -> bool:
     return TABLE[kind].scale is not CLASSES
 
 
-def chosen_kind(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", page: "Page") -> str:
+def chosen_kind(ds: "xr.Dataset", wanted: "Wanted") -> Kind:
     """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
-    axes = axis_names(ds)
-    atlases = 1 if against is None else 2
+    axes, atlases = axis_names(ds), 1 if wanted.against is None else 2
+    found = f"found {AXES[len(axes)]} ({', '.join(axes)})"
+    if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
+        _check_scalar(ds, wanted, found)
+        return TABLE[SCALAR]
     fitting = [name for name in KINDS if TABLE[name].axes == len(axes)]
     possible = [name for name in fitting if TABLE[name].atlases == atlases]
     if not possible:
-        raise InputError(f"two atlases are drawn together as sweeps, found {AXES[len(axes)]} ({', '.join(axes)})")
+        raise InputError(f"two atlases are drawn together as sweeps, {found}")
     held = [name for name in possible if TABLE[name].variables[0] in ds]
     held = [BASINS] if BASINS in held else held or possible
-    chosen, listed = held[0] if kind is None else kind, ", ".join(held)
+    chosen, here = held[0] if wanted.kind is None else wanted.kind, f"; possible here: {', '.join(held)}"
     if chosen not in KINDS:
-        raise InputError(f"unknown kind of picture {chosen!r}; possible here: {listed}")
+        raise InputError(f"unknown kind of picture {chosen!r}{here}")
+    kind = TABLE[chosen]
     if chosen not in fitting:
-        raise InputError(
-            f"kind {chosen!r} draws {AXES[TABLE[chosen].axes]}, found {AXES[len(axes)]} ({', '.join(axes)}); "
-            f"possible here: {listed}"
-        )
+        raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {found}{here}")
     if chosen not in possible:
-        wanted = "a second atlas to draw against" if TABLE[chosen].atlases == 2 else "one atlas, found two"
-        raise InputError(f"kind {chosen!r} needs {wanted}; possible here: {listed}")
-    if TABLE[chosen].scale is CLASSES:
-        page.refuse_ends(f"kind {chosen!r} draws classes")
-    return chosen
+        needed = "a second atlas to draw against" if kind.atlases == 2 else "one atlas, found two"
+        raise InputError(f"kind {chosen!r} needs {needed}{here}")
+    if kind.scale is CLASSES:
+        wanted.page.refuse_ends(f"kind {chosen!r} draws classes")
+    return kind
 
 
-def scalar_variable(ds: "xr.Dataset", kind: str | None, name: str | None, against: "xr.Dataset | None") -> str:
-    """The variable that a map of one draws; InputError where none can be drawn."""
-    axes = axis_names(ds)
-    if kind not in (None, SCALAR):
-        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {kind!r}")
+def _check_scalar(ds: "xr.Dataset", wanted: "Wanted", found: str) -> None:
+    """InputError unless a variable can be mapped: one that is named and is a number of each cell of a plane."""
+    name = wanted.variable
+    if wanted.kind not in (None, SCALAR):
+        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {wanted.kind!r}")
     if name is None:
         raise InputError(f"kind {SCALAR!r} draws a variable, and none is named")
-    if against is not None:
+    if wanted.against is not None:
         raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
-    if len(axes) != 2:
-        raise InputError(f"kind {SCALAR!r} draws two axes, found one ({axes[0]})")
-    return name
+    if len(axis_names(ds)) != 2:
+        raise InputError(f"kind {SCALAR!r} draws two axes, {found}")
+    possible = numbers_of_cells(ds)
+    if name in ds and name not in possible:
+        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
+    check_names("variable", [name], possible)
 
 
 def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:

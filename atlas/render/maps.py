@@ -1,6 +1,7 @@
-"""What all pictures of a plane share: its cells read in drawing order, the frame around them, the legends."""
+"""The way from a plane of cells to its map: read, paint, frame, draw, overlays, bars, legend, names."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -8,24 +9,31 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from atlas.errors import InputError
-from atlas.query.resample import view
-from atlas.render import axes, style
+from atlas.query.resample import view as in_view
+from atlas.query.window import LOG_SPAN, axis_names, cell_edges, is_log
+from atlas.render import style, words
 from atlas.render.fit import TITLE
 from atlas.render.kinds import Kind
-from atlas.render.page import STANDARD, Page
-from atlas.render.style import DPI
+from atlas.render.options import Wanted
+from atlas.render.page import Page
+from atlas.spec.cells import is_uniform
 from workers.results import (
     APERIODIC,
     CHAOTIC,
     FAILED,
     INVALID,
+    LARGEST,
     NO_IMPACT,
     PENDING,
     QUASIPERIODIC,
@@ -34,111 +42,103 @@ from workers.results import (
     UNDETERMINED,
 )
 
-PIXELS = (1500, 1100)
-"""Least size, (x, y), of a map's plot area in a file of the standard page, in pixels: cells not smaller than these are
-all drawn.
-"""
+Cells = NDArray[np.bool_]
+Colors = NDArray[np.uint8]
 
+LABEL_SIZE = 7.5
+"""Points of the type of names on a map."""
 _VISIBLE = 2.0
 """Points below which a cell on its own is lost to the eye."""
 _MOST_MARKS = 300
 """Marks of such cells: where there are more, they are seen as a cloud anyway."""
+_WITH_TEXTURE = (QUASIPERIODIC, INVALID, FAILED)
+_MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
 @dataclass(frozen=True)
-class Options:
-    """What a map is drawn with besides the colours of its cells.
+class DrawnAxis:
+    """One axis of a picture: its points in rising order, their cells' edges, its scale and its label."""
 
-    overlays   names of lines over it
-    page       what it is drawn on
-    asked      size, (x, y), in pixels of the plot area that its cells are to fill, where it is not the page's
-    curves     kinds of exact curves that are drawn, of CURVES; None for all
-    names      whether names and levels stand on it
-    """
-
-    overlays: tuple[str, ...] = ()
-    page: Page = STANDARD
-    asked: tuple[int, int] | None = None
-    curves: tuple[str, ...] | None = None
-    names: bool = True
+    name: str
+    values: NDArray[np.float64]
+    edges: NDArray[np.float64]
+    log: bool
+    label: str
 
     @property
-    def size(self) -> tuple[float, float]:
-        """Nominal width and height of the plot area in points."""
-        return self.page.plot_size(height(self.page))
-
-    @property
-    def pixels(self) -> tuple[int, int]:
-        """Size, (x, y), of the plot area that the cells fill: finer ones are read from an overview."""
-        if self.asked:
-            return self.asked
-        dots = self.page.dpi / DPI
-        width, tall = (mine / standard for mine, standard in zip(self.size, _STANDARD_SIZE, strict=True))
-        return max(1, round(PIXELS[0] * width * dots)), max(1, round(PIXELS[1] * tall * dots))
+    def uniform(self) -> bool:
+        """Whether all cells are drawn equally wide on a linear scale."""
+        return not self.log and is_uniform(self.values)
 
 
-def height(page: Page) -> float:
-    """Height of a map in inches where none is asked for."""
-    return 1.2 + 0.5 * page.width
-
-
-_STANDARD_SIZE = STANDARD.plot_size(height(STANDARD))
-PLAIN = Options()
+def rising(ds: xr.Dataset) -> tuple[xr.Dataset, tuple[DrawnAxis, ...]]:
+    """The dataset with every axis in rising order, and its axes, x first."""
+    names, axes = axis_names(ds), []
+    for name in names:
+        if np.any(np.diff(ds[name].values) <= 0):
+            ds = ds.sortby(name)
+    for name in names:
+        values = np.asarray(ds[name].values, dtype=np.float64)
+        log = is_log(ds, name) and values[-1] / values[0] >= LOG_SPAN
+        axes.append(DrawnAxis(name, values, cell_edges(ds, name), log, words.axis_label(ds, name)))
+    return ds, tuple(axes)
 
 
 @dataclass(frozen=True)
 class Plane:
     """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
 
-    x: axes.DrawnAxis
-    y: axes.DrawnAxis
+    x: DrawnAxis
+    y: DrawnAxis
     regime: NDArray[np.int8]
     values: Mapping[str, NDArray[Any]]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.values[name]
 
+    @classmethod
+    def of(cls, ds: xr.Dataset, names: Sequence[str]) -> "Plane":
+        """The plane of a dataset that is read."""
+        ds, (x, y) = rising(ds)
+        return cls(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
 
-def read(
-    ds: xr.Dataset, variables: Iterable[str], kind: str, pixels: tuple[int, int] = PIXELS, lacking: str = ""
-) -> Plane:
-    """Read these variables and the regimes of a plane, nothing else and not finer than pixels.
+    @property
+    def determined(self) -> Cells:
+        """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
+        return ((self.regime >= NO_IMPACT) & (self.regime <= CHAOTIC)) | (self.regime == APERIODIC)
 
-    InputError if the atlas does not hold one, with what is ``lacking``. No other function of maps reads an atlas.
-    """
-    names = [name for name in dict.fromkeys(variables) if name != REGIME.name]
-    for name in names:
-        if name not in ds:
-            hint = f"; {lacking}" if lacking else ""
-            raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold{hint}")
-    ds, (x, y) = axes.rising(view(ds, names, pixels=pixels))
-    return Plane(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
+    def known(self, name: str) -> NDArray[np.float64]:
+        """The values of a variable where the class of motion is known, NaN elsewhere."""
+        return np.where(self.determined, self[name], np.nan)
 
 
 @dataclass(frozen=True)
 class View:
-    """What a kind is painted from: the atlas and its cells in view; the variable of a map of any, by its logarithm."""
+    """The cells of an atlas that are in view, as a kind of map, and how they are to be drawn."""
 
     kind: Kind
     ds: xr.Dataset
     plane: Plane
-    page: Page
-    variable: str = ""
-    log: bool = False
+    wanted: Wanted
+
+    @property
+    def page(self) -> Page:
+        """What it is drawn on."""
+        return self.wanted.page
 
 
 class Texture(NamedTuple):
     """A texture over cells (y, x), which lets their colours through; ``outlined`` are cells with a line around them."""
 
-    cells: NDArray[np.bool_]
+    cells: Cells
     hatch: str
     ink: str
-    outlined: NDArray[np.bool_] | None = None
+    outlined: Cells | None = None
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A scale beside a map: the values that it was made for, and what is said along it and above it."""
+    """A scale beside a map: the values that it was made for, its label, and a title where there are several."""
 
     colormap: Colormap
     norm: Normalize
@@ -149,45 +149,81 @@ class Bar:
 
 @dataclass(frozen=True)
 class Painted:
-    """What a kind makes of a view: the colour of every cell, and what explains the colours.
+    """A view in colours.
 
     rgba       (y, x, 4) in bytes
     legend     entries for classes; ``beside``: a title where they stand to the right of the map
     bars       scales, from below
     textures   over cells
     over       draws what lies on the cells and returns its legend entries
-    names      cells (y, x), their name, written into them where it fits, and the colour that it is seen on
+    names      cells (y, x), their name, written into them where it fits, and the colour under it
     """
 
-    rgba: NDArray[np.uint8]
+    rgba: Colors
     legend: Sequence[Artist]
     bars: Sequence[Bar] = ()
     textures: Sequence[Texture] = ()
     beside: str | None = None
     over: Callable[[Axes], list[Artist]] | None = None
-    names: Sequence[tuple[NDArray[np.bool_], str, str]] = ()
+    names: Sequence[tuple[Cells, str, str]] = ()
 
 
-def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
-    """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
-    return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
+def draw_map(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
+    """The map of a kind as a figure, with its overlays; InputError where the atlas does not hold what it draws."""
+    from atlas.render import layout, overlays, scales
+
+    view, page = read(kind, ds, wanted), wanted.page
+    painted: Painted = kind.painter(view)
+    with page.context():
+        drawn, ax = frame(ds, page)
+        entries = [*lay(ax, view, painted), *overlays.draw(ax, view)]
+        scales.draw_bars(drawn, [ax], painted.bars, page)
+        page.legend(drawn, entries, beside=painted.beside)
+        if painted.names and wanted.names:
+            page.settle(drawn)
+            layout.name_regions(ax, view.plane, painted.names, [LABEL_SIZE * page.scale])
+    return drawn
+
+
+def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
+    """Read the variables and the regimes that a map and its overlays draw, no others, and not finer than pixels.
+
+    InputError if the atlas lacks one. No other function of maps reads an atlas.
+    """
+    names = [*kind.variables] if wanted.variable is None else [wanted.variable]
+    names += [LARGEST.name] if "isolines" in wanted.overlays else []
+    names = [name for name in dict.fromkeys(names) if name != REGIME.name]
+    for name in names:
+        if name not in ds:
+            hint = f"; {kind.lacking}" if kind.lacking else ""
+            raise InputError(f"kind {kind.name!r} draws the variable {name!r}, which this atlas does not hold{hint}")
+    plane = Plane.of(in_view(ds, names, pixels=wanted.pixels or wanted.page.map_pixels), names)
+    return View(kind, ds, plane, wanted)
 
 
 def frame(ds: xr.Dataset, page: Page) -> tuple[Figure, Axes]:
     """A figure with one plot area, or the axes that are given, under the title line of the fixed parameters."""
-    figure, (ax,) = page.panels(height(page), 1)
+    figure, (ax,) = page.panels(page.map_height, 1)
     if page.title:
-        ax.set_title(style.title_line(ds), loc="left", gid=TITLE)
-    texture(ax)
+        ax.set_title(words.title_line(ds), loc="left", gid=TITLE)
     return figure, ax
 
 
-def texture(ax: Axes) -> None:
-    """Give a plot area the texture of pending cells, which no value has: drawn transparent, they let it through."""
-    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
+def lay(ax: Axes, view: View, painted: Painted) -> list[Artist]:
+    """Draw what was painted into a plot, and return its legend entries."""
+    plane = view.plane
+    enlarged = draw_cells(ax, plane, painted.rgba, view.page)
+    for entry in painted.legend:
+        if entry.get_label() in enlarged:
+            entry.set_label(f"{entry.get_label()},\nsingle cells enlarged")
+    for cells, pattern, ink, outlined in painted.textures:
+        hatch(ax, plane, cells, pattern, ink)
+        if outlined is not None:
+            outline(ax, plane, outlined, "#1a2433", 0.3)
+    return [*painted.legend, *(painted.over(ax) if painted.over else [])]
 
 
-def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDArray[np.bool_]) -> list[Patch]:
+def paint_regimes(rgba: Colors, regime: NDArray[np.int8], where: Cells) -> list[Patch]:
     """Give cells the colour of their regime, in place, and return legend entries for those regimes.
 
     Pending cells turn transparent, so that the texture of the plot area shows.
@@ -197,62 +233,127 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
         cells = where & (regime == each.code)
         if cells.any():
             rgba[cells] = style.rgb(each.color, alpha=0 if each.code == PENDING else 255)
-            entries.append(regime_entry(each.code, style.name_of(each.code)))
+            entries.append(regime_entry(each.code, words.name_of(each.code)))
     return entries
 
 
 def regime_entry(code: int, label: str) -> Patch:
     """The legend entry of cells that are drawn in the colour of this regime."""
     # An impact-free cell is textured only where it is not seen by its colour.
-    hatch = None if code == NO_IMPACT else style.HATCH.get(code)
-    return style.swatch(style.COLORS[code], label, hatch, style.HATCH_INK.get(code, style.TEXTURE))
+    pattern = None if code == NO_IMPACT else style.HATCH.get(code)
+    return style.swatch(style.COLORS[code], label, pattern, style.HATCH_INK.get(code, style.TEXTURE))
 
 
-def lay(ax: Axes, plane: Plane, painted: Painted, options: Options) -> list[Artist]:
-    """Draw what was painted into a plot, and return its legend entries."""
-    enlarged = draw(ax, plane, painted.rgba, options)
-    for entry in painted.legend:
-        if entry.get_label() in enlarged:
-            entry.set_label(f"{entry.get_label()},\nsingle cells enlarged")
-    for cells, pattern, ink, outlined in painted.textures:
-        axes.hatch(ax, plane.x, plane.y, cells, pattern, ink)
-        if outlined is not None:
-            axes.outline(ax, plane.x, plane.y, outlined, "#1a2433", 0.3)
-    return [*painted.legend, *(painted.over(ax) if painted.over else [])]
+def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: Page) -> set[str]:
+    """Draw cells in colours (y, x, 4) from edge to edge, as pixels in vector files too; the names of enlarged regimes.
 
-
-def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> set[str]:
-    """Draw the cells in these colours (y, x, 4), with textures over those that show their regime's colour.
-
-    Such cells without a result that would be too small to be seen get a mark of a visible size; the names of regimes
-    that have such marks.
+    An image where all cells are equal; quadrilaterals otherwise. Colours are never blended between cells. A cell
+    in the colour of its regime has that regime's texture; such cells without a result that would be too small to be
+    seen get a mark of a visible size.
     """
-    axes.draw_cells(ax, plane.x, plane.y, rgba)
-    shown = {
-        code: (plane.regime == code) & (rgba == style.rgb(style.COLORS[code])).all(axis=-1)
-        for code in (QUASIPERIODIC, UNDETERMINED, INVALID, FAILED)
-    }
-    for code in (QUASIPERIODIC, INVALID, FAILED):
-        axes.hatch(ax, plane.x, plane.y, shown[code], style.HATCH[code], style.HATCH_INK[code])
-    without = (UNDETERMINED, INVALID, FAILED)
-    return {style.name_of(code) for code in without if _mark_small(ax, plane, shown[code], code, options.size)}
+    # Pending cells, which no value has, are drawn transparent and let this texture through.
+    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
+    x, y = plane.x, plane.y
+    if x.uniform and y.uniform:
+        extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
+        ax.imshow(rgba, origin="lower", extent=extent, aspect="auto", interpolation="nearest")
+    else:
+        ax.pcolormesh(x.edges, y.edges, rgba, rasterized=True)
+    scale_axes(ax, plane)
+    enlarged = set()
+    for code in (*_WITH_TEXTURE, UNDETERMINED):
+        shown = (plane.regime == code) & (rgba == style.rgb(style.COLORS[code])).all(axis=-1)
+        if code in _WITH_TEXTURE:
+            hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
+        if code in _MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):
+            enlarged.add(words.name_of(code))
+    return enlarged
 
 
-def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> bool:
+def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
     """Mark the small ones of these cells unless they are seen anyway, or are too many; whether there are marks."""
-    width, height = np.array(size) / np.array(plane.regime.shape[::-1])
+    width, height = np.array(size) / plane.regime.shape[::-1]
     if max(width, height) >= _VISIBLE:
         return False
-    regions, _ = ndimage.label(cells)
+    boxes = ndimage.find_objects(ndimage.label(cells)[0])
+    spans = [(slice(r.start, r.stop + 1), slice(c.start, c.stop + 1)) for r, c in boxes]
     small = [
-        (rows, columns)
-        for rows, columns in ndimage.find_objects(regions)
-        if (rows.stop - rows.start) * height < _VISIBLE and (columns.stop - columns.start) * width < _VISIBLE
+        (plane.y.edges[r][[0, -1]].mean(), plane.x.edges[c][[0, -1]].mean())
+        for r, c in spans
+        if (r.stop - r.start - 1) * height < _VISIBLE and (c.stop - c.start - 1) * width < _VISIBLE
     ]
     if not 0 < len(small) <= _MOST_MARKS:
         return False
-    x = [0.5 * (plane.x.edges[columns.start] + plane.x.edges[columns.stop]) for _, columns in small]
-    y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
-    look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
-    ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
+    y, x = zip(*small, strict=True)
+    ax.plot(x, y, zorder=2.2, **style.mark("s", 0.9 * _VISIBLE, color, "black", 0.2))
     return True
+
+
+def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> None:
+    """Cover a set of cells with a texture that lets their colours through."""
+    change = np.diff(np.pad(inside, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    # Runs of cells in a row are one rectangle each, and all rectangles one path, so that the texture has no seams.
+    rows, first = np.nonzero(change == 1)
+    _, last = np.nonzero(change == -1)
+    left, right, low, high = plane.x.edges[first], plane.x.edges[last], plane.y.edges[rows], plane.y.edges[rows + 1]
+    corners = np.stack([left, low, right, low, right, high, left, high, left, low], axis=1).reshape(-1, 2)
+    codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], rows.size)
+    if rows.size:
+        path = Path(corners, codes)
+        ax.add_patch(PathPatch(path, fill=False, hatch=pattern, edgecolor=color, linewidth=0, rasterized=True))
+
+
+def outline(ax: Axes, plane: Plane, inside: Cells, color: str, width: float) -> None:
+    """Draw the boundary of a set of cells along the cells' edges; the picture's own frame is left out."""
+    x, y = plane.x.edges, plane.y.edges
+    rows, columns = np.nonzero(inside[:, 1:] != inside[:, :-1])
+    upright = np.stack([x[columns + 1], y[rows], x[columns + 1], y[rows + 1]], axis=1)
+    rows, columns = np.nonzero(inside[1:] != inside[:-1])
+    level = np.stack([x[columns], y[rows + 1], x[columns + 1], y[rows + 1]], axis=1)
+    ends = list(np.concatenate([upright, level]).reshape(-1, 2, 2))
+    lines = LineCollection(ends, colors=color, linewidths=width, capstyle="projecting", rasterized=True)
+    ax.add_collection(lines, autolim=False)
+
+
+def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
+    """Data coordinates in points from the lower left corner of the plot, by its nominal size: as a layout that
+    is not made yet will have them, nearly.
+    """
+    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
+
+
+def scale_axes(ax: Axes, plane: Plane) -> None:
+    """Give both axes of a map their scales, limits, ticks and labels."""
+    scale_x(ax, plane.x)
+    if plane.y.log:
+        ax.set_yscale("log")
+        _log_ticks(ax.yaxis, plane.y)
+    ax.set_ylim(plane.y.edges[0], plane.y.edges[-1])
+    ax.set_ylabel(plane.y.label)
+
+
+def scale_x(ax: Axes, x: DrawnAxis, label: bool = True) -> None:
+    """Give the horizontal axis its scale, limits and ticks, and its label if asked."""
+    if x.log:
+        ax.set_xscale("log")
+        _log_ticks(ax.xaxis, x)
+    ax.set_xlim(x.edges[0], x.edges[-1])
+    if label:
+        ax.set_xlabel(x.label)
+
+
+def _log_ticks(axis: Axis, scale: DrawnAxis) -> None:
+    # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.
+    if math.log10(scale.values[-1] / scale.values[0]) <= 3.0:
+        plain_ticks(axis, (1.0, 2.0, 5.0))
+
+
+def plain_ticks(axis: Axis, steps: Sequence[float]) -> None:
+    """Label a logarithmic axis at these multiples of powers of ten, in plain numbers: 0.02, 5, 2000, 20 000."""
+
+    def plain(value: float, _: int) -> str:
+        return f"{value:,g}".replace(",", "\N{NARROW NO-BREAK SPACE}") if value >= 1e4 else f"{value:g}"
+
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(plain))
+    axis.set_minor_locator(NullLocator())

@@ -2,15 +2,19 @@
 
 import inspect
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar
 
 from atlas.errors import InputError
+from atlas.query.window import Window
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
+
+    from atlas.render.page import Page
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -66,6 +70,26 @@ MEANINGS = {
     "vmax": "its upper end",
 }
 """What each option says."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be drawn of an atlas, and how: the arguments of ``atlas.render.figure``, checked.
+
+    ``curves`` are kinds of exact curves, None for all; ``names``: whether names and levels stand on a map.
+    """
+
+    page: "Page"
+    kind: str | None = None
+    window: Window | None = None
+    overlays: tuple[str, ...] = ()
+    curves: tuple[str, ...] | None = None
+    names: bool = True
+    against: "xr.Dataset | None" = None
+    pixels: tuple[int, int] | None = None
+    variable: str | None = None
+    log: bool = False
+
 
 _DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title": True, "legend": True}
 

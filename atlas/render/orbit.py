@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from atlas.cell import shown as selection
 from atlas.cell.orbit import CellOrbit, describe
-from atlas.render import gap, spectrum, style
+from atlas.render import style, words
 from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
+from atlas.render.sweep import color_of
 from workers.results import REGIME, SPECTRUM, UNDETERMINED
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
         pad = 0.06 if page.wide else 0.02
         drawn.set_layout_engine("constrained", hspace=pad, wspace=pad)
         if page.title:
-            title = f"{style.parameter_title(orbit.system, orbit.parameters)}\n{describe(orbit)}"
+            title = f"{words.system_line(orbit.system, orbit.parameters)}\n{describe(orbit)}"
             size = mpl.rcParams["font.size"]
             drawn.suptitle(title, fontsize=size, ha="left", x=0.012, linespacing=1.4).set_gid(TITLE)
         rows, heights = (_wide if page.wide else _narrow)(len(masses), len(planes), chatter is not None, many)
@@ -107,9 +108,9 @@ def _shown(orbit: CellOrbit, row: Array) -> Shown:
     n = row.size
     labels = []
     for names, otherwise in ((orbit.system.states[:n], "y"), (orbit.system.states[n:], r"\dot{y}")):
-        symbols = [gap.symbol_of(orbit.system, name) for name in names]
-        unit = gap.unit_of({orbit.system.parameter(names[i]).unit for i in np.flatnonzero(row)})
-        labels.append(f"${gap.combination(row.tolist(), symbols, otherwise)}${unit}")
+        symbols = [words.state_symbol(orbit.system, name) for name in names]
+        unit = words.unit_ending(*(orbit.system.parameter(names[i]).unit for i in np.flatnonzero(row)))
+        labels.append(f"${words.combination(row.tolist(), symbols, otherwise)}${unit}")
     stops = tuple(stop for stop in orbit.stops if np.isfinite(stop)) if np.array_equal(row, orbit.gap_row) else ()
     return Shown(row, labels[0], labels[1], stops)
 
@@ -193,11 +194,11 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     for i in sorted(range(values.shape[1]), key=lambda i: i % 2):
         # Equal ones come in pairs: one of them is dashed, and lies on the other.
         shown, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
-        ax.plot(periods, shown, color=spectrum.color(i), linewidth=1.1, linestyle=dashes)
+        ax.plot(periods, shown, color=color_of(i), linewidth=1.1, linestyle=dashes)
     for i, value in enumerate(written):
         if np.isfinite(value):
             dashes = (0, (2, 2)) if orbit.exact else (0, (1, 3))
-            ax.axhline(value, color=spectrum.color(i), linewidth=0.8, linestyle=dashes)
+            ax.axhline(value, color=color_of(i), linewidth=0.8, linestyle=dashes)
     # Limits that show where averages end and most of their way: the first periods may lie far off.
     later = values[min(9, len(values) - 1) :]
     ends = np.concatenate([later[np.isfinite(later)], written[np.isfinite(written)], [0.0]])
@@ -226,9 +227,9 @@ def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
     for i, value in enumerate(written):
         text = "unknown" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
         text = r"-\infty" if np.isneginf(value) else text
-        lines.append((rf"$\lambda_{{{i + 1}}} = {text}$", spectrum.color(i)))
+        lines.append((rf"$\lambda_{{{i + 1}}} = {text}$", color_of(i)))
     if not orbit.exact and not unknown and np.isfinite(error):
-        lines.append((rf"($\lambda_1 \pm {style.number(float(f'{error:.1g}'))}$)", "black"))
+        lines.append((rf"($\lambda_1 \pm {words.number(float(f'{error:.1g}'))}$)", "black"))
     rows = -(-len(lines) // columns)
     step = 0.115 if columns == 1 else 1.0 / rows
     look: Any = {"transform": ax.transAxes, "fontsize": mpl.rcParams["legend.fontsize"], "va": "top"}

@@ -15,6 +15,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from matplotlib.transforms import ScaledTranslation
 
 from atlas.errors import InputError, shown
@@ -32,6 +33,8 @@ _NARROW, _NARROW_FONT = 85.0 / 25.4, 8.0
 _SHOWN_DPI = 144.0
 """Dots per inch in a notebook, which shows 72 of them an inch of the page where screens have no finer ones."""
 _INCHES = {"mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "in": 1.0}
+_PIXELS = (1500, 1100)
+"""Least size, (x, y), of a map's plot in a file of the standard page, in pixels: cells not smaller are all drawn."""
 _LENGTHS = (0.8, 60.0)
 """Least and greatest length of a page in inches."""
 _BESIDE = 5.0
@@ -77,6 +80,30 @@ class Page:
         """Whether a legend fits beside the plot."""
         return self.width >= _BESIDE * self.scale
 
+    @property
+    def map_height(self) -> float:
+        """Height of a map in inches where none is asked for."""
+        return 1.2 + 0.5 * self.width
+
+    @property
+    def map_size(self) -> tuple[float, float]:
+        """Nominal width and height of a map's plot in points."""
+        return self.plot_size(self.map_height)
+
+    @property
+    def map_pixels(self) -> tuple[int, int]:
+        """Size, (x, y), of a map's plot in pixels: finer cells are read from an overview."""
+        dots = self.dpi / DPI
+        width, tall = (mine / standard for mine, standard in zip(self.map_size, STANDARD.map_size, strict=True))
+        return max(1, round(_PIXELS[0] * width * dots)), max(1, round(_PIXELS[1] * tall * dots))
+
+    def plot_size(self, height: float) -> tuple[float, float]:
+        """Nominal width and height of the plot in points, for what must be known before the figure is laid out."""
+        if self.given:
+            extent, dots = self.given[0].get_window_extent(), _root(self.given[0]).dpi
+            return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
+        return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
+
     def context(self) -> AbstractContextManager[None]:
         """Matplotlib's settings for drawing on this page; the former ones return with its end."""
         settings: Any = house(self.scale)
@@ -84,28 +111,25 @@ class Page:
             settings = {name: settings[name] for name in _OURS}
         else:
             settings["savefig.dpi"] = self.dpi
-        settings.update(self.rc)
-        return mpl.rc_context(settings)
+        return mpl.rc_context(settings | dict(self.rc))
 
     def figure(self, height: float) -> Figure:
         """An empty figure that leaves room for what stands outside its axes; ``height`` unless another is asked for."""
-        drawn = Picture(
-            figsize=(self.width, self.height or height), layout="constrained", facecolor="white", dpi=self._screen_dpi
-        )
+        size, dpi = (self.width, self.height or height), self.dpi if self.dpi != DPI else None
+        drawn = Picture(figsize=size, layout="constrained", facecolor="white", dpi=dpi)
         FigureCanvasAgg(drawn)
         return drawn
 
-    @property
-    def _screen_dpi(self) -> float | None:
-        return self.dpi if self.dpi != DPI else None
-
-    def plot_size(self, height: float) -> tuple[float, float]:
-        """Nominal width and height of the plot in points, for what must be known before the figure is laid out."""
-        if self.given:
-            extent = self.given[0].get_window_extent()
-            dots = _root(self.given[0]).dpi
-            return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
-        return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
+    def panels(self, height: float, count: int) -> tuple[Figure, list[Axes]]:
+        """A figure with this number of plots over one shared axis, or the given axes; InputError if those are not as
+        many.
+        """
+        if not self.given:
+            drawn = self.figure(height)
+            return drawn, list(drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+        if len(self.given) != count:
+            raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
+        return _root(self.given[0]), list(self.given)
 
     def ends(self, low: float, high: float) -> tuple[float, float]:
         """The ends of a scale: those asked for, else these; InputError unless they rise."""
@@ -120,68 +144,60 @@ class Page:
         if self.vmin is not None or self.vmax is not None:
             raise InputError(f"{why}: it has no scale that vmin and vmax could end")
 
-    def panels(self, height: float, count: int) -> tuple[Figure, list[Axes]]:
-        """A figure with so many plots over one shared axis, or the given axes; InputError if those are not as many."""
-        if not self.given:
-            drawn = self.figure(height)
-            return drawn, list(drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
-        if len(self.given) != count:
-            raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
-        return _root(self.given[0]), list(self.given)
-
     def legend(self, drawn: Figure, entries: Sequence[Artist], beside: str | None = None, **look: Any) -> None:
         """A legend under the plots in as many columns as fit, or, where ``beside`` is a title (or ""), to the right.
 
-        A page too narrow for a legend beside has it below. None without entries, or where none is asked for.
+        A page too narrow for a legend beside has it below. None without entries, or where none is asked for. What a
+        long one takes is added to the page where no height was asked for, not taken from the plot.
         """
         if not (entries and self.explained):
             return
-        handles = list(entries)
         aside = beside is not None and (self.wide or bool(self.given))
-        title = {"title": beside, "alignment": "left"} if beside else {}
+        if beside:
+            look |= {"title": beside if aside else beside.replace("\n", " "), "alignment": "left"}
         if aside:
-            look = {"labelspacing": 0.45, **title, **look}
-            if self.given:
-                self.given[0].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
-            else:
-                drawn.legend(handles=handles, loc="outside right upper", **look)
+            made = self._one_legend(drawn, entries, True, {"labelspacing": 0.45, **look})
+            self._grow(drawn, made.get_window_extent().height - drawn.bbox.height + 0.1 * drawn.dpi)
             return
-        if title:
-            title["title"] = str(beside).replace("\n", " ")
-        for columns in range(len(handles), 0, -1):
-            rows = -(-len(handles) // columns)
-            if columns > 1 and -(-len(handles) // rows) != columns:
+        room = self.given[-1].get_window_extent().width if self.given else drawn.bbox.width
+        for columns in range(len(entries), 0, -1):
+            rows = -(-len(entries) // columns)
+            if columns > 1 and -(-len(entries) // rows) != columns:
                 continue  # filled column by column, rows of equal length look best
-            if self.given:
-                under = self.given[-1]
-                drop = ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(under).dpi_scale_trans)
-                place = under.transAxes + drop
-                made = under.legend(
-                    handles=handles, loc="upper left", bbox_to_anchor=(0, 0), bbox_transform=place, ncols=columns,
-                    borderaxespad=0.0, **title, **look,
-                )  # fmt: skip
-                room = under.get_window_extent().width
-            else:
-                made = drawn.legend(
-                    handles=handles,
-                    loc="outside lower center",
-                    ncols=columns,
-                    **{"columnspacing": 1.4, **title, **look},
-                )
-                room = drawn.bbox.width
-            if columns == 1 or made.get_window_extent().width <= room - 4.0:
-                if not self.given and self.height is None and rows > 2:
-                    # What a long legend takes is added to the page, not taken from the plot.
-                    more = made.get_window_extent().height / drawn.dpi * (rows - 2) / rows
-                    drawn.set_size_inches(self.width, drawn.get_size_inches()[1] + more)
+            made = self._one_legend(drawn, entries, False, {"ncols": columns, **look})
+            extent = made.get_window_extent()
+            if columns == 1 or extent.width <= room - 4.0:
+                self._grow(drawn, extent.height * (rows - 2) / rows)
                 return
             made.remove()
+
+    def _one_legend(self, drawn: Figure, entries: Sequence[Artist], aside: bool, look: dict[str, Any]) -> Legend:
+        handles = list(entries)
+        if not self.given:
+            if aside:
+                return drawn.legend(handles=handles, loc="outside right upper", **look)
+            return drawn.legend(handles=handles, loc="outside lower center", **{"columnspacing": 1.4, **look})
+        if aside:
+            return self.given[0].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
+        under = self.given[-1]
+        drop = under.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(under).dpi_scale_trans)
+        look = {"bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0, **look}
+        return under.legend(handles=handles, loc="upper left", **look)
+
+    def _grow(self, drawn: Figure, dots: float) -> None:
+        if dots > 0.0 and not self.given and self.height is None:
+            drawn.set_size_inches(self.width, drawn.get_size_inches()[1] + dots / drawn.dpi)
 
     def fit(self, drawn: Figure) -> None:
         """Break labels and titles that are longer than the page into lines, but not in given axes."""
         if not self.given:
             with self.context():
                 fit(drawn)
+
+    def settle(self, drawn: Figure) -> None:
+        """Fit the texts and lay the figure out: from here on its plots have their size."""
+        self.fit(drawn)
+        drawn.draw_without_rendering()
 
 
 STANDARD = Page()

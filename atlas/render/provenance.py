@@ -1,22 +1,26 @@
-"""What a picture's file says of its numbers: title, digest and spec, the solver's version, the software."""
+"""Pictures as files: their formats, and the source of their numbers in the metadata of each."""
 
 import json
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import matplotlib as mpl
-import xarray as xr
-
+from atlas.errors import InputError
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
     from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
+    from atlas.render.page import Page
 
-
+FORMATS = ("png", "svg", "pdf")
+"""The formats of a picture; the file's suffix chooses one."""
 UNKNOWN = "unknown"
 
 
@@ -30,39 +34,65 @@ class Provenance(NamedTuple):
     software: str
 
 
+def check_path(path: str | Path) -> str:
+    """The format of a picture's file; InputError for a suffix that is none: to be asked before long work."""
+    suffix = Path(path).suffix
+    if suffix.lower().removeprefix(".") not in FORMATS:
+        found = f"found {suffix!r}" if len(suffix) > 1 else "found none"
+        possible = f".{', .'.join(FORMATS)}"
+        raise InputError(f"{Path(path).name}: the suffix chooses the format, {found}; possible: {possible}")
+    return suffix.lower().removeprefix(".")
+
+
+def save(drawn: "Figure", target: Path, provenance: Provenance, page: "Page") -> None:
+    """Write a figure with its provenance; InputError where that cannot be."""
+    suffix = check_path(target)
+    try:
+        with page.context():
+            drawn.savefig(target, format=suffix, metadata=metadata(provenance, suffix))
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+
+
 def provenance_of(*subjects: "xr.Dataset | CellOrbit | Branches") -> Provenance:
     """The provenance of a picture of an atlas, an orbit or branches; of several atlases, with what differs in order."""
     every = [_of_one(each) for each in subjects]
-    return every[0]._replace(digest=" ".join(each.digest for each in every), solver=_listed(every, "solver"))
+    solvers = dict.fromkeys(each.solver for each in every)
+    return every[0]._replace(digest=" ".join(each.digest for each in every), solver=" ".join(solvers))
 
 
 def computed_here(title: str, spec: Mapping[str, Any], digest: str = "none") -> Provenance:
     """The provenance of numbers that this process has computed, from all that decides them."""
-    return Provenance(
-        f"impact-atlas: {title}", digest, str(SOLVER_VERSION), json.dumps(spec), f"impact-atlas {own_version()}"
-    )
+    software = f"impact-atlas {own_version()}"
+    return Provenance(f"impact-atlas: {title}", digest, str(SOLVER_VERSION), json.dumps(spec), software)
 
 
 def metadata(provenance: Provenance, suffix: str) -> dict[str, str | None]:
-    """The provenance in the words that a format has for it, for ``Figure.savefig``.
+    """The provenance under the names that a format has for it, for ``Figure.savefig``.
 
     No time of day: a date would make equal pictures unequal files.
     """
-    software = f"impact-atlas {own_version()}, matplotlib {mpl.__version__}"
-    solver = "" if provenance.solver == UNKNOWN else f"; solver version {provenance.solver}"
-    source = f"computed by {provenance.software}{solver}"
-    title, digest, spec = provenance.title, provenance.digest, provenance.spec
+    import matplotlib
+
+    title, digest, spec, solver = provenance.title, provenance.digest, provenance.spec, provenance.solver
+    software = f"impact-atlas {own_version()}, matplotlib {matplotlib.__version__}"
+    source = f"computed by {provenance.software}" + ("" if solver == UNKNOWN else f"; solver version {solver}")
     if suffix == "svg":
         named = {"Title": title, "Creator": software, "Identifier": digest, "Source": source, "Description": spec}
         return {**named, "Date": None}
     if suffix == "pdf":
-        return {"Title": title, "Creator": software, "Subject": digest, "Keywords": source, "CreationDate": None}
-    words = {"Title": title, "Software": software, "Digest": digest, "Source": source}
-    return {**words, "Solver": provenance.solver, "Spec": spec}
+        return {
+            "Title": title,
+            "Creator": software,
+            "Subject": digest,
+            "Keywords": f"{source}; {spec}",
+            "CreationDate": None,
+        }
+    return {"Title": title, "Software": software, "Digest": digest, "Source": source, "Solver": solver, "Spec": spec}
 
 
 def own_version() -> str:
-    """The version of this distribution, as files name it."""
+    """The version of this distribution in files."""
     try:
         return version("impact-atlas")
     except PackageNotFoundError:
@@ -70,20 +100,13 @@ def own_version() -> str:
 
 
 def _of_one(subject: "xr.Dataset | CellOrbit | Branches") -> Provenance:
+    import xarray as xr
+
     if isinstance(subject, xr.Dataset):
-        attrs = {name: str(value) for name, value in subject.attrs.items()}
         system, axes = stored_name(subject.attrs) or "unknown system", ", ".join(axis_names(subject))
-        return Provenance(
-            f"impact-atlas: {system}, axes {axes}",
-            attrs.get("digest", UNKNOWN),
-            attrs.get("solver_version", UNKNOWN),
-            attrs.get("spec", UNKNOWN),
-            attrs.get("software", "unknown software"),
-        )
+        digest, solver, spec = (str(subject.attrs.get(name, UNKNOWN)) for name in ("digest", "solver_version", "spec"))
+        software = str(subject.attrs.get("software", "unknown software"))
+        return Provenance(f"impact-atlas: {system}, axes {axes}", digest, solver, spec, software)
     along = getattr(subject, "along", None)
     what = "one cell" if along is None else f"branches along {along}"
     return computed_here(f"{subject.system.name}, {what}", subject.decided_by, subject.digest)
-
-
-def _listed(every: list[Provenance], name: str) -> str:
-    return " ".join(dict.fromkeys(getattr(each, name) for each in every))

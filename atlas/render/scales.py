@@ -4,26 +4,26 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from atlas.errors import InputError, check_names
-from atlas.query.extremes import numbers_of_cells, regimes_with
-from atlas.render import classes, maps, style
+from atlas.errors import InputError
+from atlas.query.extremes import regimes_with
+from atlas.render import classes, maps, style, words
 from atlas.render.kinds import CHAOTIC as CHAOTIC_COLORS
 from atlas.render.kinds import SCALAR, STABLE, TABLE
-from atlas.render.maps import Bar, Painted, Texture, View
+from atlas.render.maps import Bar, Cells, Colors, Painted, Texture, View
 from atlas.render.page import STANDARD, Page
 from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC
 
@@ -70,29 +70,23 @@ ERRORS = {
 # Exponents
 
 
-def exponent(view: View) -> Painted:
-    """The chaos map: the largest Lyapunov exponent, blue where motion is stable, orange to dark red in chaos."""
-    largest = known_exponents(view.plane)
-    return exponents(view.plane.regime, largest, two_sided(view.page, *scale_ends(largest)))
+def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
+    """The chaos map: the largest Lyapunov exponent, blue where motion is stable, orange to dark red in chaos.
 
-
-def exponents(regime: NDArray[np.int8], largest: Array, norm: TwoSlopeNorm) -> Painted:
-    """The same of arrays (y, x) on a given scale. Impact-free cells have exponents as others do: they are textured."""
+    ``norm``: a scale that several maps share. Impact-free cells have exponents as others do: they are textured.
+    """
+    regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
+    norm = norm or two_sided(view.page, *scale_ends(largest))
     painted = _scaled(regime, largest, Bar(EXPONENT, norm, largest, TABLE["exponent"].scale.label))
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
         return painted
     color = EXPONENT(norm(np.median(largest[quiet])))
     texture = Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), _without_dust(quiet))
-    entry = style.swatch(color, style.name_of(NO_IMPACT), texture.hatch, texture.ink)
+    entry = style.swatch(color, words.name_of(NO_IMPACT), texture.hatch, texture.ink)
     at = len(painted.legend) - len(painted.textures)  # before the entry of what is lost
     legend = [*painted.legend[:at], entry, *painted.legend[at:]]
     return replace(painted, legend=legend, textures=[texture, *painted.textures])
-
-
-def known_exponents(plane: maps.Plane) -> Array:
-    """The largest exponents (y, x) of cells whose class of motion is known, NaN elsewhere."""
-    return np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
 
 
 def scale_ends(largest: Array) -> tuple[float, float]:
@@ -122,7 +116,7 @@ def two_sided(page: Page, low: float, high: float) -> TwoSlopeNorm:
     return TwoSlopeNorm(0.0, low, high)
 
 
-def _without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _without_dust(cells: Cells) -> Cells:
     """The cells less what is thinner than the eye separates, as between basins: outlined, that would turn black."""
     thin = min(cells.shape) // 150
     if thin == 0:
@@ -141,7 +135,7 @@ def combined(view: View) -> Painted:
     painted, measured = classes.period(view), ~np.isnan(largest)
     painted.rgba[measured] = CHAOS(norm(largest[measured]), bytes=True)
     # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.
-    named = style.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
+    named = words.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
     legend = [each for each in painted.legend if each.get_label() != named]
     return Painted(painted.rgba, legend, [Bar(CHAOS, norm, largest, view.kind.scale.label)])
 
@@ -151,8 +145,7 @@ def combined(view: View) -> Painted:
 
 def number(view: View) -> Painted:
     """A number of each cell whose class of motion is known, on the scale of its kind."""
-    (name,) = view.kind.variables
-    return _numbers(view, np.where(maps.determined(view.plane.regime), view.plane[name], np.nan))
+    return _numbers(view, view.plane.known(*view.kind.variables))
 
 
 def cost(view: View) -> Painted:
@@ -165,8 +158,30 @@ def _numbers(view: View, values: Array) -> Painted:
     """Numbers (y, x) on the scale of their kind; where all are 0, with a name of its own, there is no bar."""
     scale = view.kind.scale
     bar = Bar(colormap_of(scale.colors), color_norm(values, scale.log, view.page), values, scale.label)
-    painted = _scaled(view.plane.regime, values, bar, [] if scale.zero is None else [(values == 0.0, *scale.zero)])
+    others = [] if scale.zero is None else [(values == 0.0, *scale.zero)]
+    painted = _scaled(view.plane.regime, values, bar, others)
     return replace(painted, bars=[bar] if scale.zero is None or np.any(values > 0.0) else [])
+
+
+def scalar(view: View) -> Painted:
+    """Any number that an atlas holds, on an even scale from pale to dark, or on two from a pale zero on.
+
+    Cells whose motion has no such number are NEUTRAL, and textured where it is -inf. InputError for a logarithmic scale
+    of numbers below zero.
+    """
+    name, log, plane = str(view.wanted.variable), view.wanted.log, view.plane
+    regime, values = plane.regime, plane.known(name).astype(np.float64)
+    # Counts of an orbit are results in orbits alone, and not where it rests, which makes its impacts infinitely many.
+    values[~np.isin(regime, list(regimes_with(name))) | (name.startswith("impacts_") & (values < 0.0))] = np.nan
+    if log and np.any(values < 0.0):
+        raise InputError(f"{name!r} has values below zero, which a logarithmic scale cannot show")
+    norm, known = color_norm(values, log, view.page), ~np.isnan(values)
+    zero = known & (values == 0.0) & log
+    none = ~known & plane.determined & (regime != NO_IMPACT)
+    meaning = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
+    bar = Bar(signed_colormap(norm), norm, values, words.variable_label(view.ds, name))
+    painted = _scaled(regime, values, bar, [(zero | none, NEUTRAL, meaning)])
+    return replace(painted, bars=[bar] if np.isfinite(values).any() else [])
 
 
 def _scaled(regime: NDArray[np.int8], values: Array, bar: Bar, others: Sequence[classes.Class] = ()) -> Painted:
@@ -178,15 +193,12 @@ def _scaled(regime: NDArray[np.int8], values: Array, bar: Bar, others: Sequence[
     color, lost = bar.colormap(0.0), np.isneginf(values)
     if not lost.any():
         return replace(painted, bars=[bar])
-    texture, label = (
-        Texture(lost, style.LOST_HATCH, style.ink_on(color)),
-        r"$-\infty$: rest on a stop erases disturbances",
-    )
-    entry = style.swatch(color, label, texture.hatch, texture.ink)
+    texture = Texture(lost, style.LOST_HATCH, style.ink_on(color))
+    entry = style.swatch(color, r"$-\infty$: rest on a stop erases disturbances", texture.hatch, texture.ink)
     return replace(painted, legend=[*painted.legend, entry], bars=[bar], textures=[texture])
 
 
-def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> NDArray[np.uint8]:
+def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> Colors:
     """The colours of values (y, x, 4) in bytes. Zero has no logarithm: what is below the scale has its end's colour."""
     least = float(norm.vmin or 0.0)
     return np.asarray(colormap(norm(np.where(np.isnan(values), least, np.maximum(values, least))), bytes=True))
@@ -213,34 +225,6 @@ def color_norm(values: Array, log: bool, page: Page = STANDARD) -> Normalize:
     return LogNorm(low, high) if log else Normalize(low, high)
 
 
-def scalar(view: View) -> Painted:
-    """Any number that an atlas holds, on an even scale from pale to dark, or on two from a pale zero on.
-
-    Cells whose motion has no such number are NEUTRAL, and textured where it is -inf. InputError for a logarithmic scale
-    of numbers below zero.
-    """
-    name, log, regime = view.variable, view.log, view.plane.regime
-    values = known_values(name, view.plane)
-    if log and np.any(values < 0.0):
-        raise InputError(f"{name!r} has values below zero, which a logarithmic scale cannot show")
-    norm, known = color_norm(values, log, view.page), ~np.isnan(values)
-    zero = known & (values == 0.0) & log
-    none = ~known & maps.determined(regime) & (regime != NO_IMPACT)
-    words = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
-    bar = Bar(signed_colormap(norm), norm, values, variable_label(view.ds, name))
-    painted = _scaled(regime, values, bar, [(zero | none, NEUTRAL, words)])
-    return replace(painted, bars=[bar] if np.isfinite(values).any() else [])
-
-
-def checked(ds: xr.Dataset, name: str) -> list[str]:
-    """The variable that a map of it reads; InputError, with the nearest name, unless it is a number of each cell."""
-    possible = numbers_of_cells(ds)
-    if name in ds and name not in possible:
-        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
-    check_names("variable", [name], possible)
-    return [name]
-
-
 def signed_colormap(norm: Normalize) -> Colormap:
     """The colours of a scale: zero between its ends is pale, and equally far from it both sides are equally dark."""
     low, high, above = float(norm.vmin or 0.0), float(norm.vmax or 0.0), TABLE[SCALAR].scale.colors
@@ -250,28 +234,6 @@ def signed_colormap(norm: Normalize) -> Colormap:
     return ListedColormap(colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)(0.5 + 0.5 * shares), name="signed")
 
 
-def known_values(name: str, plane: maps.Plane) -> Array:
-    """The variable where it is a result, NaN elsewhere: in orbits alone for counts of an orbit, and not where it rests,
-    which makes the number of impacts infinite.
-    """
-    values = plane[name].astype(np.float64)
-    known = maps.determined(plane.regime) & np.isin(plane.regime, list(regimes_with(name)))
-    if name.startswith("impacts_"):
-        known &= values >= 0.0
-    return np.where(known, values, np.nan)
-
-
-def variable_label(ds: xr.Dataset, name: str) -> str:
-    """What the variable is and its unit, as a colour bar says it."""
-    attributes = ds[name].attrs
-    meaning = str(attributes.get("long_name", name)).split(";")[0]
-    unit = str(attributes.get("units", "1"))
-    return meaning.removesuffix(f" {style.unit_text(unit)}") + style.unit_ending(unit)  # some meanings end with it
-
-
-# Errors
-
-
 def error(view: View) -> Painted:
     """How well the largest exponent of every cell is known, on a scale for each kind of error.
 
@@ -279,7 +241,10 @@ def error(view: View) -> Painted:
     of two windows on a torus: see the table of variables in docs/data.md. Ends of the scale, where they are given, are
     those of the standard error.
     """
-    regime, known = view.plane.regime, known_errors(view.plane)
+    regime, known = view.plane.regime, view.plane.known(ERROR.name)
+    # Nothing is known better than to rounding, and an error of zero has no place on a logarithmic scale.
+    known = np.where(known == 0.0, np.finfo(float).eps, np.maximum(known, np.finfo(float).tiny))
+    known[~np.isfinite(known)] = np.nan
     rgba, bars = np.zeros((*regime.shape, 4), np.uint8), []
     for name, (colormap, codes) in ERRORS.items():
         values = np.where(np.isin(regime, codes), known, np.nan)
@@ -288,15 +253,7 @@ def error(view: View) -> Painted:
             norm = color_norm(values, log=True, page=view.page if CHAOTIC in codes else STANDARD)
             rgba[cells] = on_scale(values, norm, colormap)[cells]
             bars.append(Bar(colormap, norm, values, view.kind.scale.label, name))
-    return Painted(rgba, maps.paint_regimes(rgba, regime, ~np.isfinite(known)), bars)
-
-
-def known_errors(plane: maps.Plane) -> Array:
-    """The error of every cell whose class is known, positive; NaN elsewhere."""
-    error = np.where(maps.determined(plane.regime), plane[ERROR.name], np.nan)
-    # Nothing is known better than to rounding; an error of zero would have no place on a log scale.
-    known = np.where(np.isfinite(error), np.maximum(error, np.finfo(float).tiny), np.nan)
-    return np.where(error == 0.0, np.finfo(float).eps, known)
+    return Painted(rgba, maps.paint_regimes(rgba, regime, np.isnan(known)), bars)
 
 
 # Bars
@@ -311,7 +268,9 @@ def draw_bars(
     """
     for place, bar in enumerate(bars):
         low, high = float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 1.0)
-        extend, mappable = _extend(bar, low, high), ScalarMappable(bar.norm, bar.colormap)
+        values = bar.values[np.isfinite(bar.values) & (bar.values != 0.0)]  # zero has no logarithm, or its own name
+        ends = bool(np.any(values < low)), bool(np.any(values > high))
+        extend, mappable = _EXTEND[ends], ScalarMappable(bar.norm, bar.colormap)
         if bar.title:
             share, gap = 1.0 / len(bars), 0.13 if len(bars) > 1 else 0.05
             inset = panels[0].inset_axes((1.03, place * share, 0.035, share - gap))
@@ -320,14 +279,13 @@ def draw_bars(
             inset.set_title(bar.title, loc="left", fontsize=size, pad=pad)
         else:
             side = "bottom" if below else "right"
-            made = drawn.colorbar(
-                mappable, ax=list(panels), location=side, extend=extend, aspect=28, pad=0.02, extendfrac=0.03
-            )
+            look: Any = {"aspect": 28, "pad": 0.02, "extendfrac": 0.03}
+            made = drawn.colorbar(mappable, ax=list(panels), location=side, extend=extend, **look)
             two = isinstance(bar.norm, TwoSlopeNorm) and -low != high
             made.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
         made.outline.set_linewidth(0.6)
         if isinstance(bar.norm, LogNorm):
-            log_ticks(made, most=4 if len(bars) > 1 else 8)
+            _log_ticks(made, low, high, most=4 if len(bars) > 1 else 8)
         elif isinstance(bar.norm, TwoSlopeNorm):
             made.set_ticks(_ticks(low, high, 3 if below else 5))  # numbers need more room side by side
             (made.ax.axvline if below else made.ax.axhline)(0.0, color="black", linewidth=0.7)
@@ -338,11 +296,8 @@ def draw_bars(
         )  # fmt: skip
 
 
-def _extend(bar: Bar, low: float, high: float) -> str:
-    """At which ends of a scale values lie beyond it, in the words of matplotlib's colour bars."""
-    values = bar.values[np.isfinite(bar.values) & (bar.values != 0.0)]  # zero has no logarithm, or a name of its own
-    below, above = bool(np.any(values < low)), bool(np.any(values > high))
-    return {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}[below, above]
+_EXTEND = {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}
+"""At which ends of a scale values lie beyond it, in the words of matplotlib's colour bars."""
 
 
 def _ticks(low: float, high: float, most: int) -> list[float]:
@@ -352,23 +307,14 @@ def _ticks(low: float, high: float, most: int) -> list[float]:
     return [float(each) for each in np.unique(both[(both >= low) & (both <= high)].round(12))]
 
 
-def log_ticks(bar: Colorbar, most: int = 8) -> None:
-    """Ticks of a logarithmic colour bar: powers of ten where it spans many, else 1, 2, 5 in plain numbers."""
-    low, high = (float(end) for end in (bar.norm.vmin or 0.0, bar.norm.vmax or 1.0))
-    decades = math.log10(high / low)
-    axis = bar.ax.yaxis
+def _log_ticks(bar: Colorbar, low: float, high: float, most: int) -> None:
+    """Ticks of a logarithmic colour bar: powers of ten where it spans many decades, else 1, 2, 5 in plain numbers."""
+    decades, axis = math.log10(high / low), bar.ax.yaxis
     if decades > 3.0 or high < 1e-3:
         bar.set_ticks(LogLocator(numticks=most))
         if decades > 3.0:
             axis.set_minor_locator(NullLocator())
         axis.set_minor_formatter(NullFormatter())
         return
-    steps = [1.0, 2.0, 5.0] if decades * 3.0 <= most else [1.0, 3.0] if decades * 2.0 <= most else [1.0]
-    axis.set_major_locator(LogLocator(subs=steps))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: _plain(value)))
-    axis.set_minor_locator(NullLocator())
-
-
-def _plain(value: float) -> str:
-    """A number as a colour bar shows it: 0.02, 5, 2000, 20\N{NARROW NO-BREAK SPACE}000."""
-    return f"{value:,g}".replace(",", "\N{NARROW NO-BREAK SPACE}") if value >= 1e4 else f"{value:g}"
+    fitting = [steps for steps in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)) if decades * len(steps) <= most]
+    maps.plain_ticks(axis, fitting[0] if fitting else (1.0,))

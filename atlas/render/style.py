@@ -1,22 +1,16 @@
-"""How every picture looks and what every file carries: type, colours, the title line, metadata."""
+"""How every picture looks: type, colours, textures, entries of legends, curves and events."""
 
-import math
-from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.legend import Legend
 from matplotlib.legend_handler import HandlerPatch
-from matplotlib.mathtext import MathTextParser
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.patheffects import withStroke
 from matplotlib.typing import ColorType
 
-from atlas.spec.system import stored_system
-from workers.model.parameter import Parameter
-from workers.model.system import System
 from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 DPI = 300.0
@@ -71,11 +65,6 @@ LOST_HATCH = "||"
 """The texture of exponents that are -inf: rest on a stop erases disturbances."""
 
 
-def name_of(code: int) -> str:
-    """A regime's name as a legend says it."""
-    return next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")
-
-
 def rgb(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
     """A colour in bytes."""
     red, green, blue = (round(255 * channel) for channel in to_rgb(color))
@@ -120,84 +109,77 @@ def ink_on(color: ColorType) -> str:
     return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
 
 
-def parameter_of(ds: xr.Dataset, name: str) -> Parameter | None:
-    """What the atlas's system says of a parameter, or None where system or parameter is unknown."""
-    system = system_of(ds)
-    return next((p for p in system.parameters if p.name == name), None) if system else None
+class Look(NamedTuple):
+    """The look of a kind of event: its name in a legend, its colour, the dashes of curves, the marker of points.
 
-
-def system_of(ds: xr.Dataset) -> System | None:
-    """The atlas's system, or None where it names none that is known."""
-    return stored_system(ds.attrs)
-
-
-def symbol(ds: xr.Dataset, name: str) -> str:
-    """A parameter's symbol as mathtext, without the dollars; its name upright where there is none to be shown."""
-    parameter = parameter_of(ds, name)
-    known = ds[name].attrs.get("symbol") or (parameter.symbol if parameter else "")
-    return shown_symbol(str(known), name)
-
-
-@lru_cache(maxsize=1024)
-def shown_symbol(symbol: str, name: str) -> str:
-    r"""The symbol, or where it is empty or no mathtext, such as ``\frac{``, the name upright."""
-    try:
-        parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
-    except ValueError:
-        parsed = False
-    return symbol if parsed else rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
-
-
-def axis_label(ds: xr.Dataset, name: str) -> str:
-    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none."""
-    parameter = parameter_of(ds, name)
-    attrs = ds[name].attrs
-    meaning = str(attrs.get("long_name") or (parameter.meaning if parameter else "")).split(":")[0]
-    unit = str(attrs.get("units") or (parameter.unit if parameter else "1"))
-    return f"{meaning} ${symbol(ds, name)}${unit_ending(unit)}".strip()
-
-
-def unit_ending(unit: str) -> str:
-    """How a label ends that has this CF unit: in brackets; nothing for the 1 of pure numbers."""
-    return "" if unit == "1" else f" [{unit_text(unit)}]"
-
-
-def unit_text(unit: str) -> str:
-    """A CF unit as an axis shows it."""
-    return "per forcing period" if unit == "1/period" else unit
-
-
-def title_line(ds: xr.Dataset) -> str:
-    """The fixed parameters that matter, as ``$R = 0.8$,  $\\zeta = 0.05$``: all but an initial state of zero.
-
-    They stand in the system's own order.
+    Colours are told apart without red or green receptors, dashes and markers without any colour.
     """
-    system = system_of(ds)
-    order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
-    fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
-    states = system.states if system else ()
-    values = {name: float(ds[name]) for name in fixed}
-    return parameter_line([(symbol(ds, name), value) for name, value in values.items() if value or name not in states])
+
+    label: str
+    color: str
+    dashes: Any
+    marker: str
 
 
-def parameter_title(system: System, values: Mapping[str, float]) -> str:
-    """The same for one cell of a system."""
-    shown = [p for p in system.parameters if values[p.name] or p.name not in system.states]
-    return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in shown])
+LOOKS = {
+    "fold": Look("fold", "#000000", "solid", "D"),
+    "symmetry_breaking": Look("symmetry breaking", "#0060a8", (0, (7, 2, 1.5, 2)), "s"),
+    "period_doubling": Look("period doubling", "#c44601", (0, (5, 1.8)), "^"),
+    "neimark_sacker": Look("Neimark–Sacker", "#00785a", (0, (4, 1.5, 1.2, 1.5, 1.2, 1.5)), "o"),
+    "graze": Look("graze", "#8a1c7c", (0, (1.3, 1.5)), "v"),
+    "impact_lost": Look("impact lost", "#e09000", (0, (1.3, 3.0)), "<"),
+    "contact_lost": Look("contact lost", "#e09000", (0, (1.3, 4.5)), "p"),
+    "lift_off": Look("lift-off", "#e09000", (0, (3.0, 1.3)), ">"),
+    "stick_onset": Look("onset of stick", "#642810", (0, (5, 1.5, 1.2, 1.5)), "P"),
+    "stick_end": Look("end of stick", "#642810", (0, (2.5, 2.5)), "X"),
+    "grazing_sliding": Look("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
+    "adding_sliding": Look("adding–sliding", "#642810", (0, (6, 4)), "h"),
+}
+"""The kinds with one condition, in the order of legends."""
+
+CORNERS = {
+    "cusp": ("cusp", "^"),
+    "fold_flip": ("fold–flip", "s"),
+    "resonance_1_1": ("1:1 resonance", "o"),
+    "resonance_1_2": ("1:2 resonance", "D"),
+    "resonance_1_3": ("1:3 resonance", "<"),
+    "resonance_1_4": ("1:4 resonance", ">"),
+    "double_graze": ("double graze", "X"),
+    "graze_fold": ("graze–fold", "v"),
+    "graze_period_doubling": ("graze–period doubling", "p"),
+    "graze_symmetry_breaking": ("graze–symmetry breaking", "P"),
+    "graze_neimark_sacker": ("graze–Neimark–Sacker", "h"),
+}
+"""Points of codimension two: their name in a legend and their marker, white with a black edge."""
 
 
-def parameter_line(items: Sequence[tuple[str, float]]) -> str:
-    """Symbols with their values; where the line is too long for its page it will be broken between them."""
-    return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
+def corner_look(kind: str, size: float) -> dict[str, Any]:
+    """Name and marker of a point of codimension two, as arguments of ``Axes.plot``."""
+    label, marker = CORNERS.get(kind, ("", "*"))
+    for name, look in LOOKS.items():
+        if not label and kind.endswith(f"_{name}"):
+            first = corner_look(kind.removesuffix(f"_{name}"), size)["label"]
+            label = f"{first}–{look.label}"
+    label = label or (LOOKS[kind].label if kind in LOOKS else kind.replace("_", " "))
+    return mark(marker, size, "white", "black", 0.8) | {"label": label}
 
 
-def number(value: float) -> str:
-    """A number as mathtext: up to six digits, and simple multiples of pi as such."""
-    for below in (1, 2, 3, 4, 6):
-        above = value / math.pi * below
-        if above and abs(above - round(above)) < 1e-12 and 0 < abs(round(above)) <= 12:
-            times = round(above)
-            factor = {1: "", -1: "-"}.get(times, str(times))
-            return rf"{factor}\pi" + (f"/{below}" if below > 1 else "")
-    mantissa, _, power = f"{value:.6g}".partition("e")
-    return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
+def mark(marker: str, size: float, color: str, edge: str, width: float) -> dict[str, Any]:
+    """How points are drawn, as arguments of ``Axes.plot``: size and width of the edge in points."""
+    return {
+        "linestyle": "", "marker": marker, "markersize": size, "color": color, "markeredgecolor": edge,
+        "markeredgewidth": width,
+    }  # fmt: skip
+
+
+def event_look(kind: str, size: float) -> dict[str, Any]:
+    """Name and marker of a kind of event, as arguments of ``Axes.plot``."""
+    look = LOOKS[kind]
+    return mark(look.marker, size, look.color, "white", 0.5) | {"label": look.label}
+
+
+def line_entry(kind: str, width: float) -> Line2D:
+    """The legend entry of curves of a kind, on a white halo as over a map."""
+    look = LOOKS[kind]
+    halo = [withStroke(linewidth=width + 1.4, foreground="white")]
+    return Line2D([], [], color=look.color, linewidth=width, linestyle=look.dashes, path_effects=halo, label=look.label)

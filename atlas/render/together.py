@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import matplotlib as mpl
@@ -11,7 +11,6 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -19,15 +18,18 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query.compare import Comparison, differences
 from atlas.query.reads import counted
-from atlas.query.resample import view
+from atlas.query.resample import view as in_view
 from atlas.query.window import Window, axis_names, within
-from atlas.render import axes, classes, maps, scales, style
+from atlas.render import maps, scales, style, words
 from atlas.render.fit import OWN_TITLE, TITLE
+from atlas.render.kinds import TABLE
+from atlas.render.maps import Colors, Plane
+from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
 from workers.results import LARGEST, PENDING, REGIME, REGIMES
 
-KINDS = {"exponent": LARGEST.name, "period": "period"}
-"""The kinds of map that are drawn side by side, and the variable that each takes."""
+KINDS = ("exponent", "period")
+"""The kinds of map that are drawn side by side."""
 DIFFERENCE = colormaps["PuOr_r"]
 SAME, WITHOUT = "#ffffff", "#9a9a9a"
 """Colours of cells that have the same regime in both atlases, and of those without an exponent in one of them."""
@@ -50,9 +52,9 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
     if not compared.has_exponents:
         page.refuse_ends("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
-    sheet = _Sheet(page, count, min(count, _most_columns(page, 2)))
+    sheet = _Sheet(page, count, most=2)
     with counted() as reads, page.context():
-        here, there = _same_cells(compared, sheet.panel.pixels)
+        here, there = _same_cells(compared, sheet.panel.map_pixels)
         drawn, panels = sheet.draw()
         _head(drawn, page, _title(compared), max(reads.block))
         entries = _draw_difference(drawn, panels[0], here, there, sheet.panel) if count == 2 else []
@@ -75,30 +77,32 @@ def side_by_side(
     parameter differs. Axes have the same limits.
     Raises InputError for fewer than two atlases, for another kind, and where axes or variables are not the same.
     """
-    chosen = _check(atlases, kind)
-    if chosen == "period":
+    chosen = TABLE[_check(atlases, kind)]
+    if chosen.name == "period":
         page.refuse_ends("kind 'period' draws classes")
     shown = [within(ds, window) for ds in atlases]
-    sheet = _Sheet(page, len(shown), _columns(len(shown), _most_columns(page, 3)))
+    sheet = _Sheet(page, len(shown), most=3)
     with counted() as reads, page.context():
-        planes = [maps.read(ds, [KINDS[chosen]], chosen, sheet.panel.pixels) for ds in shown]
+        views = [maps.read(chosen, ds, Wanted(sheet.panel)) for ds in shown]
         drawn, panels = sheet.draw()
         differing = _differing(shown)
-        _head(drawn, page, style.title_line(shown[0].drop_vars(differing)), max(reads.block))
-        exponents = [scales.known_exponents(plane).ravel() for plane in planes if chosen == "exponent"]
-        known = np.concatenate(exponents) if exponents else None
-        norm = None if known is None else scales.two_sided(page, *scales.scale_ends(known))
+        _head(drawn, page, words.title_line(shown[0].drop_vars(differing)), max(reads.block))
+        known = norm = None
+        if chosen.name == "exponent":
+            known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
+            norm = scales.two_sided(page, *scales.scale_ends(known))
         entries: dict[str, Artist] = {}
-        for k, (ax, plane) in enumerate(zip(panels, planes, strict=True)):
-            maps.texture(ax)
+        for k, (ax, view) in enumerate(zip(panels, views, strict=True)):
             title = sheet.panel_title(shown[k], differing, names[k] if names else f"{k + 1}")
             ax.set_title(title, loc="left", gid=OWN_TITLE)
-            for entry in _draw_map(ax, plane, norm, sheet.panel):
+            painted = chosen.painter(view) if norm is None else chosen.painter(view, norm)
+            for entry in maps.lay(ax, view, painted):
                 entries.setdefault(str(entry.get_label()), entry)
         sheet.label_outside(panels)
         # The axes are shared, so that these limits are those of all.
-        panels[0].set_xlim(min(plane.x.edges[0] for plane in planes), max(plane.x.edges[-1] for plane in planes))
-        panels[0].set_ylim(min(plane.y.edges[0] for plane in planes), max(plane.y.edges[-1] for plane in planes))
+        planes = [view.plane for view in views]
+        panels[0].set_xlim(min(each.x.edges[0] for each in planes), max(each.x.edges[-1] for each in planes))
+        panels[0].set_ylim(min(each.y.edges[0] for each in planes), max(each.y.edges[-1] for each in planes))
         if norm is not None and known is not None:
             bar = maps.Bar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")
             scales.draw_bars(drawn, panels, [bar], page, below=not page.wide)
@@ -108,11 +112,16 @@ def side_by_side(
 
 @dataclass(frozen=True)
 class _Sheet:
-    """How maps share a page: so many, in rows of so many columns."""
+    """How a number of maps share a page: in rows of at most ``most`` on a wide page, of one less on a narrow one."""
 
     page: Page
     count: int
-    columns: int
+    most: int
+
+    @property
+    def columns(self) -> int:
+        most = self.most if self.page.wide else self.most - 1
+        return self.count if self.count <= most else 2 if self.count == 4 else most
 
     @property
     def rows(self) -> int:
@@ -125,10 +134,10 @@ class _Sheet:
         return self.page.scale * (under + 1.1 * self.rows) + 0.51 * self.page.width / self.columns * self.rows
 
     @property
-    def panel(self) -> maps.Options:
-        """What one of the maps is drawn with."""
+    def panel(self) -> Page:
+        """The page of one of the maps."""
         height = (self.page.height or self.height) / self.rows
-        return maps.Options(page=replace(self.page, width=self.page.width / self.columns, height=height))
+        return replace(self.page, width=self.page.width / self.columns, height=height)
 
     def draw(self) -> tuple[Figure, list[Axes]]:
         """The figure and its plots, with axes in common."""
@@ -143,7 +152,7 @@ class _Sheet:
         """The parameters that differ, or the name in lines that are not wider than a map."""
         if differing:
             return _values(ds, differing)
-        letters = self.panel.size[0] / (0.6 * self.page.font)
+        letters = self.panel.map_size[0] / (0.6 * self.page.font)
         return textwrap.fill(name, max(4, int(letters)))
 
     def label_outside(self, panels: Sequence[Axes]) -> None:
@@ -172,20 +181,12 @@ def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
             )
     if kind is not None and kind not in KINDS:
         raise InputError(f"kind {kind!r} is drawn of one atlas; side by side: {', '.join(KINDS)}")
-    held = [name for name, variable in KINDS.items() if all(variable in ds for ds in atlases)]
-    if not held or (kind is not None and kind not in held):
-        lacking = next(k for k, ds in enumerate(atlases, 1) if KINDS[kind or "period"] not in ds)
-        raise InputError(f"kind {kind or 'period'!r} draws {KINDS[kind or 'period']!r}, which atlas {lacking} lacks")
-    return kind or held[0]
-
-
-def _most_columns(page: Page, most: int) -> int:
-    """How many maps share a row of a wide page; of a narrow one, less by one."""
-    return most if page.wide else most - 1
-
-
-def _columns(count: int, most: int) -> int:
-    return count if count <= most else 2 if count == 4 else most
+    for chosen in KINDS if kind is None else [kind]:
+        variable = TABLE[chosen].variables[0]
+        lacking = [k for k, ds in enumerate(atlases, 1) if variable not in ds]
+        if not lacking:
+            return chosen
+    raise InputError(f"kind {chosen!r} draws {variable!r}, which atlas {lacking[0]} lacks")
 
 
 def _differing(atlases: Sequence[xr.Dataset]) -> list[str]:
@@ -195,12 +196,12 @@ def _differing(atlases: Sequence[xr.Dataset]) -> list[str]:
 
 
 def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
-    return style.parameter_line([(style.symbol(ds, each), float(ds[each])) for each in names])
+    return words.parameter_line([(words.symbol(ds, each), float(ds[each])) for each in names])
 
 
 def _title(compared: Comparison) -> str:
     """The common parameters, and below them what is there and what is here."""
-    common = style.title_line(compared.one.drop_vars(compared.differing))
+    common = words.title_line(compared.one.drop_vars(compared.differing))
     sides = [_values(ds, compared.differing) for ds in (compared.other, compared.one)]
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
@@ -213,72 +214,50 @@ def _head(drawn: Figure, page: Page, title: str, block: int) -> None:
     drawn.suptitle(text, fontsize=mpl.rcParams["font.size"], ha="left", x=0.012).set_gid(TITLE)
 
 
-def _same_cells(compared: Comparison, pixels: tuple[int, int]) -> tuple[maps.Plane, maps.Plane]:
+def _same_cells(compared: Comparison, pixels: tuple[int, int]) -> list[Plane]:
     """Both planes, of the same cells: overviews where both have them, else the cells themselves."""
-    names = [LARGEST.name] if compared.has_exponents else []
-    both = [view(ds, names, pixels=pixels) for ds in (compared.one, compared.other)]
-    if both[0][REGIME.name].shape != both[1][REGIME.name].shape:
-        both = [view(ds, names) for ds in (compared.one, compared.other)]
-    return _plane(both[0], names), _plane(both[1], names)
+    names, both = [LARGEST.name] if compared.has_exponents else [], (compared.one, compared.other)
+    read = [in_view(ds, names, pixels=pixels) for ds in both]
+    if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
+        read = [in_view(ds, names) for ds in both]
+    return [Plane.of(ds, names) for ds in read]
 
 
-def _plane(ds: xr.Dataset, names: Sequence[str]) -> maps.Plane:
-    ds, (x, y) = axes.rising(ds)
-    values: Mapping[str, NDArray[np.float64]] = {name: ds[name].values for name in names}
-    return maps.Plane(x, y, ds[REGIME.name].values, values)
-
-
-def _draw_difference(
-    drawn: Figure, ax: Axes, here: maps.Plane, there: maps.Plane, options: maps.Options
-) -> list[Patch]:
+def _draw_difference(drawn: Figure, ax: Axes, here: Plane, there: Plane, page: Page) -> list[Patch]:
     """Draw the differences of exponents, with their scale; legend entries."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
-    known = ~np.isnan(change)
+    known, pending = ~np.isnan(change), _pending(here, there)
     most = float(np.percentile(np.abs(change[known]), 100.0 - _SHARE)) if known.any() else 0.0
     # Rise and fall are to look alike: one end that is asked for decides the other.
-    given = [end for end in (options.page.vmax, options.page.vmin) if end is not None]
+    given = [end for end in (page.vmax, page.vmin) if end is not None]
     end = abs(given[0]) if given else most or 1.0
-    norm = scales.two_sided(options.page, -end, end)
-    rgba = DIFFERENCE(norm(np.where(known, change, 0.0)), bytes=True)
+    norm = scales.two_sided(page, -end, end)
+    rgba: Colors = DIFFERENCE(norm(np.where(known, change, 0.0)), bytes=True)
     rgba[~known] = style.rgb(WITHOUT)
-    maps.texture(ax)
-    _hide_pending(rgba, here, there)
-    axes.draw_cells(ax, here.x, here.y, rgba)
+    rgba[pending] = 0
+    maps.draw_cells(ax, here, rgba, page)
     ax.set_title("difference of exponents", loc="left")
     label = r"change of $\lambda_1$ [per forcing period]"
-    scales.draw_bars(drawn, [ax], [maps.Bar(DIFFERENCE, norm, change[known], label)], options.page, below=True)
-    grey = ~known & (here.regime != PENDING) & (there.regime != PENDING)
-    return [style.swatch(WITHOUT, "without an exponent in one")] if grey.any() else []
+    scales.draw_bars(drawn, [ax], [maps.Bar(DIFFERENCE, norm, change[known], label)], page, below=True)
+    return [style.swatch(WITHOUT, "without an exponent in one")] if np.any(~known & ~pending) else []
 
 
-def _draw_changes(ax: Axes, here: maps.Plane, there: maps.Plane, options: maps.Options) -> list[Patch]:
+def _draw_changes(ax: Axes, here: Plane, there: Plane, page: Page) -> list[Patch]:
     """Draw the regimes there of cells that have another one here; legend entries."""
-    rgba = np.zeros((*here.regime.shape, 4), np.uint8)
-    rgba[...] = style.rgb(SAME)
+    rgba, pending = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8), _pending(here, there)
     entries = [style.swatch(SAME, "same regime")]
-    pending = (here.regime == PENDING) | (there.regime == PENDING)
     for each in REGIMES:
         cells = (there.regime == each.code) & (here.regime != each.code) & ~pending
         if cells.any():
             rgba[cells] = style.rgb(each.color)
-            entries.append(maps.regime_entry(each.code, f"{style.name_of(each.code)} instead"))
-    maps.texture(ax)
-    _hide_pending(rgba, here, there)
-    maps.draw(ax, there, rgba, options)
+            entries.append(maps.regime_entry(each.code, f"{words.name_of(each.code)} instead"))
+    rgba[pending] = 0
+    maps.draw_cells(ax, there, rgba, page)
     ax.set_title("another regime", loc="left")
     if pending.any():
-        entries.append(style.swatch("white", style.name_of(PENDING), style.HATCH[PENDING]))
+        entries.append(style.swatch("white", words.name_of(PENDING), style.HATCH[PENDING]))
     return entries
 
 
-def _hide_pending(rgba: NDArray[np.uint8], here: maps.Plane, there: maps.Plane) -> None:
-    rgba[(here.regime == PENDING) | (there.regime == PENDING)] = 0
-
-
-def _draw_map(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm | None, options: maps.Options) -> list[Artist]:
-    """Draw one of several maps: exponents on this scale, or periods; legend entries."""
-    if norm is None:
-        painted = classes.periods(plane.regime, plane["period"])
-    else:
-        painted = scales.exponents(plane.regime, scales.known_exponents(plane), norm)
-    return maps.lay(ax, plane, painted, options)
+def _pending(here: Plane, there: Plane) -> NDArray[np.bool_]:
+    return (here.regime == PENDING) | (there.regime == PENDING)

@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from atlas.robustness.norm import weighted
+from workers.attractors.cell import FIRST
 from workers.attractors.record import STABLE, Attractor
 from workers.kernel.cells import physical_states
 from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, Motion, axes, motions_at
-from workers.model.hybrid import Hybrid, drifts, rigid_stops, with_modes
-from workers.model.oscillator import Array, Oscillator
+from workers.model.oscillator import Array, Oscillator, one_of
 from workers.orbit.map import iterate, jacobian_of
 
 MOST_PRODUCTS = 100_000
@@ -64,7 +64,7 @@ class Linear(NamedTuple):
     reason: str = ""
 
 
-def measures_of(oscillator: Oscillator | Hybrid, attractor: Attractor, weights: Array) -> Linear:
+def measures_of(oscillator: Oscillator, attractor: Attractor, weights: Array) -> Linear:
     """The measures of an attractor of one machine, a record of many, in the norm of weights (2n,)."""
     if attractor.regime not in STABLE:
         return Linear(reason=NO_ORBIT)
@@ -81,9 +81,9 @@ def measures_of(oscillator: Oscillator | Hybrid, attractor: Attractor, weights: 
     return Linear(time, fastest, reason=LONG) if growth is None else Linear(time, fastest, *growth)
 
 
-def phases_of(oscillator: Oscillator | Hybrid, orbit: Attractor) -> Phases | str:
+def phases_of(oscillator: Oscillator, orbit: Attractor) -> Phases | str:
     """The phases of an orbit of one machine, a record of many; or the reason if its map has no Jacobian there."""
-    if drifts(oscillator):
+    if oscillator.drifts:
         return DRIFTS
     h, contact = orbit.h, orbit.contact
     states, jacobians = list[Array](), list[Array]()
@@ -101,17 +101,18 @@ def phases_of(oscillator: Oscillator | Hybrid, orbit: Attractor) -> Phases | str
     return TOUCHES if touches_a_stop(oscillator, phases.states) else phases
 
 
-def _one_period(oscillator: Oscillator | Hybrid, h: Array, contact: int) -> Motion:
+def _one_period(oscillator: Oscillator, h: Array, contact: int) -> Motion:
     """The motion one period after block state h (n, 2), with tangent vectors along the block axes."""
     none, one = (np.zeros(0), np.zeros((0, 0))), (1, np.bool_(False))
-    motion: Motion = with_modes(oscillator, lambda osc: iterate(osc, h, contact, axes(len(h)), *none, *one))
+    osc = one_of(oscillator, 0)
+    motion: Motion = oscillator.with_modes(lambda _: iterate(osc, h, contact, axes(len(h)), *none, *one), FIRST)
     return motion
 
 
-def touches_a_stop(oscillator: Oscillator | Hybrid, states: Array) -> bool:
+def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
     """Whether one of these section states (p, 2n) of one machine is on a rigid stop, to within AT_SECTION periods."""
     n, period = states.shape[1] // 2, float(oscillator.period[0])
-    for row, *stops in rigid_stops(oscillator):
+    for row, *stops in oscillator.rigid_stops:
         y, v = states[:, :n] @ row[0], states[:, n:] @ row[0]
         for stop in stops:
             near = AT_SECTION * (period * np.abs(v) + np.abs(states[:, :n]) @ np.abs(row[0]))

@@ -1,0 +1,71 @@
+"""The motions of a plane: periodic ones by forcing periods and impacts at either stop, n-p-q, as is the custom."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.query import machine
+from workers.results import PERIODIC
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from atlas.query.grazing import Axis
+
+VARIABLES = ("period", "impacts_upper", "impacts_lower")
+
+
+class Motion(NamedTuple):
+    """What names a periodic motion: n forcing periods, p impacts at the upper stop and q at the lower.
+
+    Where it rests on a stop, which makes its impacts infinitely many, n is 0, and p and q are -1.
+    """
+
+    n: int
+    p: int
+    q: int
+
+    @property
+    def label(self) -> str:
+        """Its name in a legend."""
+        return f"{self.n}-{self.p}-{self.q}" if self.p >= 0 else "periodic, sticks"
+
+
+def motions(
+    regime: NDArray[np.int8], period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]
+) -> tuple[list[Motion], NDArray[np.intp]]:
+    """The motions of periodic cells in rising order, and the number of each cell's motion; -1 where it has none."""
+    counted = (regime == PERIODIC) & (period >= 1)
+    rests = counted & (upper < 0)
+    counts = np.stack([np.where(rests, 0, period), np.where(rests, -1, upper), np.where(rests, -1, lower)], axis=-1)
+    kinds, which = np.unique(counts[counted], axis=0, return_inverse=True)
+    number = np.full(regime.shape, -1)
+    number[counted] = which.ravel()
+    return [Motion(*map(int, kind)) for kind in kinds], number
+
+
+def broken_cells(
+    ds: "xr.Dataset", x: "Axis", y: "Axis", regime: NDArray[np.int8], symmetric: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """The periodic cells (y, x) whose motion is not its own mirror image x(t) = -x(t + T/2), though it has one.
+
+    InputError where there are periodic cells, but none of a machine whose motions have mirror images.
+    """
+    system = machine.known_system(ds, "kind 'symmetry'")
+    same, periodic = machine.fixed(ds, system), regime == PERIODIC
+    rows, columns = np.nonzero(periodic & ~symmetric)
+    found = np.zeros(regime.shape, bool)
+    if not rows.size:
+        return found
+    points = {x.name: x.values[columns], y.name: y.values[rows]}
+    found[rows, columns] = machine.has_twins(system, same, points)
+    if not found.any() and not np.any(periodic & symmetric):  # a symmetric motion proves that its machine is
+        here = {name: float(values[0]) for name, values in points.items()}
+        raise InputError(
+            f"kind 'symmetry' tells motions from their mirror images, which no motion has here: at "
+            f"{', '.join(f'{name} = {value:g}' for name, value in here.items())} "
+            f"{machine.why_no_twins(system, same | here)}"
+        )
+    return found

@@ -1,0 +1,159 @@
+"""Where names have room in regions of cells, and which lines run side by side. Lengths are in points."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from atlas.render import maps, style
+
+Array = NDArray[np.float64]
+Cells = NDArray[np.bool_]
+
+_LEAST_AREA = 120.0
+"""Square points of a region that a name beside it may point to."""
+_FARTHEST = 100.0
+"""Length of the arrow from such a name, at most."""
+_STEP = 2.0
+"""Distance between the points of a line that are looked at."""
+_SHORTEST = 21
+"""Such points over which the majority decides: dashes begin anew with each part, and lines that cross stay whole."""
+
+
+def name_regions(
+    ax: Axes,
+    plane: maps.Plane,
+    named: Iterable[tuple[Cells, str, str]],
+    type_sizes: Sequence[float],
+    most: int = 2,
+    free: Cells | None = None,
+) -> None:
+    """Write names into the largest connected regions, at most ``most``, of sets of cells (y, x), where they fit.
+
+    ``named``: cells, name, and the colour under the name. A name takes the first of ``type_sizes`` that fits. Where one
+    fits nowhere and ``free`` marks the cells (y, x) that a name may cover, it stands on the nearest of them, and an
+    arrow leads from there to its largest region. The plot must have its size already.
+    """
+    if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
+        return  # cells differ in size, and distances in cells mean nothing
+    extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
+    step = np.array([extent.height, extent.width]) / dots / plane.regime.shape  # points per cell
+    at = np.indices(plane.regime.shape)
+    narrow: list[tuple[str, Sequence[np.intp]]] = []
+    for cells, name, color in named:
+        regions, _ = ndimage.label(cells)
+        areas = np.bincount(regions.ravel())[1:] * step.prod()
+        boxes, placed = ndimage.find_objects(regions), False
+        largest = np.argsort(-areas, kind="stable")[:most]
+        for number in largest:
+            region = regions[boxes[number]] == number + 1
+            if free is not None:
+                region &= free[boxes[number]]
+            for size in type_sizes:
+                half = 0.29 * size * len(name), 0.62 * size
+                spot = label_spot(region, step, half) if areas[number] >= 4.0 * half[0] * half[1] else None
+                if spot is None:
+                    continue
+                row, column = (i + part.start for i, part in zip(spot[:2], boxes[number], strict=True))
+                ax.text(
+                    plane.x.values[column], plane.y.values[row], name, fontsize=size, ha="center", zorder=4,
+                    va="center_baseline", color=style.ink_on(color), rotation=spot[2],
+                )  # fmt: skip
+                if free is not None:
+                    free = free & (_distance(at, (row, column), step) > np.hypot(*half))
+                placed = True
+                break
+        if not placed and areas.size and areas[largest[0]] >= _LEAST_AREA:
+            inside = ndimage.distance_transform_edt(np.pad(regions == largest[0] + 1, 1))[1:-1, 1:-1]
+            narrow.append((name, np.unravel_index(int(np.argmax(inside)), inside.shape)))
+    if free is None:
+        return
+    size = type_sizes[min(1, len(type_sizes) - 1)]
+    for name, cell in narrow:
+        tall, wide = 0.75 * size, 0.3 * size * (len(name) + 1)
+        room = ndimage.minimum_filter(free, 1 + 2 * (np.array([tall, wide]) / step).astype(int), mode="constant")
+        far = _distance(at, cell, step)
+        far = np.where(room & (far > wide), far, np.inf)
+        row, column = np.unravel_index(int(np.argmin(far)), far.shape)
+        if far[row, column] > _FARTHEST:
+            continue
+        free = free & (_distance(at, (row, column), step) > np.hypot(tall, wide))
+        ax.annotate(
+            name, (plane.x.values[cell[1]], plane.y.values[cell[0]]), (plane.x.values[column], plane.y.values[row]),
+            fontsize=size, ha="center", va="center", zorder=4, color=style.ink_on("white"),
+            arrowprops={"arrowstyle": "-|>,head_length=0.25,head_width=0.1", "linewidth": 0.5, "shrinkA": 0.5,
+                        "shrinkB": 0.0, "color": "#555555"},
+        )  # fmt: skip
+
+
+def _distance(at: NDArray[np.intp], cell: Sequence[np.intp], step: Array) -> Array:
+    """How far every cell (y, x) lies from one."""
+    return np.asarray(np.hypot((at[0] - cell[0]) * step[0], (at[1] - cell[1]) * step[1]))
+
+
+def label_spot(
+    region: Cells, step: Sequence[float] | Array, half: tuple[float, float]
+) -> tuple[int, int, float] | None:
+    """Row, column and angle in degrees where a box of half sizes (along, across) lies inside a region.
+
+    ``step`` are the points per cell (y, x). The angle follows the region, so that a name fits in a band; the widest
+    spots are tried first. None where none will do.
+    """
+    # A frame of cells that do not belong: a name must not run over the picture's edge.
+    room = ndimage.distance_transform_edt(np.pad(region, 1), sampling=step)[1:-1, 1:-1]
+    candidates = np.flatnonzero(room.ravel() >= half[1])
+    candidates = candidates[np.argsort(-room.ravel()[candidates], kind="stable")]
+    along, across = np.meshgrid(*(np.linspace(-h, h, 3 + int(2.0 * h / min(step))) for h in half))
+    for flat in candidates[:: max(1, candidates.size // 60)]:
+        row, column = (int(i) for i in np.unravel_index(flat, region.shape))
+        angle = 0.0 if room[row, column] >= np.hypot(*half) else _direction(region, (row, column), step, half[0])
+        # Rows count upward in the picture, as angles do.
+        rows = np.rint(row + (along * np.sin(angle) + across * np.cos(angle)) / step[0]).astype(int)
+        columns = np.rint(column + (along * np.cos(angle) - across * np.sin(angle)) / step[1]).astype(int)
+        inside = (rows >= 0) & (rows < region.shape[0]) & (columns >= 0) & (columns < region.shape[1])
+        if inside.all() and region[rows, columns].all():
+            return row, column, float(np.degrees(angle))
+    return None
+
+
+def _direction(region: Cells, at: tuple[int, int], step: Sequence[float] | Array, reach: float) -> float:
+    """The angle, within 90 degrees either way, in which a region extends around a cell: its principal axis there."""
+    points = (np.argwhere(region) - at) * step
+    points = points[np.hypot(*points.T) <= reach]
+    _, axes = np.linalg.eigh(points.T @ points)
+    y, x = axes[:, -1]
+    return float(np.arctan2(y, x) if x >= 0 else np.arctan2(-y, -x))
+
+
+def dense(line: Array) -> tuple[Array, Array]:
+    """Points (M, 2) along a line, _STEP apart at most, and the line's length up to each."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    at = np.linspace(0.0, along[-1], 2 + int(along[-1] / _STEP))
+    return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)]), at
+
+
+def parts(lines: Sequence[Array], places: Sequence[Array], distance: float) -> Iterator[tuple[int, Array, bool]]:
+    """Lines cut into parts: the number of the line, the part, and whether another line runs within ``distance`` of it.
+
+    ``lines`` are (N, 2) each, ``places`` the same in points. Another part of the same line counts too where it is
+    three times as far along the line.
+    """
+    if not lines:
+        return
+    found, lengths = zip(*map(dense, places), strict=True)
+    everywhere, length = np.concatenate(found), np.concatenate(lengths)
+    line = np.repeat(np.arange(len(lines)), [len(each) for each in found])
+    near = np.zeros(len(everywhere), dtype=bool)
+    one, two = KDTree(everywhere).query_pairs(distance, output_type="ndarray").T
+    beside = (line[one] != line[two]) | (np.abs(length[one] - length[two]) > 3.0 * distance)
+    near[one[beside]] = near[two[beside]] = True
+    for k, (piece, place) in enumerate(zip(lines, places, strict=True)):
+        smooth = ndimage.median_filter(near[line == k], _SHORTEST, mode="nearest")
+        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(place, axis=0).T)))
+        crowded = smooth[np.searchsorted(lengths[k], along[:-1]).clip(max=len(smooth) - 1)]  # each step of the line
+        for first, last in pairwise([0, *(np.flatnonzero(np.diff(crowded)) + 1), len(crowded)]):
+            yield k, piece[first : last + 1], bool(crowded[first])

@@ -1,0 +1,133 @@
+"""What pictures write: symbols, units and values of parameters, labels of axes, titles, the gap coordinate."""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import xarray as xr
+from matplotlib.mathtext import MathTextParser
+
+from atlas.spec.system import stored_system
+from workers.model.system import System
+from workers.results import REGIMES
+
+_TERMS = 3
+"""Terms of a gap coordinate that a label spells out, at most."""
+
+
+def name_of(code: int) -> str:
+    """A regime's name in a legend."""
+    return next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")
+
+
+@lru_cache(maxsize=1024)
+def shown_symbol(symbol: str, name: str) -> str:
+    r"""A symbol as mathtext, without the dollars; the name upright if it is empty or no mathtext, as ``\frac{``."""
+    try:
+        parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
+    except ValueError:
+        parsed = False
+    return symbol if parsed else rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
+
+
+def symbol(ds: xr.Dataset, name: str) -> str:
+    """The symbol of an atlas's parameter as mathtext, without the dollars."""
+    return shown_symbol(_attribute(ds, name, "symbol", "symbol"), name)
+
+
+def axis_label(ds: xr.Dataset, name: str) -> str:
+    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none."""
+    meaning = _attribute(ds, name, "long_name", "meaning").split(":")[0]
+    return f"{meaning} ${symbol(ds, name)}${unit_ending(_attribute(ds, name, 'units', 'unit') or '1')}".strip()
+
+
+def _attribute(ds: xr.Dataset, name: str, stored: str, known: str) -> str:
+    """An attribute of a coordinate, or where it lacks that, of the parameter that the atlas's system has."""
+    system = stored_system(ds.attrs)
+    found = [getattr(p, known) for p in system.parameters if p.name == name] if system else []
+    return str(ds[name].attrs.get(stored) or (found[0] if found else ""))
+
+
+def variable_label(ds: xr.Dataset, name: str) -> str:
+    """Meaning and unit of a variable, for a colour bar."""
+    meaning, unit = str(ds[name].attrs.get("long_name", name)).split(";")[0], str(ds[name].attrs.get("units", "1"))
+    return meaning.removesuffix(f" {unit_text(unit)}") + unit_ending(unit)  # some meanings end with it
+
+
+def unit_ending(*units: str) -> str:
+    """How a label ends: its CF unit in brackets, nothing for the 1 of pure numbers or where its parts have several."""
+    return "" if len({*units}) > 1 or units[0] == "1" else f" [{unit_text(units[0])}]"
+
+
+def unit_text(unit: str) -> str:
+    """A CF unit on an axis."""
+    return "per forcing period" if unit == "1/period" else unit
+
+
+def title_line(ds: xr.Dataset) -> str:
+    r"""The fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, less an initial state of zero."""
+    system = stored_system(ds.attrs)
+    order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
+    fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
+    states = system.states if system else ()
+    return parameter_line([(symbol(ds, n), float(ds[n])) for n in fixed if float(ds[n]) or n not in states])
+
+
+def system_line(system: System, values: Mapping[str, float]) -> str:
+    """The same of these parameters of a system."""
+    shown = [p for p in system.parameters if p.name in values and (values[p.name] or p.name not in system.states)]
+    return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in shown])
+
+
+def parameter_line(items: Sequence[tuple[str, float]]) -> str:
+    """Symbols with their values, on one line, which ``fit`` breaks at commas."""
+    return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
+
+
+def number(value: float) -> str:
+    """A number as mathtext: up to six digits, and simple multiples of pi as such."""
+    for below in (1, 2, 3, 4, 6):
+        above = value / math.pi * below
+        times = round(above)
+        if abs(above - times) < 1e-12 and 0 < abs(times) <= 12:
+            return {1: "", -1: "-"}.get(times, str(times)) + r"\pi" + (f"/{below}" if below > 1 else "")
+    mantissa, _, power = f"{value:.6g}".partition("e")
+    return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
+
+
+def gap_label(system: System | None) -> str:
+    """Meaning, symbol and unit of the gap coordinate at a section, in two lines."""
+    if system is None:
+        return "first state at $t = kT$"
+    entries = [entry.constant for entry in system.definition.shown]
+    states = [system.parameter(name) for name in system.definition.coordinates]
+    ending = " at $t = kT$" + unit_ending(*(each.unit for each, c in zip(states, entries, strict=True) if c != 0.0))
+    known = [entry for entry in entries if entry is not None]
+    if len(known) < len(entries):
+        return f"gap coordinate\n$y${ending}"
+    formula = combination(known, [state_symbol(system, each.name) for each in states])
+    alone = [(each, c) for each, c in zip(states, known, strict=True) if c != 0.0]
+    meaning = alone[0][0].meaning.removeprefix("initial ") if [c for _, c in alone] == [1.0] else "gap coordinate"
+    return f"{meaning}\n${formula}${ending}"
+
+
+def state_symbol(system: System, state: str) -> str:
+    """The symbol of a component of the state; the system knows it as the parameter of its initial value."""
+    return shown_symbol(system.parameter(state).symbol.removesuffix("(0)"), state)
+
+
+def combination(row: Sequence[float], symbols: Sequence[str], otherwise: str = "y") -> str:
+    """The sum of symbols with these coefficients as mathtext, positive ones first: ``x_2 - x_1``.
+
+    ``otherwise`` where there are more than three of them.
+    """
+    terms = [(c, symbol) for c, symbol in zip(row, symbols, strict=True) if c != 0.0]
+    terms.sort(key=lambda term: term[0] < 0.0)
+    if not 0 < len(terms) <= _TERMS:
+        return otherwise
+    written = ""
+    for c, symbol in terms:
+        sign = "-" if c < 0.0 else "+" if written else ""
+        factor = "" if abs(c) == 1.0 else rf"{number(abs(float(c)))}\,"
+        written += (f" {sign} " if written else sign) + factor + symbol
+    return written
