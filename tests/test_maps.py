@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import grazing
+from atlas.query import grazing, tidy
 from atlas.query.queries import boundary
 from atlas.render import classes, kinds, layout, maps, overlays, scales
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, painted, pixel, plane
@@ -333,10 +333,10 @@ def test_isolated_cells_are_outlined_and_clouds_of_them_are_not() -> None:
     regime = np.full((300, 300), PERIODIC, np.int8)
     regime[:, 150:] = CHAOTIC
     regime[10, 10] = CHAOTIC
-    alone, left_out = overlays.outlined(regime, (400.0, 270.0))
+    alone, left_out = tidy.outlined(regime, (400.0, 270.0))
     assert not left_out and alone[10, 10] == CHAOTIC
     regime[100:200:2, 20:120:2] = CHAOTIC
-    among, left_out = overlays.outlined(regime, (400.0, 270.0))
+    among, left_out = tidy.outlined(regime, (400.0, 270.0))
     assert left_out and among[10, 10] == CHAOTIC
     assert (among[110:190, 30:110] == PERIODIC).all()
 

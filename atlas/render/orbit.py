@@ -55,14 +55,18 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
     chatter = selection.chatter(orbit)
     many = len(_written(orbit)) > _IN_A_COLUMN
     with page.context():
-        drawn = page.figure(_height(page, orbit.gap_row.size, chatter is not None))
-        pad = 0.06 if page.wide else 0.02
+        if page.wide:
+            height, pad, columns = (7.6 if orbit.gap_row.size > 1 else 6.4) * page.width / 7.0, 0.06, 1 + many
+        else:
+            height, pad, columns = (2.6 if orbit.gap_row.size > 1 else 2.0) * page.width, 0.02, 2 + 2 * many
+            height += 1.2 * (chatter is not None)
+        drawn = page.figure(height)
         drawn.set_layout_engine("constrained", hspace=pad, wspace=pad)
         if page.title:
             title = f"{words.system_line(orbit.system, orbit.parameters)}\n{describe(orbit)}"
             size = mpl.rcParams["font.size"]
             drawn.suptitle(title, fontsize=size, ha="left", x=0.012, linespacing=1.4).set_gid(TITLE)
-        rows, heights = (_wide if page.wide else _narrow)(len(masses), len(planes), chatter is not None, many)
+        rows, heights = _mosaic(page.wide, len(masses), len(planes), chatter is not None, many)
         plots: dict[str, Axes] = drawn.subplot_mosaic(rows, height_ratios=heights)  # type: ignore[arg-type]
         for k, mass in enumerate(masses):
             ax = plots[f"history {k}"]
@@ -76,40 +80,34 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
             _phase_plane(plots[f"plane {k}"], orbit, mass, masses[1] if k == len(masses) else None)
         _section(plots["section"], orbit)
         _convergence(plots["exponents"], orbit)
-        _write_values(plots["values"], orbit, 1 + many if page.wide else 2 + 2 * many)
+        _write_values(plots["values"], orbit, columns)
         page.legend(drawn, _legend(orbit), handlelength=1.4)
     return drawn
 
 
-def _height(page: Page, n: int, chatter: bool) -> float:
-    """Height of a portrait of n masses in inches where none is asked for: a page, of narrow ones a column."""
-    if page.wide:
-        return (7.6 if n > 1 else 6.4) * page.width / 7.0
-    return (2.6 if n > 1 else 2.0) * page.width + 1.2 * chatter
+def _mosaic(wide: bool, masses: int, planes: int, chatter: bool, many: bool) -> tuple[list[list[str]], list[float]]:
+    """Plots by name in rows of 6 columns, on a narrow page of 2, and the rows' heights.
 
-
-def _wide(masses: int, planes: int, chatter: bool, many: bool) -> tuple[list[list[str]], list[float]]:
-    """Plots by name in 6 columns, and the rows' heights: phase planes side by side, the section beside exponents."""
-    rows = [[f"history {k}"] * (4 if chatter else 6) + ["zoom"] * (2 * chatter) for k in range(masses)]
-    rows.append([f"plane {k}" for k in range(planes) for _ in range(6 // planes)])
-    rows.append(["section"] * 2 + ["exponents"] * (3 - many) + ["values"] * (1 + many))
-    return rows, [0.72] * masses + [1.25, 1.25]
-
-
-def _narrow(masses: int, planes: int, chatter: bool, many: bool) -> tuple[list[list[str]], list[float]]:
-    """The same in 2 columns: two planes in a row, the numbers under the exponents."""
-    rows = [[f"history {k}"] * 2 for k in range(masses)] + [["zoom"] * 2] * chatter
-    pairs = [f"plane {k}" for k in range(planes)] + ["section"]
+    On a wide page phase planes stand side by side, and the section beside the exponents.
+    """
+    histories = [f"history {k}" for k in range(masses)]
+    pairs = [f"plane {k}" for k in range(planes)]
+    if wide:
+        rows = [[name] * (4 if chatter else 6) + ["zoom"] * (2 * chatter) for name in histories]
+        rows.append([name for name in pairs for _ in range(6 // planes)])
+        rows.append(["section"] * 2 + ["exponents"] * (3 - many) + ["values"] * (1 + many))
+        return rows, [0.72] * masses + [1.25, 1.25]
+    pairs.append("section")
+    rows = [[name] * 2 for name in [*histories, *["zoom"] * chatter]]
     rows += [pairs[k : k + 2] for k in range(0, len(pairs), 2)] + [["exponents"] * 2, ["values"] * 2]
     return rows, [0.72] * (masses + chatter) + [1.0] * (len(pairs) // 2 + 1) + [0.55]
 
 
 def _shown(orbit: CellOrbit, row: Array) -> Shown:
-    n = row.size
-    labels = []
-    for names, otherwise in ((orbit.system.states[:n], "y"), (orbit.system.states[n:], r"\dot{y}")):
-        symbols = [words.state_symbol(orbit.system, name) for name in names]
-        unit = words.unit_ending(*(orbit.system.parameter(names[i]).unit for i in np.flatnonzero(row)))
+    system, labels = orbit.system, []
+    for names, otherwise in ((system.states[: row.size], "y"), (system.states[row.size :], r"\dot{y}")):
+        symbols = [words.state_symbol(system, name) for name in names]
+        unit = words.unit_ending(*(system.parameter(names[i]).unit for i in np.flatnonzero(row)))
         labels.append(f"${words.combination(row.tolist(), symbols, otherwise)}${unit}")
     stops = tuple(stop for stop in orbit.stops if np.isfinite(stop)) if np.array_equal(row, orbit.gap_row) else ()
     return Shown(row, labels[0], labels[1], stops)

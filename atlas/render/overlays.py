@@ -12,26 +12,18 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.query import machine
 from atlas.query.grazing import grazing_lines
+from atlas.query.tidy import outlined, smooth
 from atlas.render import curves, layout, maps
 from atlas.render.kinds import OverlayError
 from atlas.render.maps import View
-from workers.results import LARGEST, PENDING
+from workers.results import LARGEST
 
 Array = NDArray[np.float64]
 
-LEAST_REGION = 2e-4
-"""Share of the plane below which a connected region is a small one."""
-_SEEN = 5.0
-"""Width of a cell in points from which its outline leaves its colour to be seen, however many there are."""
-_CLOUD, _DENSE = 12.0, 0.2
-"""Small regions are a cloud, which outlines would turn black, where they cover more than this share of the area within
-this many points.
-"""
 _CROWDED = 5.0
 """Distance in points below which two grazing lines are drawn solid: dashes side by side look like a bar code."""
 _LEAST_LINE = 40.0
@@ -77,26 +69,6 @@ def _boundaries(ax: Axes, view: View) -> list[Artist]:
     return [Line2D([], [], color="#101418", linewidth=0.9, label=label)]
 
 
-def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArray[np.int16], bool]:
-    """Every cell's regime as boundaries show it on a map of a size (width, height) in points, and whether they leave
-    something out: clouds of small regions, which take on the regime that is nearest. Isolated cells stay.
-    """
-    points = np.array(size[::-1]) / regime.shape  # of a cell
-    small = np.zeros(regime.shape, dtype=bool)
-    for code in np.unique(regime) if points.min() < _SEEN else ():
-        regions, _ = ndimage.label(regime == code)
-        least = max(2, int(LEAST_REGION * regime.size))
-        small |= (np.bincount(regions.ravel()) < least)[regions] & (regions > 0)
-    near = np.maximum(3, np.rint(_CLOUD / points).astype(int))
-    cloud = small & (ndimage.uniform_filter(small.astype(float), near) > _DENSE)
-    if not cloud.any():
-        return regime.astype(np.int16), False
-    if cloud.all():
-        return np.full(regime.shape, PENDING, dtype=np.int16), True
-    nearest = ndimage.distance_transform_edt(cloud, return_distances=False, return_indices=True)
-    return regime[tuple(nearest)].astype(np.int16), True
-
-
 def _isolines(ax: Axes, view: View) -> list[Artist]:
     plane, largest = view.plane, view.plane.known(LARGEST.name)
     if min(largest.shape) < 2:
@@ -105,11 +77,11 @@ def _isolines(ax: Axes, view: View) -> list[Artist]:
     # Each sign on its own: between them exponents jump, and lines there would show the jump and nothing else.
     for sign, width in ((-1.0, 1.5), (1.0, 2.5)):
         size = np.where(np.isfinite(largest) & (sign * largest > 0.0), np.abs(largest), np.nan)
-        smooth = _smooth(size, width)
-        if np.isfinite(smooth).sum() >= 4:
-            shown = np.where(np.isfinite(smooth), sign * smooth, shown)
+        even = smooth(size, width)
+        if np.isfinite(even).sum() >= 4:
+            shown = np.where(np.isfinite(even), sign * even, shown)
             ticks = np.asarray(MaxNLocator(5).tick_values(0.0, float(np.nanpercentile(size, 98))))
-            levels |= {sign * tick for tick in ticks[(ticks > np.nanmin(smooth)) & (ticks < np.nanmax(smooth))]}
+            levels |= {sign * tick for tick in ticks[(ticks > np.nanmin(even)) & (ticks < np.nanmax(even))]}
     kept: dict[float, list[Array]] = {}
     lines = contour_generator(plane.x.values, plane.y.values, np.ma.masked_invalid(shown))
     for level in sorted(levels):
@@ -131,17 +103,6 @@ def _isolines(ax: Axes, view: View) -> list[Artist]:
 
 def _level(value: float) -> str:
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
-
-
-def _smooth(values: Array, width: float) -> Array:
-    """A Gaussian mean over neighbours that have a value, for the error bars of neighbouring cells not to wrinkle lines.
-
-    Cells with few such neighbours are left out: what is chopped up has no isolines.
-    """
-    known = np.isfinite(values)
-    weight = ndimage.gaussian_filter(known.astype(float), width, mode="nearest")
-    total = ndimage.gaussian_filter(np.where(known, values, 0.0), width, mode="nearest")
-    return np.where(known & (weight > 0.8), total / np.maximum(weight, 1e-12), np.nan)
 
 
 DRAW: dict[str, Callable[[Axes, View], list[Artist]]] = {

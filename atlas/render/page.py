@@ -220,12 +220,12 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
     rc = _style(look.get("style"))
     figsize = rc.pop("figure.figsize", (None, None))
     width = _length("width", look.get("width")) or figsize[0] or WIDTH
-    asked = _positive("font_size", look.get("font_size"))
+    asked = _number("font_size", look.get("font_size"), positive=True)
     if asked:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
     font = asked or rc.get("font.size") or (mpl.rcParams["font.size"] if given else _usual_font(width))
     styled = rc.pop("savefig.dpi", DPI)  # out of the style's settings, which override the page's
-    dpi = _positive("dpi", look.get("dpi")) or styled
+    dpi = _number("dpi", look.get("dpi"), positive=True) or styled
     dpi = dpi if isinstance(dpi, float) else DPI
     dots = float(font) * dpi / 72.0
     if dots < _LEAST_DOTS:
@@ -272,16 +272,8 @@ def _length(name: str, value: float | str | None) -> float | None:
     return inches
 
 
-def _positive(name: str, value: float | None) -> float | None:
-    """A positive number, or None; InputError otherwise."""
-    found = _number(name, value)
-    if found is not None and not 0.0 < found <= 1e4:
-        raise InputError(f"{name}: found {found:g}, must be positive and at most 10000")
-    return found
-
-
-def _number(name: str, value: float | None) -> float | None:
-    """A finite number, or None; InputError otherwise."""
+def _number(name: str, value: float | None, positive: bool = False) -> float | None:
+    """A finite number, positive and not too large if asked, or None; InputError otherwise."""
     if value is None:
         return None
     try:
@@ -290,6 +282,8 @@ def _number(name: str, value: float | None) -> float | None:
         found = math.nan
     if not math.isfinite(found):
         raise InputError(f"{name}: found {shown(value)}, must be a number")
+    if positive and not 0.0 < found <= 1e4:
+        raise InputError(f"{name}: found {found:g}, must be positive and at most 10000")
     return found
 
 

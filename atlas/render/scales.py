@@ -16,14 +16,14 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap,
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.query.extremes import regimes_with
+from atlas.query.tidy import without_dust
 from atlas.render import classes, maps, style, words
 from atlas.render.kinds import CHAOTIC as CHAOTIC_COLORS
 from atlas.render.kinds import SCALAR, STABLE, TABLE
-from atlas.render.maps import Bar, Cells, Colors, Painted, Texture, View
+from atlas.render.maps import Bar, Colors, Painted, Texture, View
 from atlas.render.page import STANDARD, Page
 from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC
 
@@ -82,7 +82,7 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
     if not quiet.any():
         return painted
     color = EXPONENT(norm(np.median(largest[quiet])))
-    texture = Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), _without_dust(quiet))
+    texture = Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), without_dust(quiet))
     entry = style.swatch(color, words.name_of(NO_IMPACT), texture.hatch, texture.ink)
     at = len(painted.legend) - len(painted.textures)  # before the entry of what is lost
     legend = [*painted.legend[:at], entry, *painted.legend[at:]]
@@ -114,17 +114,6 @@ def two_sided(page: Page, low: float, high: float) -> TwoSlopeNorm:
     if not low < 0.0 < high:
         raise InputError(f"the scale of exponents has zero in its middle: found {low:g} to {high:g}")
     return TwoSlopeNorm(0.0, low, high)
-
-
-def _without_dust(cells: Cells) -> Cells:
-    """The cells less what is thinner than the eye separates, as between basins: outlined, that would turn black."""
-    thin = min(cells.shape) // 150
-    if thin == 0:
-        return cells
-    padded = np.pad(cells, 2 * thin, mode="symmetric")  # or the picture's frame would eat into them
-    wide = ndimage.binary_opening(padded, structure=np.ones((3, 3)), iterations=thin)
-    wide = ndimage.binary_closing(wide, structure=np.ones((3, 3)), iterations=thin)
-    return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
 
 
 def combined(view: View) -> Painted:
