@@ -197,7 +197,7 @@ def two_cases() -> atlas.Spec:
 def test_names_that_differ_by_case_alone_are_two_arrays_where_the_disk_knows_case(
     two_cases: atlas.Spec, tmp_path: Path
 ) -> None:
-    making.create_locally(tmp_path / "plane.zarr", two_cases, (2, 2), None, "0" * 32)
+    making.make_store(place_of(tmp_path / "plane.zarr"), two_cases, (2, 2), None, "0" * 32)
     ds = atlas.open(tmp_path / "plane.zarr")
     assert ds["m"].values.tolist() == [1.0, 2.0]
     assert ds["M"].values.tolist() == [3.0, 4.0]
@@ -210,7 +210,7 @@ def test_names_that_differ_by_case_alone_are_refused_on_a_disk_that_ignores_case
     folded = lambda path: any(one.name.casefold() == path.name.casefold() for one in path.parent.iterdir())  # noqa: E731
     monkeypatch.setattr(Path, "exists", lambda path: exists(path) or (exists(path.parent) and folded(path)))
     with pytest.raises(InputError, match=r"the disk takes [mM] and [mM] for one name; rename [mM] in the system"):
-        making.create_locally(tmp_path / "plane.zarr", two_cases, (2, 2), None, "0" * 32)
+        making.make_store(place_of(tmp_path / "plane.zarr"), two_cases, (2, 2), None, "0" * 32)
     monkeypatch.undo()
     assert not list(tmp_path.iterdir())
 

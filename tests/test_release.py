@@ -18,6 +18,8 @@ from atlas.branches.table import Branches
 from atlas.cli.main import main
 from atlas.curves.export import columns
 from atlas.spec.citation import bibtex, sources
+from atlas.store.location import place_of
+from atlas.store.making import make_store
 from scripts import compare_processors
 from tests.planes import plane_of
 from tests.test_docs import ROOT, spans
@@ -32,10 +34,10 @@ PAGE = (ROOT / "docs/stability.md").read_text(encoding="utf-8")
 
 PROMISED = """
 atlas       CurveSettings Retry RunOptions Settings Spec __version__ attractors branch errors extend find_curves
-            label_attractors open pack plan point portrait run solve_tile status trace verify
+            label_attractors open pack plan point portrait run solve_tile stability status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
 commands    demo example plan run submit cancel retry extend basins status verify pack cite query regions extremes
-            basin-measures export compare curves label render figures point portrait branch explore systems
+            basin-measures export compare curves label render figures point stability portrait branch explore systems
 variables   attractors average error exact impact_energy impacts_lower impacts_per_period impacts_upper kaplan_yorke
             label largest left lumped lumped_distance max_impact_speed mean_impact_speed min_impact_speed mirror own
             peak_to_peak period periods_used reason regime section settled share share_error share_high share_low
@@ -144,9 +146,7 @@ def test_a_workflow_is_valid_and_calls_what_is_called_here(path: Path) -> None:
 
 
 def test_an_atlas_is_cited_with_the_versions_that_computed_it_and_the_paper_of_the_method(tmp_path: Path) -> None:
-    from atlas.store.making import create_locally
-
-    create_locally(tmp_path / "plane.zarr", plane_of(), (2, 3), None, "0" * 32)
+    make_store(place_of(tmp_path / "plane.zarr"), plane_of(), (2, 3), None, "0" * 32)
     done = CliRunner().invoke(main, ["cite", str(tmp_path / "plane.zarr")])
     assert done.exit_code == 0
     assert re.findall(r"^@(\w+)\{(.+),$", done.output, re.MULTILINE) == [
