@@ -7,7 +7,7 @@ import pytest
 
 from scripts.bench_error_bars import compared
 from scripts.bench_relaxation import rows
-from scripts.bench_survival import PLANES, measure, plane, show
+from scripts.bench_survival import HEAD, PLANES, cells_of, measure, plane
 from workers.attractors.starts import wilson
 
 pytestmark = pytest.mark.slow
@@ -20,7 +20,7 @@ def test_more_watching_costs_more_and_leaves_no_more_wrong() -> None:
     assert least["cells"] == most["cells"] == 256
     assert least["wrong"] > most["wrong"]
     assert least["periods"] < most["periods"]
-    assert show(most).count("|") == 10
+    assert len(cells_of(most, first=True)) == len(HEAD)
 
 
 @pytest.mark.parametrize("name", PLANES)
@@ -48,8 +48,7 @@ def test_error_bars_are_held_against_longer_runs_from_the_same_start() -> None:
 def test_what_remembers_for_longer_is_watched_for_longer() -> None:
     with ThreadPool(1) as pool:
         table = list(rows(pool, cells=1500, seed=11, far=3000, survivals=[0, 20_000], tolerance=0.1))
-    read = [[cell.strip() for cell in row.strip("|").split("|")] for row in table]
-    costs = {(row[0], int(row[1])): int(row[4]) for row in read}
-    extra = [costs[name, 20_000] - costs[name, 0] for name in dict.fromkeys(row[0] for row in read)]
+    costs = [[int(cost.replace(",", "")) for cost in row[3::3] if cost] for row in table]
+    extra = [watched - brief for brief, watched in (pair for pair in costs if len(pair) == 2)]
     assert len(extra) >= 4
     assert extra[0] < extra[1] < extra[2] < extra[3]

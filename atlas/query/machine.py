@@ -1,9 +1,9 @@
 """The machines behind the cells of an atlas: their oscillators, their gap coordinate, whether motions have twins."""
 
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
@@ -12,13 +12,16 @@ from workers.model.oscillator import COLUMN, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 Array = NDArray[np.float64]
 
 AT_ONCE = 4096
 """Points whose oscillators are made at a time: together they take some megabytes."""
 
 
-def known_system(ds: xr.Dataset, who: str) -> System:
+def known_system(ds: "xr.Dataset", who: str) -> System:
     """The atlas's system; InputError, for ``who`` needs it, where it names none that is known."""
     system = stored_system(ds.attrs)
     if system is None:
@@ -26,7 +29,7 @@ def known_system(ds: xr.Dataset, who: str) -> System:
     return system
 
 
-def fixed(ds: xr.Dataset, system: System) -> dict[str, float]:
+def fixed(ds: "xr.Dataset", system: System) -> dict[str, float]:
     """The parameters that are the same in all cells of an atlas."""
     return {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
 
@@ -51,7 +54,7 @@ def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Ar
     return found
 
 
-def twins_everywhere(ds: xr.Dataset, axes: Mapping[str, Array]) -> bool:
+def twins_everywhere(ds: "xr.Dataset", axes: Mapping[str, Array]) -> bool:
     """Whether x(t) -> -x(t + T/2) takes motions to motions in all corners of a plane of these axes.
 
     Not of an atlas whose system is unknown.
@@ -80,7 +83,7 @@ def why_no_twins(system: System, values: Mapping[str, float]) -> str:
     return "the force has even harmonics"
 
 
-def gap_values(ds: xr.Dataset, x: str, states: xr.DataArray) -> Array:
+def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
     """The gap coordinate y = g . x of physical states (cell, sample, component) along the axis of a sweep.
 
     Of an atlas whose system is not known it is the first component.
