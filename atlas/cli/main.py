@@ -43,7 +43,7 @@ class _Group(click.Group):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         for stream in (sys.stdout, sys.stderr):
             # Windows gives a pipe or a file the code page of the language.
-            if isinstance(stream, TextIOWrapper) and not stream.isatty():
+            if isinstance(stream, TextIOWrapper) and not stream.isatty() and stream.encoding.lower() != "utf-8":
                 stream.reconfigure(encoding="utf-8")
         return super().main(*args, **kwargs)
 
