@@ -35,12 +35,12 @@ def stability(
 
     ``given`` are the parameters that differ from the defaults. The attractors are those that ``atlas.attractors`` finds
     from as many ``starts``; ``share`` is the basin stability, with its 95 % interval. ``norm`` has weights w > 0 of
-    components of the state, |dz| = sqrt(sum (w dz)^2); the others have 1 if displacements, 1/omega if velocities.
+    components of the state, ``|dz|`` = sqrt(sum (w dz)^2); the others have 1 if displacements, 1/omega if velocities.
     Each of ``coexisting`` has ``return_time`` in forcing periods, -1 / largest exponent; ``reactivity``, the largest
     log growth of a small deviation over one forcing period; ``amplification``, its largest growth over any number of
     periods, and ``amplified_after``, that number. What is not known is NaN, or -1, and ``reason`` says why; chaos and
     tori have none of these.
-    With ``shocks``, which costs thousands of motions, also ``fatal_shock``: the size |dz| of the smallest deviation
+    With ``shocks``, which costs thousands of motions, also ``fatal_shock``: the size ``|dz|`` of the smallest deviation
     found at the section that takes the motion to another attractor, ``shock_state``, the state it leads to, and
     ``shock_reaches``, the place of the attractor reached from there, -2 for an orbit that is not listed. It is an upper
     bound of the minimal fatal shock; ``shock_tried`` states that fill the ball of this size evenly are not fatal. NaN
