@@ -121,7 +121,8 @@ class Version:
     def __init__(self, root: Path) -> None:
         self.process = subprocess.Popen(
             [sys.executable, __file__, "--serve"],
-            env={**os.environ, "PYTHONPATH": str(root)}, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env={**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{ROOT}"},  # scripts that the other lacks are this one's
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 
     def measure(self, case: Mapping[str, Any]) -> float:

@@ -17,7 +17,9 @@ import workers
 from atlas.branches.table import Branches
 from atlas.cli.main import main
 from atlas.curves.export import columns
+from atlas.errors import InputError, RunError
 from atlas.spec.citation import bibtex, sources
+from atlas.spec.examples import example_text
 from atlas.store.location import place_of
 from atlas.store.making import make_store
 from scripts import compare_processors
@@ -46,8 +48,39 @@ branches    period impacts_upper impacts_lower symmetric leaves at points first_
 points      branch omega x1 x2 v1 v2 multiplier unstable period impacts_upper impacts_lower symmetric event
 events      branch kind omega x1 x2 v1 v2 unstable kappa period impacts_upper impacts_lower symmetric leaving
 curves      curve kind period impacts_upper impacts_lower symmetric omega b unstable
+regions     label period cells area share centre_omega centre_b cell_omega cell_b omega_from omega_to b_from b_to cut
+extremes    regime extreme omega b value error cells
+ds.atlas    at basins beside boundary branch compare curves distance_to explore extremes fractions labels per_unit_time
+            plot portrait reasons regions where_regime
 """
+JSON = """
+plan SPEC: axes dims shape cells tile tiles bytes workers seconds seconds_range seconds_per_cell processor_seconds
+    periods cells_probed note
+status STORE: store system axes parameters columns solve tile tiles tiles_done tiles_pending cells cells_done
+    cells_pending cells_failed fraction regimes reasons run trouble ended workers cells_per_second seconds_left
+    solver_version run_id digest
+verify STORE: store fine complete tiles tiles_done chunks cells_checked cells_solved comparison seed faults doubts
+    overview_chunks digests repaired dropped removed mended sheets
+query STORE: no_impact periodic chaotic
+query STORE --at omega=3 --at b=.1: omega b distance regime error impact_energy impacts_lower impacts_per_period
+    impacts_upper largest max_impact_speed mean_impact_speed min_impact_speed peak_to_peak period periods_used sticks
+    stuck_fraction survived symmetric
+regions STORE period: by regions
+extremes STORE largest: variable by extremes
+compare STORE STORE: parameters regimes same compared mean size most
+point --set omega=3: system parameters solve largest error period impacts_upper impacts_lower impacts_per_period
+    symmetric sticks stuck_fraction min_impact_speed mean_impact_speed max_impact_speed impact_energy peak_to_peak
+    periods_used survived state regime
+point --set omega=3 --attractors --starts 4: system parameters solve search attractors starts own undecided left
+    unseen_share periods_used coexisting
+stability --set omega=4 --set b=.1 --starts 4: system parameters solve search norm attractors starts undecided
+    unseen_share periods_used coexisting
+branch --along omega --from 3.9 --to 4.1 --set omega=4: system parameters along window branches events untried
+"""
+"""Commands with their keys with --json. A key may be added."""
+
 NAMES = {part[0]: part[1:] for part in map(str.split, re.split(r"\n(?=\w)", PROMISED.strip()))}
+KEYS = dict(part.split(": ") for part in re.split(r"\n(?=\w)", JSON.strip()))
 
 
 @pytest.mark.parametrize(("package", "names"), [(atlas, NAMES["atlas"]), (workers, NAMES["workers"])])
@@ -72,6 +105,43 @@ def test_the_columns_of_branches_and_curves_are_the_promised_ones() -> None:
     assert list(empty.points.columns) == NAMES["points"]
     assert list(empty.events.columns) == NAMES["events"]
     assert columns(("omega", "b")) == NAMES["curves"]
+
+
+def test_the_methods_of_a_dataset_and_the_columns_of_its_tables_are_the_promised_ones(solved_plane: Path) -> None:
+    ds = atlas.open(solved_plane)
+    assert [name for name in dir(ds.atlas) if not name.startswith("_")] == NAMES["ds.atlas"]
+    assert list(ds.atlas.regions("period").columns) == NAMES["regions"]
+    assert list(ds.atlas.extremes("largest").columns) == NAMES["extremes"]
+
+
+@pytest.mark.parametrize("words", KEYS)
+def test_a_command_has_the_promised_keys_with_json(words: str, solved_plane: Path, tmp_path: Path) -> None:
+    (tmp_path / "spec.toml").write_text(example_text("omega-b").replace("280", "7").replace("220", "5"), "utf-8")
+    here = {"STORE": str(solved_plane), "SPEC": str(tmp_path / "spec.toml")}
+    done = CliRunner().invoke(main, [*(here.get(word, word) for word in words.split()), "--json"])
+    assert done.exit_code == 0, done.output
+    assert set(json.loads(done.stdout)) == set(KEYS[words].split())
+
+
+def raised(error: BaseException) -> Any:
+    """A command that ends so."""
+
+    def command(**_: object) -> None:
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(KeyboardInterrupt(), 130), (InputError("given badly"), 2), (RunError("gone wrong"), 1), (OSError("no disk"), 1)],
+)
+def test_a_command_that_is_interrupted_or_fails_ends_with_the_exit_code_of_the_page(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
+) -> None:
+    monkeypatch.setattr(main.commands["systems"], "callback", raised(error))
+    assert CliRunner().invoke(main, ["systems"]).exit_code == code
+    assert f"\n| {code} | " in PAGE
 
 
 @pytest.mark.parametrize(
@@ -136,10 +206,17 @@ def test_a_workflow_is_valid_and_calls_what_is_called_here(path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
     steps = [step for job in yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"].values() for step in job["steps"]]
-    words = [word for step in steps for word in step.get("run", "").split()]
-    named = [word for word in words if word.startswith(("scripts/", "tests/"))]
-    assert named
-    assert all((ROOT / name).exists() for name in named)
+    commands = [step["run"] for step in steps if "run" in step]
+    assert commands
+    for command in commands:
+        script = re.fullmatch(r"PYTHON=python (scripts/\w+)( [\w -]+)?", command)
+        assert script, f"a command that is not run here: {command}"
+        assert (ROOT / script[1]).stat().st_mode & 0o100
+
+
+def test_the_workflows_run_both_stages_of_the_tests() -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in WORKFLOWS)
+    assert {"scripts/test\n", "scripts/test slow\n"} <= set(re.findall(r"scripts/test[ \w]*\n", text))
 
 
 # Citations
