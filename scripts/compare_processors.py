@@ -4,7 +4,7 @@ The other kind is pretended: Numba compiles for the oldest 64-bit processor of t
 multiply-add, OpenBLAS takes its kernels for such a one, and numpy leaves its newer loops out. What stays is this
 machine's C library and its versions of all packages.
 
-Usage: python -m scripts.compare_processors [--part kernels|blas|numpy] [--light] [--step N] [--json]
+Usage: python -m scripts.compare_processors [--part kernels|blas|numpy|all] [--light] [--step N] [--json] [--keep]
 """
 
 import argparse
@@ -21,6 +21,7 @@ import numpy as np
 
 import atlas
 from atlas.spec.examples import example_text
+from scripts.measured import parsed, print_table
 
 EXAMPLE = "omega-b"
 LIGHT = 40
@@ -31,6 +32,13 @@ PARTS = {
     "numpy": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"},
 }
 """What pretends another processor to Numba, to the linear algebra of numpy and scipy, and to numpy's own loops."""
+PARTS["all"] = {name: value for each in PARTS.values() for name, value in each.items()}
+DESCRIBED = {
+    "kernels": "the kernels, compiled by Numba",
+    "blas": "the linear algebra of numpy and scipy",
+    "numpy": "numpy's own vector loops",
+    "all": "all three",
+}
 
 
 def coarse_spec(step: int) -> str:
@@ -58,8 +66,8 @@ def compared(one: Path, other: Path) -> dict[str, Any]:
     change = np.abs(first["largest"].values - second["largest"].values)
     return {
         "cells": wrong.size,
-        "class_differs": int((first["regime"].values != second["regime"].values).sum()),
         "digits_differ": int(wrong.sum()),
+        "class_differs": int((first["regime"].values != second["regime"].values).sum()),
         "largest_change": float(np.nanmax(change, initial=0.0)),
     }
 
@@ -67,29 +75,30 @@ def compared(one: Path, other: Path) -> dict[str, Any]:
 def main(arguments: list[str] | None = None) -> None:
     """Solve the plane twice and print what differs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--part", choices=PARTS, help="pretend it to this part alone; default: to all")
+    parser.add_argument("--part", choices=PARTS, help="pretend it to this part alone; default: to each, then to all")
     parser.add_argument("--step", type=int, default=1, help="solve every N-th column and row")
     parser.add_argument("--light", action="store_true", help=f"the same as --step {LIGHT}")
     parser.add_argument("--json", action="store_true", help="one JSON object")
-    options = parser.parse_args(arguments)
+    options = parsed(parser, arguments)
+    found: dict[str, dict[str, Any]] = {}
     with TemporaryDirectory(prefix="compare-processors-") as folder:
         home = Path(folder)
         spec = home / "plane.toml"
         spec.write_text(coarse_spec(LIGHT if options.light else options.step), encoding="utf-8")
         solve(spec, home / "native.zarr", {})
-        settings = [each for part, each in PARTS.items() if options.part in (None, part)]
-        solve(spec, home / "old.zarr", {name: value for each in settings for name, value in each.items()})
-        found = compared(home / "native.zarr", home / "old.zarr")
+        for part in [options.part] if options.part else PARTS:
+            solve(spec, home / f"{part}.zarr", PARTS[part])
+            found[part] = compared(home / "native.zarr", home / f"{part}.zarr")
     if options.json:
         print(json.dumps(found))
         return
-    print(
-        f"{found['cells']} cells of {EXAMPLE}: the class differs in {found['class_differs']}, a digit of any result in"
-    )
-    print(
-        f"{options.part or 'all'}: {found['cells']} cells of {EXAMPLE}, another class in {found['class_differs']}, "
-        f"another digit in {found['digits_differ']}; largest change of an exponent {found['largest_change']:g}"
-    )
+    head = ["pretended to", "cells", "with another digit", "with another class", "largest change of an exponent"]
+    print_table("processors", head, [[DESCRIBED[part], *map(_text, each.values())] for part, each in found.items()], options.keep)  # fmt: skip
+
+
+def _text(number: float) -> str:
+    """A count, or a change to three digits."""
+    return f"{number:.3g}" if isinstance(number, float) else str(number)
 
 
 if __name__ == "__main__":
