@@ -14,6 +14,9 @@ DONE, ROUNDING = 1e-14, 1e-10
 """Expected distance from the solution at which Newton's method ends; largest step that may be rounding. In units of the
 scale, as all lengths here."""
 
+BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
+"""Share of its terms' size below which a residual is rounding; steps of ill-conditioned problems are longer then."""
+
 KEPT = 1e-4
 """Step after which the Jacobian is kept."""
 
@@ -44,7 +47,8 @@ def newton(
     row (U,)               a direction in which nothing changes, where there is one unknown more than equations
     farthest               first step from which on no solution is looked for: it would hardly be the one near X
     A Jacobian is kept for a step where the last one gained two digits. A problem ends where its next step would be
-    below DONE, and fails where steps do not shrink and at a singular matrix.
+    below DONE, or where steps no longer shrink because they or what is to vanish are rounding. It fails where steps do
+    not shrink otherwise, and at a singular matrix.
     """
     X, last, converged = X.copy(), np.full(len(X), np.inf), np.zeros(len(X), dtype=np.bool_)
     rows, step = np.arange(len(X)), 0
@@ -53,10 +57,11 @@ def newton(
         step += 1
         change = _solved(J[rows] * scale[rows, None], -known, row, scale[rows])
         size, before = np.max(np.abs(change), axis=1, initial=0.0), last[rows]
+        exact = np.all(np.abs(known) <= BACKWARD * np.vecdot(np.abs(J[rows]), np.abs(X[rows, None])), axis=1)
         good = size < np.minimum(farthest, 2.0 * before)
         X[rows[good]] += (change * scale[rows])[good]
         ratio = np.minimum(size / before, 1.0) if step > 1 else np.sqrt(size)
-        rounding = (step > 1) & (size > 0.3 * before) & (size < ROUNDING)
+        rounding = (step > 1) & (size > 0.3 * before) & ((size < ROUNDING) | exact)
         done = good & ((size * np.maximum(ratio, 1e-7) < DONE) | rounding)
         converged[rows[done]], last[rows] = True, size
         on = good & ~done
