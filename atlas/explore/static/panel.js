@@ -1,0 +1,191 @@
+// Words
+
+const raised = (text) => text.replace(/./g, (letter) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(letter)] || "");
+
+function number(value, digits = 6) {
+  if (!Number.isFinite(value)) return Number.isNaN(value) ? "none" : value > 0 ? "∞" : "−∞";
+  const small = value !== 0 && Math.abs(value) < 1e-3, near = Number(value.toPrecision(digits));
+  const [mantissa, power] = (small ? near.toExponential() : String(near)).split("e");
+  if (!power) return mantissa.replace("-", "−");
+  return `${mantissa === "1" ? "" : `${mantissa.replace("-", "−")}·`}10${raised(power)}`;
+}
+
+function withError(value, error, most) {
+  if (!(error > 0) || !Number.isFinite(value) || value === 0) return number(value, most);
+  const certain = Math.floor(Math.log10(Math.abs(value))) - Math.floor(Math.log10(error)) + 2;
+  return `${number(value, Math.min(most, Math.max(1, certain)))} ± ${number(error, 2)}`;
+}
+
+const digitsOf = (name) => Math.min(6, atlas.arrays[name].digits || 6);
+
+function inWords(name, k, arrays) {
+  const value = arrays[name][k], { flag, endless } = atlas.variables[name];
+  if (name === REGIME) return atlas.regimes[value];
+  if (name === REASON) return atlas.reasons[value];
+  if (name === LARGEST && arrays[ERROR]) return withError(value, arrays[ERROR][k], digitsOf(name));
+  if (endless && value < 0) return "without end: at rest on a stop";
+  return flag ? (value ? "yes" : "no") : number(value, digitsOf(name));
+}
+
+function isResult(name, k, arrays) {
+  const value = arrays[name][k];
+  if (name === REASON) return value !== 0;
+  return name === REGIME || (atlas.variables[name].regimes.includes(arrays[REGIME][k]) && !Number.isNaN(value));
+}
+
+const placeOf = (cell) => axes.map((axis, along) => `${axis.symbol} = ${number(axis.values[cell[along]])}`).join(", ");
+
+function sentence(cell) {
+  const k = cell[1] * NX + cell[0];
+  const rest = state.map.needs.filter((name) => name !== REGIME && isResult(name, k, shown.values));
+  const parts = rest.map((name) => `${atlas.variables[name].label} ${inWords(name, k, shown.values)}`);
+  return `${placeOf(cell)}: ${[atlas.regimes[shown.values[REGIME][k]], ...parts].join("; ")}`;
+}
+
+// The legend and the cell
+
+function make(tag, given, ...inside) {
+  const made = Object.assign(document.createElement(tag), given);
+  made.append(...inside);
+  return made;
+}
+
+function swatch(paint) {
+  const canvas = make("canvas", {});
+  canvas.paint = () => paint(fitted(canvas));
+  return canvas;
+}
+
+function boxOf({ color, dark, hatch, ink }) {
+  return swatch(({ context, ratio, width, height }) => {
+    const fill = context.createLinearGradient(0, 0, width, 0);
+    fill.addColorStop(0, color);
+    fill.addColorStop(1, dark ? `rgb(${rgb(color).map((part) => part * dark)})` : color);
+    context.fillStyle = fill;
+    context.fillRect(0, 0, width, height);
+    context.fillStyle = ink || color;
+    const fine = 1 / ratio;
+    for (let y = 0; hatch && y < height; y += fine)
+      for (let x = 0; x < width; x += fine) if (inkedBy(hatch, x, y, 8, 0.9)) context.fillRect(x, y, fine, fine);
+    context.strokeStyle = "#707070";
+    context.strokeRect(0.5, 0.5, width - 1, height - 1);
+  });
+}
+
+function barOf(bar) {
+  const canvas = swatch(({ context, width }) => {
+    const table = bar.colors.match(/.{6}/g), [low, high] = scaleEnds(bar), inner = width - 24;
+    for (let x = 0; x < inner; x += 0.5) {
+      context.fillStyle = `#${table[Math.floor((x / inner) * table.length)]}`;
+      context.fillRect(12 + x, 0, 1, 14);
+    }
+    context.fillStyle = context.strokeStyle = look("--ink");
+    context.font = "12px system-ui, sans-serif";
+    context.textAlign = "center";
+    const halves = bar.scale === "two-sided" ? [...ticks(low, 0, 2), ...ticks(0, high, 2).slice(1)] : ticks(low, high, 4, bar.scale === "log");
+    for (const value of halves) {
+      const x = 12 + inner * shareOf(bar, [low, high], value);
+      context.fillRect(x - 0.5, 14, 1, 4);
+      context.fillText(number(value), x, 30);
+    }
+  });
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", `colours from ${number(scaleEnds(bar)[0])} to ${number(scaleEnds(bar)[1])}`);
+  const joined = bar.scale === "two-sided" && -scaleEnds(bar)[0] !== scaleEnds(bar)[1] ? " (two linear scales, joined at 0)" : "";
+  return make("div", { className: "bar" }, `${bar.title ? `${bar.title}: ` : ""}${bar.label}${joined}`, canvas);
+}
+
+function endsOf(bar) {
+  const [low, high] = scaleEnds(bar).map((value) => make("input", { type: "number", step: "any", value: Number(value.toPrecision(6)) }));
+  low.ariaLabel = "lower end of the scale";
+  high.ariaLabel = "upper end of the scale";
+  const set = () => {
+    const ends = [low.valueAsNumber, high.valueAsNumber];
+    const fits = ends[0] < ends[1] && (bar.scale !== "log" || ends[0] > 0) && (bar.scale !== "two-sided" || (ends[0] < 0 && ends[1] > 0));
+    change({ ends: fits ? ends : null }, true);
+  };
+  low.onchange = high.onchange = set;
+  return make("div", { className: "ends" }, "from", low, "to", high,
+    make("button", { type: "button", textContent: "reset", onclick: () => change({ ends: null }, true) }));
+}
+
+function lineEntry(kind, label, paint) {
+  const box = make("input", { type: "checkbox", checked: !state.hidden.has(kind) });
+  box.onchange = () => {
+    const hidden = new Set(state.hidden);
+    hidden[box.checked ? "delete" : "add"](kind);
+    change({ hidden }, true);
+  };
+  return make("li", {}, make("label", {}, box, swatch(paint), label));
+}
+
+function drawKey() {
+  const { meaning, title, bars, legend } = state.map, key = by("key");
+  key.replaceChildren(make("h2", { textContent: meaning }), ...bars.map(barOf));
+  if (bars.length === 1) key.append(endsOf(bars[0]));
+  if (title) key.append(make("p", { className: "note", textContent: title }));
+  key.append(make("ul", {}, ...legend.map((entry) => make("li", {}, boxOf(entry), entry.label))));
+  if (atlas.curves.lines) {
+    const lines = Object.entries(atlas.curves.looks).map(([kind, { label, color, dashes }]) => lineEntry(kind, label, ({ context, width, height }) => {
+      context.setLineDash(dashes.map((dash) => 1.6 * dash));
+      for (const [ink, wide] of [["#ffffff", 5], [color, 2]]) {
+        context.strokeStyle = ink;
+        context.lineWidth = wide;
+        context.strokeRect(-9, height / 2, width + 18, height);
+      }
+    }));
+    const marks = Object.values(atlas.curves.marks);
+    if (marks.length)
+      lines.push(lineEntry("codimension_two", `codimension two: ${marks.map(({ label }) => label).join(", ")}`,
+        ({ context, width, height }) => outlined(context, marks[0].shape, width / 2, height / 2)));
+    key.append(make("h2", { textContent: "curves" }), make("ul", {}, ...lines));
+  }
+  for (const canvas of key.querySelectorAll("canvas")) canvas.paint();
+}
+
+async function drawCell() {
+  const cell = state.cell, panel = by("cell");
+  if (!cell) return panel.replaceChildren(make("p", { className: "note", textContent: "Click a cell to see all its numbers." }));
+  const names = Object.keys(atlas.variables).filter((name) => name in atlas.arrays);
+  const arrays = Object.fromEntries(await Promise.all(names.map(async (name) => [name, await numbers(name)])));
+  if (state.cell !== cell) return;
+  const k = cell[1] * NX + cell[0], values = axes.map((axis, along) => axis.values[cell[along]]);
+  const rows = [REGIME, ...names.filter((name) => name !== REGIME && name !== ERROR)].filter((name) => isResult(name, k, arrays));
+  const table = make("table", {}, ...rows.map((name) => make("tr", {},
+    make("th", { scope: "row", textContent: atlas.variables[name].label }), make("td", { textContent: inWords(name, k, arrays) }))));
+  const full = { ...Object.fromEntries(axes.map(({ name }, along) => [name, values[along]])) };
+  for (const name of names) full[name] = name === REGIME ? atlas.regimes[arrays[name][k]] : arrays[name][k];
+  const title = isCoarse ? `block of up to ${atlas.block.join(" × ")} cells around ${placeOf(cell)}` : `cell at ${placeOf(cell)}`;
+  panel.replaceChildren(make("h2", { textContent: title }), table, copying("copy all numbers", () => JSON.stringify(full)));
+  if (atlas.command) {
+    const line = [atlas.command, ...axes.map(({ name }, along) => `--set ${name}=${values[along]}`)].join(" ");
+    panel.append(make("p", { className: "note", textContent: "This command solves the cell again:" }), make("code", { textContent: line }), copying("copy command", () => line));
+  }
+}
+
+function copying(label, text) {
+  const button = make("button", { type: "button", textContent: label });
+  button.onclick = async () => {
+    await navigator.clipboard.writeText(text());
+    button.textContent = "copied";
+    setTimeout(() => { button.textContent = label; }, 1500);
+  };
+  return button;
+}
+
+function describe() {
+  const { fixed, variables, arrays, leftOut, block, ofAll } = atlas;
+  by("fixed").append(...fixed.flatMap(({ symbol, value, meaning }, k) =>
+    [k ? ", " : "", make("span", { title: meaning }, make("i", { textContent: symbol }), ` = ${number(value)}`)]));
+  const byDigits = new Map();
+  for (const name of Object.keys(variables))
+    if (name in arrays) byDigits.set(arrays[name].digits, [...(byDigits.get(arrays[name].digits) || []), variables[name].label]);
+  const rounded = [...byDigits].filter(([digits]) => digits).sort(([one], [other]) => other - one)
+    .map(([digits, labels]) => `${labels.join(", ")}: ${digits} digits`);
+  const says = rounded.length ? [`Rounded, to keep this file small: ${rounded.join("; ")}.`, "All other numbers are those of the atlas, to the last bit."]
+    : ["All numbers are those of the atlas, to the last bit."];
+  if (leftOut.length) says.push(`Left out: ${leftOut.map((name) => variables[name].label).join(", ")}.`);
+  if (isCoarse) says.push(`A cell of this page stands for up to ${block.join(" × ")} cells of the atlas: numbers are means, the regime is the most frequent one, but doubt first.`);
+  if (ofAll) says.push("A cell may have several attractors; this page shows the one with the largest share of the initial states.");
+  by("precision").textContent = says.join(" ");
+}
