@@ -1,15 +1,18 @@
-"""The command that opens the explorer."""
+"""The command that opens the explorer, or writes the page of an atlas."""
 
 import sys
 import time
 import webbrowser
+from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
     examples,
+    input_errors,
     interruptible,
     read_number,
     read_pairs,
@@ -20,6 +23,7 @@ from atlas.cli.options import (
     workers_option,
 )
 from atlas.cli.progress import reporter
+from atlas.errors import InputError
 from atlas.service.progress import prepare_kernels
 
 PACKAGED = "omega-b"
@@ -27,9 +31,22 @@ PACKAGED = "omega-b"
 GB = 10**9
 
 
-@click.command(epilog=examples("atlas explore", "atlas explore plane.zarr", "atlas explore plane.toml"))
+@click.command(
+    epilog=examples(
+        "atlas explore",
+        "atlas explore plane.zarr",
+        "atlas explore plane.toml",
+        "atlas explore plane.zarr -o plane.html",
+    )
+)
 @click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED)
 @select_option
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Write the cells of STORE as one .html file that opens without a server, and end.",
+)
 @scheduler_option
 @workers_option
 @click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
@@ -48,6 +65,7 @@ def explore(
     ctx: click.Context,
     subject: str,
     select: tuple[str, ...],
+    out: Path | None,
     scheduler: str | None,
     workers: int | None,
     tolerance: float | None,
@@ -60,6 +78,9 @@ def explore(
 
     What is in view and not known is computed, coarse first. Default: the example omega-b. Ctrl-C ends it.
     """
+    if out is not None:
+        write(ctx, subject, read_pairs("--select", select, read_number), out)
+        return
     from atlas.explore.session import explore as start
     from atlas.explore.subject import TOLERANCE
 
@@ -94,3 +115,29 @@ def explore(
     except KeyboardInterrupt:
         say("ended")
         ctx.exit(INTERRUPTED)
+
+
+def write(ctx: click.Context, subject: str, chosen: dict[str, float], out: Path) -> None:
+    """Write the page of a store; InputError where an option of the explorer is given with it."""
+    for each in ctx.command.params:
+        if each.name not in ("subject", "select", "out") and (
+            ctx.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE
+        ):
+            name = "/".join([each.opts[-1], *each.secondary_opts])
+            raise InputError(f"{name} is for the explorer in the browser; with -o only --select goes")
+    from atlas.explore.static.page import check_path, write_page
+    from atlas.query.open import open_atlas
+    from atlas.query.window import select as selected
+    from atlas.spec.examples import example_names
+    from atlas.text import byte_size
+
+    if subject.endswith(".toml") or subject in example_names():
+        run = f"atlas run {subject} -o {Path(subject).stem}.zarr"
+        raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
+    with input_errors():
+        check_path(out)
+        ds = selected(open_atlas(subject), chosen)
+        say("reading and painting")
+        written = write_page(ds, out)
+    say(byte_size(written.stat().st_size))
+    click.echo(str(written))

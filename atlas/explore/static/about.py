@@ -4,9 +4,9 @@ import shlex
 from typing import TYPE_CHECKING, Any
 
 from atlas.cell.command import point_words
-from atlas.explore.static.maps import text_of
 from atlas.query.extremes import regimes_with
 from atlas.render import words
+from atlas.render.coded import text_of
 from atlas.render.maps import DrawnAxis
 from atlas.spec.attractors import resolved_attractors
 from atlas.spec.axis import Axis, spaced_again

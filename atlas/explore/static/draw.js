@@ -36,9 +36,23 @@ async function unpacked(name) {
   const planes = new Uint8Array(await new Response(stream).arrayBuffer());
   const Type = TYPES[atlas.arrays[name].type], size = Type.BYTES_PER_ELEMENT, count = planes.length / size;
   const bytes = new Uint8Array(planes.length);
-  for (let plane = 0, at = 0; plane < size; plane++)
-    for (let k = 0, last = 0; k < count; k++) bytes[k * size + plane] = last ^= planes[at++];
+  for (let plane = 0, at = 0; plane < size; plane++) for (let k = plane; k < bytes.length; k += size) bytes[k] = planes[at++];
+  summed(bytes, size, count);
   return new Type(bytes.buffer);
+}
+
+function summed(bytes, size, count) {
+  if (size < 8) {
+    const whole = new { 1: Uint8Array, 2: Uint16Array, 4: Uint32Array }[size](bytes.buffer);
+    for (let k = NX; k < count; k++) whole[k] += whole[k - NX];
+    return;
+  }
+  const half = new Uint32Array(bytes.buffer); // the lower half of each number first
+  for (let k = 2 * NX; k < 2 * count; k += 2) {
+    const low = half[k] + half[k - 2 * NX];
+    half[k + 1] += half[k + 1 - 2 * NX] + (low > 0xffffffff ? 1 : 0);
+    half[k] = low;
+  }
 }
 
 // Colours

@@ -38,24 +38,26 @@ class Packed:
 
 
 def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> Packed:
-    """An array as text; of floats the first ``bits`` bits of the mantissa.
+    """An array (y, x) as text; of floats the first ``bits`` bits of the mantissa.
 
-    Bytes of equal significance stand together, each as its difference (exclusive or) from the one before: what
-    neighbouring cells have in common becomes zeros.
+    Its bits count as whole numbers, of which each is stored as its difference from the one below in y, modulo the
+    range of its type: neighbouring cells are alike, and their differences have few digits. Bytes of equal significance
+    stand together.
     """
     kept = rounded(values, bits) if values.dtype.kind == "f" else values
     kept = kept.astype(np.uint8) if kept.dtype.kind == "b" else kept
-    kept = np.ascontiguousarray(kept, kept.dtype.newbyteorder("<"))
-    planes = kept.view(np.uint8).reshape(-1, kept.itemsize).T.copy()
-    planes[:, 1:] ^= planes[:, :-1].copy()
+    whole = np.ascontiguousarray(kept).view(f"u{kept.itemsize}")
+    steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]]).astype(f"<u{kept.itemsize}")
+    planes = steps.view(np.uint8).reshape(-1, kept.itemsize).T
     return Packed(kept.dtype.name, base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode(), bits)
 
 
-def unpack(packed: Packed) -> NDArray[np.generic]:
-    """The array (N,) that a text holds, as the page reads it."""
-    kind = np.dtype(packed.type).newbyteorder("<")
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed.text)), np.uint8).reshape(kind.itemsize, -1)
-    return np.bitwise_xor.accumulate(planes, axis=1).T.copy().view(kind)[:, 0]
+def unpack(packed: Packed, width: int) -> NDArray[np.generic]:
+    """The array (y, x) of this many columns that a text holds, as the page reads it."""
+    size = np.dtype(packed.type).itemsize
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed.text)), np.uint8).reshape(size, -1)
+    steps = planes.T.copy().view(f"<u{size}").reshape(-1, width).astype(f"u{size}")
+    return np.add.accumulate(steps, axis=0, dtype=steps.dtype).view(packed.type)
 
 
 def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
@@ -71,38 +73,29 @@ def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
 
 
 def fit(
-    arrays: Mapping[str, Callable[[], NDArray[np.generic]]], limit: int, last: tuple[str, ...] = ()
+    arrays: Mapping[str, Callable[[], NDArray[np.generic]]], limit: int, last: str, first: str
 ) -> tuple[dict[str, Packed], list[str]]:
-    """Arrays as texts of at most ``limit`` characters together, and the names of those that are left out.
+    """Arrays as texts of at most ``limit`` characters together where that can be, and the names of those left out.
 
-    They are exact where that fits. Otherwise the largest of the floats loses digits, again and again, and is left out
-    where it has no more to lose. Those named ``last`` keep theirs until all others have as few as there are.
+    They are exact where they fit. Otherwise floats lose digits, one after the other, always one of those that have
+    most: the one named ``first``, then the largest text, ``last`` the last. Those are left out that have no more
+    digits to lose.
     """
     found = {name: pack(read()) for name, read in arrays.items()}
     left_out: list[str] = []
+
+    def order(name: str) -> tuple[int, bool, bool, int]:
+        return found[name].bits, name != last, name == first, len(found[name].text)
+
     while sum(len(each.text) for each in found.values()) > limit:
-        name = _next(found, last)
-        if name is None:
+        floats = [name for name, each in found.items() if each.type == "float64"]
+        if not floats:
             break
+        name = max(floats, key=order)
         fewer = [bits for bits in DIGITS if bits < found[name].bits]
         if fewer:
             found[name] = pack(arrays[name](), max(fewer))
         else:
-            del found[name]
             left_out.append(name)
+            del found[name]
     return found, left_out
-
-
-def _next(found: Mapping[str, Packed], last: tuple[str, ...]) -> str | None:
-    """The float that is to lose digits, or to be left out: the largest text of those that have most to lose."""
-    floats = {name: each for name, each in found.items() if each.type == "float64"}
-    least = min(DIGITS)
-    for group in (
-        [name for name, each in floats.items() if name not in last and each.bits > least],
-        [name for name, each in floats.items() if name in last and each.bits > least],
-        [name for name in floats if name not in last],
-        [*floats],
-    ):
-        if group:
-            return max(group, key=lambda name: len(floats[name].text))
-    return None

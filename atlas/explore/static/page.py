@@ -2,6 +2,7 @@
 
 import html
 import json
+import math
 from collections.abc import Mapping
 from functools import partial
 from importlib.resources import files
@@ -12,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from atlas.curves.asking import header_of
 from atlas.errors import InputError
 from atlas.explore.static import about
-from atlas.explore.static.maps import ShownMap, curves_over, shown_maps
 from atlas.explore.static.numbers import Packed, fit, pack
 from atlas.query.attractors import leading, of_all
 from atlas.query.export import check_writable, written_whole
@@ -20,6 +20,7 @@ from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.query.source import find_part
 from atlas.query.window import axis_names, refuse_table
+from atlas.render.coded import CodedMap, coded_maps, curves_over
 from atlas.render.drawing import check_units
 from atlas.render.maps import rising
 from atlas.text import byte_size
@@ -43,8 +44,8 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
 
     The page has the cells themselves, or the finest overview with at most ``most_cells``; of an atlas of all attractors
     the one with the largest share in each cell. Numbers are exact where they fit; otherwise floats lose digits, the
-    exponent and its error last, down to three, and then variables are left out: the page names them. The file appears
-    whole or not at all, in place of any before; the same atlas gives the same bytes.
+    exponent last, down to three, and then variables are left out: the page says which. The file appears whole or not at
+    all, in place of any before; the same atlas gives the same bytes.
     Raises InputError for another suffix than .html, a path that cannot be written, and an atlas that is no plane.
     """
     target = Path(path)
@@ -75,7 +76,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     seen, axes = rising(seen)
     order = [variable.name for variable in header.spec.variables]
     names = sorted(map(str, seen.data_vars), key=lambda name: order.index(name) if name in order else len(order))
-    maps = list(shown_maps(ds, seen))
+    maps = list(coded_maps(ds, seen))
     described = about.described(ds, header, (axes[0], axes[1])) | {
         "block": list(block),
         "command": about.command(ds, header) if max(block) == 1 and not of_all(every) else "",
@@ -94,7 +95,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     bare = _filled(described, words, maps, codes)
     arrays = {name: partial(_values, seen, name) for name in described["variables"]}
     room = limit - len(bare.encode()) - _EACH * len(arrays)
-    found, left_out = fit(arrays, room, (LARGEST.name, ERROR.name))
+    found, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
     kept = [each for each in maps if found.keys() >= {*each.needs}]
     text = _filled(described | {"leftOut": left_out}, words, kept, _codes(kept) | found)
     if len(text.encode()) > limit:
@@ -121,21 +122,21 @@ def _cells(ds: "xr.Dataset", most: int) -> tuple["xr.Dataset", tuple[int, ...]]:
     """
     across, up = axis_names(ds)
     names = [str(name) for name in ds.data_vars if {*ds[name].dims} == {across, up}]
-    nx, ny = ds.sizes[across], ds.sizes[up]
-    part = find_part(ds, [REGIME.name]) if nx * ny > most else None
-    if part is not None:
+    size = ds.sizes[across], ds.sizes[up]
+    if math.prod(size) > most:
+        part = find_part(ds, [REGIME.name])
+        if part is None:
+            hint = "select a part, or open the atlas anew"
+            raise InputError(f"a page shows at most {most} cells of values in memory, found {math.prod(size)}; {hint}")
         known = {variable.name for variable in part.pyramid.variables}
         names = [name for name in names if name in known]
     halved = 0
-    while -(-nx >> halved) * -(-ny >> halved) > most:
-        halved += 1
-    while True:
+    while True:  # unevenly spaced cells may take more halvings than their number says
+        pixels = [-(-count >> halved) for count in size]
         with counted() as reads:
-            seen = view(ds, names, pixels=(-(-nx >> halved), -(-ny >> halved))).load()
+            seen = view(ds, names, pixels=pixels) if math.prod(pixels) <= most else ds
         if seen[REGIME.name].size <= most:
-            return seen.transpose(up, across), reads.block if len(reads.block) == 2 else (1, 1)
-        if part is None or halved > 40:
-            raise InputError(f"a page shows at most {most} cells, found {nx * ny}; select a part, or pass the atlas as opened")
+            return seen.load().transpose(up, across, ...), reads.block if len(reads.block) == 2 else (1, 1)
         halved += 1
 
 
@@ -143,7 +144,7 @@ def _values(seen: "xr.Dataset", name: str) -> Any:
     return seen[name].values
 
 
-def _codes(maps: list[ShownMap]) -> dict[str, Packed]:
+def _codes(maps: list[CodedMap]) -> dict[str, Packed]:
     """The codes of maps as texts, each once, under the name of the first map that has them."""
     found: dict[str, Packed] = {}
     for each in maps:
@@ -155,7 +156,7 @@ def _codes(maps: list[ShownMap]) -> dict[str, Packed]:
 
 
 def _filled(
-    described: Mapping[str, Any], words: Mapping[str, Any], maps: list[ShownMap], arrays: Mapping[str, Packed]
+    described: Mapping[str, Any], words: Mapping[str, Any], maps: list[CodedMap], arrays: Mapping[str, Packed]
 ) -> str:
     """The whole page."""
     whole = {

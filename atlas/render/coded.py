@@ -1,4 +1,4 @@
-"""The maps of a page: for each kind the colour of every cell as a code, painted by the code that draws files.
+"""Maps as codes of their cells, for a page that draws them itself: painted by the code that draws files.
 
 A code stands for a colour of its own, or for a scale, on which the page places the cell's number.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.window import axis_names
-from atlas.render import maps, scales, style, words
+from atlas.render import scales, style, words
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
 from atlas.render.maps import Bar, Painted, Plane, View
 from atlas.render.options import Wanted
@@ -26,12 +26,9 @@ from workers.results import NO_IMPACT
 if TYPE_CHECKING:
     import xarray as xr
 
-NUMBERS = "numbers of each cell"
-"""The heading of the maps of any variable, in the list of kinds."""
-
 
 @dataclass(frozen=True)
-class ShownMap:
+class CodedMap:
     """A map of a page.
 
     name       of its kind, or of its variable
@@ -46,19 +43,20 @@ class ShownMap:
     described: dict[str, Any]
 
 
-def shown_maps(ds: "xr.Dataset", seen: "xr.Dataset") -> Iterator[ShownMap]:
+def coded_maps(ds: "xr.Dataset", seen: "xr.Dataset") -> Iterator[CodedMap]:
     """Every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable as numbers."""
-    for name in (BASINS, *MAPS, LABELS):
+    held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*TABLE[name].variables}]
+    for name in held:
         kind = TABLE[name]
-        if ".figure" not in kind.paint and seen.data_vars.keys() >= {*kind.variables}:
+        if ".figure" not in kind.paint and not (name == LABELS and BASINS in held):  # whose labels are of starts
             view = View(kind, ds, Plane.of(seen, kind.variables), Wanted(STANDARD, name))
             try:
-                yield _shown(name, kind.meaning, view, kind.variables)
+                yield _coded(name, kind.meaning, view, kind.variables)
             except InputError:  # of a machine that has no such map
                 continue
     for name in numbers_of_cells(seen):
         view = View(TABLE[SCALAR], ds, Plane.of(seen, [name]), Wanted(STANDARD, SCALAR, variable=name))
-        yield _shown(f"number-{name}", text_of(words.variable_label(ds, name)), view, (name,))
+        yield _coded(f"number-{name}", text_of(words.variable_label(ds, name)), view, (name,))
 
 
 def text_of(label: str) -> str:
@@ -102,10 +100,10 @@ def _mark_look(kind: str) -> dict[str, Any]:
     look = style.corner_look(kind, 1.0)
     marker = MarkerStyle(look["marker"])
     shape = marker.get_path().transformed(marker.get_transform()).to_polygons()
-    return {"label": look["label"], "shape": [part.ravel().round(3).tolist() for part in shape]}
+    return {"label": look["label"], "shape": [np.asarray(part).ravel().round(3).tolist() for part in shape]}
 
 
-def _shown(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> ShownMap:
+def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> CodedMap:
     painted: Painted = view.kind.painter(view)
     sources, looks = _sources(view, painted)
     textures, patterns = _textures(view, painted)
@@ -125,7 +123,7 @@ def _shown(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Shown
         "legend": [_entry(each) for each in painted.legend],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
-    return ShownMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
+    return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
 
 
 def _sources(view: View, painted: Painted) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
