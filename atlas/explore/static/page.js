@@ -13,7 +13,8 @@ async function change(given, remembered = false) {
   }
   by("kind").value = state.map.name;
   map.ariaLabel = `${state.map.meaning}, over ${X.label} and ${Y.label}`;
-  if (!remembered || state.map !== before.map || state.ends !== before.ends || state.hidden !== before.hidden) drawKey();
+  if (!by("key").firstChild || state.map !== before.map) makeKey();
+  else if (state.ends !== before.ends || state.hidden !== before.hidden) updateKey();
   draw();
   if (state.cell !== before.cell) drawCell();
   if (state.cell && state.cell !== before.cell) say(sentence(state.cell));
@@ -177,7 +178,7 @@ for (const button of document.querySelectorAll(".copy")) button.replaceWith(copy
 window.onpopstate = recall;
 window.onhashchange = recall;
 new ResizeObserver(draw).observe(map);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawKey(); draw(); });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { updateKey(); draw(); });
 describe();
 drawCell();
 recall();

@@ -97,7 +97,8 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     room = limit - len(bare.encode()) - _EACH * len(arrays)
     found, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
     kept = [each for each in maps if found.keys() >= {*each.needs}]
-    text = _filled(described | {"leftOut": left_out}, words, kept, _codes(kept) | found)
+    arrays_kept = {each.described["codes"]: codes[each.described["codes"]] for each in kept} | found
+    text = _filled(described | {"leftOut": left_out}, words, kept, arrays_kept)
     if len(text.encode()) > limit:
         size = f"{byte_size(len(text.encode()))}, at most {byte_size(limit)}"
         raise InputError(f"the page of this atlas would take {size}; select a part of it")

@@ -79,94 +79,117 @@ function barOf(bar) {
       context.fillStyle = `#${table[Math.floor((x / inner) * table.length)]}`;
       context.fillRect(12 + x, 0, 1, 14);
     }
-    context.fillStyle = context.strokeStyle = look("--ink");
+    context.fillStyle = look("--ink");
     context.font = "12px system-ui, sans-serif";
     context.textAlign = "center";
-    const halves = bar.scale === "two-sided" ? [...ticks(low, 0, 2), ...ticks(0, high, 2).slice(1)] : ticks(low, high, 4, bar.scale === "log");
-    for (const value of halves) {
+    const values = isTwoSided(bar) ? [...ticks(low, 0, 2), ...ticks(0, high, 2).slice(1)] : ticks(low, high, 4, bar.scale === "log");
+    for (const value of values) {
       const x = 12 + inner * shareOf(bar, [low, high], value);
       context.fillRect(x - 0.5, 14, 1, 4);
       context.fillText(number(value), x, 30);
     }
+    canvas.ariaLabel = `colours from ${number(low)} to ${number(high)}`;
   });
   canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", `colours from ${number(scaleEnds(bar)[0])} to ${number(scaleEnds(bar)[1])}`);
-  const joined = bar.scale === "two-sided" && -scaleEnds(bar)[0] !== scaleEnds(bar)[1] ? " (two linear scales, joined at 0)" : "";
-  return make("div", { className: "bar" }, `${bar.title ? `${bar.title}: ` : ""}${bar.label}${joined}`, canvas);
+  const label = `${bar.title ? `${bar.title}: ` : ""}${bar.label}${isTwoSided(bar) ? " (two linear scales, joined at 0)" : ""}`;
+  return make("div", { className: "bar" }, label, canvas);
 }
 
+const isTwoSided = (bar) => bar.scale === "two-sided";
+
 function endsOf(bar) {
-  const [low, high] = scaleEnds(bar).map((value) => make("input", { type: "number", step: "any", value: Number(value.toPrecision(6)) }));
-  low.ariaLabel = "lower end of the scale";
-  high.ariaLabel = "upper end of the scale";
+  const inputs = ["lower", "upper"].map((end) => make("input", { type: "number", step: "any", ariaLabel: `${end} end of the scale` }));
+  const update = () => inputs.forEach((input, end) => { input.value = Number(scaleEnds(bar)[end].toPrecision(6)); });
   const set = () => {
-    const ends = [low.valueAsNumber, high.valueAsNumber];
-    const fits = ends[0] < ends[1] && (bar.scale !== "log" || ends[0] > 0) && (bar.scale !== "two-sided" || (ends[0] < 0 && ends[1] > 0));
-    change({ ends: fits ? ends : null }, true);
+    const [low, high] = inputs.map((input) => input.valueAsNumber);
+    const fits = low < high && (bar.scale !== "log" || low > 0) && (!isTwoSided(bar) || (low < 0 && high > 0));
+    if (fits) change({ ends: [low, high] }, true);
+    else update();
   };
-  low.onchange = high.onchange = set;
-  return make("div", { className: "ends" }, "from", low, "to", high,
-    make("button", { type: "button", textContent: "reset", onclick: () => change({ ends: null }, true) }));
+  for (const input of inputs) input.onchange = set;
+  const reset = make("button", { type: "button", textContent: "reset", onclick: () => change({ ends: null }, true) });
+  return Object.assign(make("div", { className: "ends" }, "from", inputs[0], "to", inputs[1], reset), { update });
 }
 
 function lineEntry(kind, label, paint) {
-  const box = make("input", { type: "checkbox", checked: !state.hidden.has(kind) });
+  const box = make("input", { type: "checkbox" });
   box.onchange = () => {
     const hidden = new Set(state.hidden);
     hidden[box.checked ? "delete" : "add"](kind);
     change({ hidden }, true);
   };
+  box.update = () => { box.checked = !state.hidden.has(kind); };
   return make("li", {}, make("label", {}, box, swatch(paint), label));
 }
 
-function drawKey() {
+function curveEntries() {
+  const { looks, marks } = atlas.curves;
+  const lines = Object.entries(looks).map(([kind, { label, color, dashes }]) => lineEntry(kind, label, ({ context, width, height }) => {
+    for (const [ink, wide, broken] of [["#ffffff", 5, []], [color, 2, dashes.map((dash) => 1.6 * dash)]]) {
+      context.strokeStyle = ink;
+      context.lineWidth = wide;
+      context.setLineDash(broken);
+      context.strokeRect(-9, height / 2, width + 18, height);
+    }
+  }));
+  const kinds = Object.values(marks);
+  if (kinds.length)
+    lines.push(lineEntry("codimension_two", `codimension two: ${kinds.map(({ label }) => label).join(", ")}`,
+      ({ context, width, height }) => outlined(context, kinds[0].shape, width / 2, height / 2)));
+  return [make("h2", { textContent: "curves" }), make("ul", {}, ...lines)];
+}
+
+function makeKey() {
   const { meaning, title, bars, legend } = state.map, key = by("key");
   key.replaceChildren(make("h2", { textContent: meaning }), ...bars.map(barOf));
   if (bars.length === 1) key.append(endsOf(bars[0]));
   if (title) key.append(make("p", { className: "note", textContent: title }));
   key.append(make("ul", {}, ...legend.map((entry) => make("li", {}, boxOf(entry), entry.label))));
-  if (atlas.curves.lines) {
-    const lines = Object.entries(atlas.curves.looks).map(([kind, { label, color, dashes }]) => lineEntry(kind, label, ({ context, width, height }) => {
-      context.setLineDash(dashes.map((dash) => 1.6 * dash));
-      for (const [ink, wide] of [["#ffffff", 5], [color, 2]]) {
-        context.strokeStyle = ink;
-        context.lineWidth = wide;
-        context.strokeRect(-9, height / 2, width + 18, height);
-      }
-    }));
-    const marks = Object.values(atlas.curves.marks);
-    if (marks.length)
-      lines.push(lineEntry("codimension_two", `codimension two: ${marks.map(({ label }) => label).join(", ")}`,
-        ({ context, width, height }) => outlined(context, marks[0].shape, width / 2, height / 2)));
-    key.append(make("h2", { textContent: "curves" }), make("ul", {}, ...lines));
+  if (atlas.curves.lines) key.append(...curveEntries());
+  updateKey();
+}
+
+function updateKey() {
+  for (const each of by("key").querySelectorAll("*")) {
+    if (each.update) each.update();
+    if (each.paint) each.paint();
   }
-  for (const canvas of key.querySelectorAll("canvas")) canvas.paint();
+}
+
+async function allNumbers() {
+  const names = Object.keys(atlas.variables).filter((name) => name in atlas.arrays);
+  return Object.fromEntries(await Promise.all(names.map(async (name) => [name, await numbers(name)])));
+}
+
+async function fullNumbers(cell) {
+  const arrays = await allNumbers(), k = cell[1] * NX + cell[0];
+  const found = Object.fromEntries(axes.map(({ name, values }, along) => [name, values[cell[along]]]));
+  for (const name in arrays) found[name] = name === REGIME ? atlas.regimes[arrays[name][k]] : arrays[name][k];
+  return found;
 }
 
 async function drawCell() {
-  const cell = state.cell, panel = by("cell");
-  if (!cell) return panel.replaceChildren(make("p", { className: "note", textContent: "Click a cell to see all its numbers." }));
-  const names = Object.keys(atlas.variables).filter((name) => name in atlas.arrays);
-  const arrays = Object.fromEntries(await Promise.all(names.map(async (name) => [name, await numbers(name)])));
+  const cell = state.cell, panel = by("cell"), hint = "Click a cell to see all its numbers.";
+  if (!cell) return panel.replaceChildren(make("p", { className: "note", textContent: hint }));
+  const arrays = await allNumbers(), k = cell[1] * NX + cell[0];
   if (state.cell !== cell) return;
-  const k = cell[1] * NX + cell[0], values = axes.map((axis, along) => axis.values[cell[along]]);
-  const rows = [REGIME, ...names.filter((name) => name !== REGIME && name !== ERROR)].filter((name) => isResult(name, k, arrays));
-  const table = make("table", {}, ...rows.map((name) => make("tr", {},
-    make("th", { scope: "row", textContent: atlas.variables[name].label }), make("td", { textContent: inWords(name, k, arrays) }))));
-  const full = { ...Object.fromEntries(axes.map(({ name }, along) => [name, values[along]])) };
-  for (const name of names) full[name] = name === REGIME ? atlas.regimes[arrays[name][k]] : arrays[name][k];
-  const title = isCoarse ? `block of up to ${atlas.block.join(" × ")} cells around ${placeOf(cell)}` : `cell at ${placeOf(cell)}`;
-  panel.replaceChildren(make("h2", { textContent: title }), table, copying("copy all numbers", () => JSON.stringify(full)));
-  if (atlas.command) {
-    const line = [atlas.command, ...axes.map(({ name }, along) => `--set ${name}=${values[along]}`)].join(" ");
-    panel.append(make("p", { className: "note", textContent: "This command solves the cell again:" }), make("code", { textContent: line }), copying("copy command", () => line));
-  }
+  const names = Object.keys(arrays).filter((name) => name !== REGIME && name !== ERROR);
+  const rows = [REGIME, ...names].filter((name) => isResult(name, k, arrays)).map((name) => make("tr", {},
+    make("th", { scope: "row", textContent: atlas.variables[name].label }),
+    make("td", { textContent: inWords(name, k, arrays) })));
+  const where = placeOf(cell), title = isCoarse ? `block of up to ${atlas.block.join(" × ")} cells around ${where}` : `cell at ${where}`;
+  panel.replaceChildren(make("h2", { textContent: title }), make("table", {}, ...rows),
+    copying("copy all numbers", async () => JSON.stringify(await fullNumbers(cell))));
+  if (!atlas.command) return;
+  const line = [atlas.command, ...axes.map(({ name, values }, along) => `--set ${name}=${values[cell[along]]}`)].join(" ");
+  panel.append(make("p", { className: "note", textContent: "This command solves the cell again:" }),
+    make("code", { textContent: line }), copying("copy command", () => line));
 }
 
 function copying(label, text) {
   const button = make("button", { type: "button", textContent: label });
   button.onclick = async () => {
-    await navigator.clipboard.writeText(text());
+    await navigator.clipboard.writeText(await text());
     button.textContent = "copied";
     setTimeout(() => { button.textContent = label; }, 1500);
   };
