@@ -67,7 +67,7 @@ function nearest(along, value) {
 
 function inside(along, [low, high]) {
   const [first, last] = whole()[along], cells = axes[along].values.length;
-  if (!(low < high)) return [first, last];
+  if (!(low < high) || high - low > (1 - 1e-9) * (last - first)) return [first, last];
   const least = Math.min(1, 4 / cells) * (last - first), width = Math.min(last - first, Math.max(least, high - low));
   const start = Math.min(last - width, Math.max(first, (low + high - width) / 2));
   return [start, start + width];

@@ -103,11 +103,11 @@ function endsOf(bar) {
   const set = () => {
     const [low, high] = inputs.map((input) => input.valueAsNumber);
     const fits = low < high && (bar.scale !== "log" || low > 0) && (!isTwoSided(bar) || (low < 0 && high > 0));
-    if (fits) change({ ends: [low, high] }, true);
+    if (fits) change({ ends: [low, high] });
     else update();
   };
   for (const input of inputs) input.onchange = set;
-  const reset = make("button", { type: "button", textContent: "reset", onclick: () => change({ ends: null }, true) });
+  const reset = make("button", { type: "button", textContent: "reset", onclick: () => change({ ends: null }) });
   return Object.assign(make("div", { className: "ends" }, "from", inputs[0], "to", inputs[1], reset), { update });
 }
 
@@ -116,7 +116,7 @@ function lineEntry(kind, label, paint) {
   box.onchange = () => {
     const hidden = new Set(state.hidden);
     hidden[box.checked ? "delete" : "add"](kind);
-    change({ hidden }, true);
+    change({ hidden });
   };
   box.update = () => { box.checked = !state.hidden.has(kind); };
   return make("li", {}, make("label", {}, box, swatch(paint), label));
