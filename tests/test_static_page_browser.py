@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from html import escape
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -308,3 +309,16 @@ def test_everything_on_the_page_that_can_be_used_has_a_name(tab: Tab) -> None:
         }"""
     )
     assert unnamed == []
+
+
+def test_a_page_inside_another_page_works_without_an_address(browser: Any, page: Path, tmp_path: Path) -> None:
+    inside = escape(page.read_text(encoding="utf-8"))
+    (tmp_path / "outer.html").write_text(f'<iframe width="900" height="700" srcdoc="{inside}"></iframe>', "utf-8")
+    with look_at(browser, tmp_path / "outer.html") as tab:
+        frame = tab.page.frames[1]
+        tab.until(lambda: frame.evaluate("() => shown !== null && !asked"))
+        frame.locator("#map").click()
+        tab.until(lambda: frame.locator("#cell table").count() == 1)
+        frame.locator("#closer").click()
+        assert tab.complaints == []
+        assert tab.address().endswith("outer.html")

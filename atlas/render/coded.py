@@ -86,7 +86,7 @@ def curves_over(ds: "xr.Dataset") -> dict[str, Any]:
         ],
         "marks": {kind: _mark_look(kind) for kind, _, _ in corners},
         "corners": [list(corner) for corner in corners],
-        "ends": [at.tolist() for curve in found for at in curve.loose_ends],
+        "ends": [[curve.kind, *at.tolist()] for curve in found for at in curve.loose_ends],
     }
 
 

@@ -225,12 +225,16 @@ function drawCurves() {
   pen.lineWidth = 1;
   if (!state.hidden.has("codimension_two"))
     for (const [kind, x, y] of atlas.curves.corners) outlined(pen, atlas.curves.marks[kind].shape, place(x, 0), place(y, 1));
-  pen.fillStyle = "#000000";
-  for (const [x, y] of atlas.curves.ends) {
-    pen.beginPath();
-    pen.arc(place(x, 0), place(y, 1), 2, 0, 7);
-    pen.fill();
-  }
+  for (const [kind, x, y] of atlas.curves.ends) if (there({ kind })) dot(pen, place(x, 0), place(y, 1));
+}
+
+function dot(context, x, y) {
+  context.beginPath();
+  context.arc(x, y, 2.5, 0, 7);
+  context.fillStyle = "#000000";
+  context.strokeStyle = "#ffffff";
+  context.fill();
+  context.stroke();
 }
 
 function outlined(context, shape, x, y) {

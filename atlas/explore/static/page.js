@@ -36,7 +36,11 @@ function remember(asNew) {
   if (state.hidden.size) parts.push(`without=${[...state.hidden].join(",")}`);
   const address = `#${parts.join("&")}`;
   if (address === (location.hash || "#")) return;
-  history[asNew ? "pushState" : "replaceState"](null, "", address);
+  try {
+    history[asNew ? "pushState" : "replaceState"](null, "", address);
+  } catch (error) {
+    if (error.name !== "SecurityError") throw error; // inside another page it has no address of its own
+  }
 }
 
 function recall() {

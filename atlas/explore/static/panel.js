@@ -136,6 +136,7 @@ function curveEntries() {
   if (kinds.length)
     lines.push(lineEntry("codimension_two", `codimension two: ${kinds.map(({ label }) => label).join(", ")}`,
       ({ context, width, height }) => outlined(context, kinds[0].shape, width / 2, height / 2)));
+  if (atlas.curves.ends.length) lines.push(make("li", {}, swatch((canvas) => dot(canvas.context, canvas.width / 2, canvas.height / 2)), "end of a curve"));
   return [make("h2", { textContent: "curves" }), make("ul", {}, ...lines)];
 }
 
