@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from click.testing import CliRunner
 
 import atlas
@@ -19,6 +20,7 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.explore.static.numbers import DIGITS, MANTISSA, Packed, fit, pack, rounded, unpack
 from atlas.explore.static.page import LIMIT, PROGRAM, page_of, write_page
+from atlas.query.window import select
 from atlas.render.coded import coded_maps, curves_over, text_of
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
 from atlas.render.maps import Plane, View
@@ -155,8 +157,6 @@ def test_the_same_atlas_gives_the_same_bytes(opened: xr.Dataset, tmp_path: Path)
 def test_a_million_cells_take_at_most_twenty_megabytes_even_where_no_two_numbers_are_alike(tmp_path: Path) -> None:
     header = store.create(tmp_path / "large.zarr", synthetic.spec_of(1000, 1000), (250, 250))
     synthetic.fill(header)
-    import zarr
-
     rng = np.random.default_rng(4)
     group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
     for variable in header.variables:
@@ -405,3 +405,44 @@ def test_changed_values_which_no_overview_has_are_refused_where_there_are_too_ma
     changed.encoding = dict(opened.encoding)
     with pytest.raises(InputError, match="at most 200 cells of values in memory, found 1710"):
         page_of(changed.load(), most_cells=200)
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An atlas of all attractors, two kept in a cell, whose second ones are pending in the lower half."""
+    path = tmp_path_factory.mktemp("several") / "several.zarr"
+    axes = {"omega": np.linspace(1, 4, 6), "b": np.linspace(0.1, 0.5, 4)}
+    header = store.create(path, atlas.Spec("two-mass", axes, attractors={"starts": 4, "keep": 2}), (4, 6))
+    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
+    regime, largest = np.full((4, 6, 2), 1, np.int8), np.zeros((4, 6, 2))
+    regime[:2, :, 1], largest[..., 1] = -1, -1.0
+    given = {"largest": largest, "share": largest + 1.0, "regime": regime}
+    for variable in header.variables:
+        array: Any = group[variable.name]
+        array.with_config({"write_empty_chunks": True})[...] = given.get(variable.name, variable.fill)
+    return path
+
+
+def test_of_an_atlas_of_all_attractors_the_page_says_which_it_shows(several: Path) -> None:
+    ds = atlas.open(several)
+    first = page_of(ds)
+    assert described(first)["attractor"] == 0
+    assert np.all(numbers(first)["largest"] == 0.0)
+    second = page_of(select(ds, {"attractor": 1}))
+    known = described(second)
+    assert known["attractor"] == 1
+    assert np.all(numbers(second)["largest"] == -1.0)
+    assert known["regimes"]["-1"] == "not more than 1"
+    exponent = next(each for each in known["maps"] if each["name"] == "exponent")
+    assert "not more than 1" in [entry["label"] for entry in exponent["legend"]]
+
+
+def test_a_page_gives_no_command_where_a_cell_starts_from_a_state_that_it_does_not_hold(
+    several: Path, opened: xr.Dataset, tmp_path: Path
+) -> None:
+    axes = {"omega": {"start": 1.0, "stop": 4.0, "num": 6, "continuation": "forward"}, "b": [0.1, 0.2, 0.3]}
+    header = store.create(tmp_path / "swept.zarr", atlas.Spec("two-mass", axes), (3, 6))
+    synthetic.fill(header)
+    for ds in (atlas.open(several), select(atlas.open(several), {"attractor": 1}), atlas.open(header.path)):
+        assert described(page_of(ds))["command"] == ""
+    assert described(page_of(opened))["command"] == "atlas point"

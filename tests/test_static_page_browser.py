@@ -322,3 +322,11 @@ def test_a_page_inside_another_page_works_without_an_address(browser: Any, page:
         frame.locator("#closer").click()
         assert tab.complaints == []
         assert tab.address().endswith("outer.html")
+
+
+def test_the_command_of_a_cell_that_was_solved_with_a_larger_limit_sets_it(tab: Tab, ds: Any) -> None:
+    tab.page.evaluate("() => { atlas.allowances = {periods_used: '--max-periods', survived: '--survival'} }")
+    tab.page.mouse.click(*at_cell(tab, 10, 12))
+    numbers(tab)
+    used = int(ds.periods_used[12, 10])
+    assert tab.page.locator("#cell code").inner_text().endswith(f" --max-periods {used}")

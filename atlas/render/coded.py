@@ -21,7 +21,7 @@ from atlas.render.maps import Bar, Painted, Plane, View
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
 from atlas.text import plain
-from workers.results import NO_IMPACT
+from workers.results import ATTRACTOR, NO_IMPACT, PENDING
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -120,7 +120,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
         "entries": entries,
         "bars": [_bar(bar, view.plane[needs[0]], needs[0]) for bar in painted.bars],
         "title": text_of(painted.beside or ""),
-        "legend": [_entry(each) for each in painted.legend],
+        "legend": [_entry(each) | _pending(view, each) for each in painted.legend],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
@@ -176,6 +176,13 @@ def _bar(bar: Bar, stored: NDArray[Any], variable: str) -> dict[str, Any]:
 
 
 _SCALES: Mapping[type, str] = {Normalize: "linear", LogNorm: "log", TwoSlopeNorm: "two-sided"}
+
+
+def _pending(view: View, entry: Any) -> dict[str, str]:
+    """The name of cells without a result in an atlas of all attractors: they may have too few for the one chosen."""
+    place = int(view.ds.attrs.get(ATTRACTOR, 0))
+    named = entry.get_label() == words.name_of(PENDING)
+    return {"label": f"not more than {place}"} if place and named else {}
 
 
 def _entry(entry: Any) -> dict[str, Any]:

@@ -13,8 +13,9 @@ from atlas.spec.axis import Axis, spaced_again
 from atlas.spec.citation import bibtex, computed_by
 from atlas.spec.spec import Spec
 from atlas.spec.toml_text import spec_toml
+from atlas.store.schema import ALLOWANCES
 from atlas.store.store import Header
-from workers.results import ERROR, LARGEST, REASON, REASONS, REGIME, REGIMES
+from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,7 +29,8 @@ _PROVENANCE = {
 
 def described(ds: "xr.Dataset", header: Header, axes: tuple[DrawnAxis, DrawnAxis]) -> dict[str, Any]:
     """What the page's program knows of an atlas, as plain JSON."""
-    record = header.spec.record
+    record, place = header.spec.record, ds.attrs.get(ATTRACTOR)
+    names = {regime.code: words.name_of(regime.code) for regime in REGIMES}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
     return {
         "axes": [_axis(ds, axis) for axis in axes],
@@ -37,15 +39,21 @@ def described(ds: "xr.Dataset", header: Header, axes: tuple[DrawnAxis, DrawnAxis
             for p in fixed
             if float(ds[p.name]) or p.name not in record.states
         ],
-        "regimes": {regime.code: words.name_of(regime.code) for regime in REGIMES},
+        "regimes": names | ({PENDING: f"not more than {place}"} if place else {}),
+        "attractor": place,
         "reasons": [reason.text for reason in REASONS],
+        "allowances": {each.name: f"--{each.setting.replace('_', '-')}" for each in ALLOWANCES},
         "special": {"regime": REGIME.name, "reason": REASON.name, "largest": LARGEST.name, "error": ERROR.name},
     }
 
 
 def command(ds: "xr.Dataset", header: Header) -> str:
-    """The command that solves a cell again, but for the values of the axes."""
+    """The command that solves a cell again, but for the values of the axes; empty where cells start from a state that
+    the page does not hold: on one of several attractors, or on a neighbour's.
+    """
     spec = header.spec
+    if spec.coexistence or spec.continuation is not None:
+        return ""
     values = {p.name: float(ds[p.name]) for p in spec.record.parameters if p.name in ds.coords and not ds[p.name].ndim}
     return shlex.join(point_words(spec.record, values, spec.settings))
 

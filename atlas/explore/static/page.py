@@ -14,7 +14,7 @@ from atlas.curves.asking import header_of
 from atlas.errors import InputError
 from atlas.explore.static import about
 from atlas.explore.static.numbers import Packed, fit, pack
-from atlas.query.attractors import leading, of_all
+from atlas.query.attractors import leading
 from atlas.query.export import check_writable, written_whole
 from atlas.query.reads import counted
 from atlas.query.resample import view
@@ -76,12 +76,11 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     seen, axes = rising(seen)
     order = [variable.name for variable in header.spec.variables]
     names = sorted(map(str, seen.data_vars), key=lambda name: order.index(name) if name in order else len(order))
-    maps = list(coded_maps(ds, seen))
+    maps = list(coded_maps(ds, seen[names]))
     described = about.described(ds, header, (axes[0], axes[1])) | {
         "block": list(block),
-        "command": about.command(ds, header) if max(block) == 1 and not of_all(every) else "",
+        "command": about.command(ds, header) if max(block) == 1 else "",
         "curves": curves_over(ds),
-        "ofAll": of_all(every),
         "leftOut": [],
         "variables": {name: about.variable(seen, name) for name in names},
     }

@@ -182,7 +182,9 @@ async function drawCell() {
   panel.replaceChildren(make("h2", { textContent: title }), make("table", {}, ...rows),
     copying("copy all numbers", async () => JSON.stringify(await fullNumbers(cell))));
   if (!atlas.command) return;
-  const line = [atlas.command, ...axes.map(({ name, values }, along) => `--set ${name}=${values[cell[along]]}`)].join(" ");
+  const retried = Object.keys(atlas.allowances).filter((name) => arrays[name]?.[k] > 0);
+  const line = [atlas.command, ...axes.map(({ name, values }, along) => `--set ${name}=${values[cell[along]]}`),
+    ...retried.map((name) => `${atlas.allowances[name]} ${arrays[name][k]}`)].join(" ");
   panel.append(make("p", { className: "note", textContent: "This command solves the cell again:" }),
     make("code", { textContent: line }), copying("copy command", () => line));
 }
@@ -198,7 +200,7 @@ function copying(label, text) {
 }
 
 function describe() {
-  const { fixed, variables, arrays, leftOut, block, ofAll } = atlas;
+  const { fixed, variables, arrays, leftOut, block, attractor } = atlas;
   by("fixed").append(...fixed.flatMap(({ symbol, value, meaning }, k) =>
     [k ? ", " : "", make("span", { title: meaning }, make("i", { textContent: symbol }), ` = ${number(value)}`)]));
   const byDigits = new Map();
@@ -209,7 +211,10 @@ function describe() {
   const says = rounded.length ? [`Rounded, to keep this file small: ${rounded.join("; ")}.`, "All other numbers are those of the atlas, to the last bit."]
     : ["All numbers are those of the atlas, to the last bit."];
   if (leftOut.length) says.push(`Left out: ${leftOut.map((name) => variables[name].label).join(", ")}.`);
-  if (isCoarse) says.push(`A cell of this page stands for up to ${block.join(" × ")} cells of the atlas: numbers are means, the regime is the most frequent one, but doubt first.`);
-  if (ofAll) says.push("A cell may have several attractors; this page shows the one with the largest share of the initial states.");
+  if (isCoarse) says.push(`A cell of this page stands for up to ${block.join(" × ")} cells of the atlas: numbers are means, of yes and no the share of yes; period and impacts are the most frequent, and the regime too unless cells without a result or undetermined ones are among them.`);
+  if (attractor !== null) {
+    const rank = attractor ? `number ${attractor + 1} by its share` : "the one with the largest share";
+    says.push(`A cell may have several attractors; this page shows ${rank} of the initial states.`);
+  }
   by("precision").textContent = says.join(" ");
 }
