@@ -343,6 +343,15 @@ def test_the_command_and_the_method_write_the_same_page(opened: xr.Dataset, tmp_
     assert (tmp_path / "one.html").read_bytes() == (tmp_path / "other.html").read_bytes()
 
 
+def test_a_window_gives_its_cells_alone(opened: xr.Dataset, tmp_path: Path) -> None:
+    window = ("--window", "omega=2:3", "--window", "b=0.2:0.3")
+    assert call(opened.encoding["source"], "-o", tmp_path / "part.html", *window).exit_code == 0
+    page = (tmp_path / "part.html").read_text(encoding="utf-8")
+    part = opened.sel(omega=slice(2, 3), b=slice(0.2, 0.3))
+    assert numbers(page)["largest"].tobytes() == part.largest.values.tobytes()
+    assert [axis["values"] for axis in described(page)["axes"]] == [part.omega.values.tolist(), part.b.values.tolist()]
+
+
 def test_a_page_takes_the_place_of_an_older_file_and_leaves_nothing_else(opened: xr.Dataset, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("old")
     opened.atlas.page(tmp_path / "page.html")
@@ -361,6 +370,8 @@ def test_a_page_takes_the_place_of_an_older_file_and_leaves_nothing_else(opened:
         (["{store}", "-o", "{folder}/page.html", "--select", "R=0.8"], "R is not an axis here"),
         (["-o", "{folder}/page.html"], "omega-b: -o takes a store, found a spec; compute it first: atlas run omega-b"),
         (["my.toml", "-o", "{folder}/page.html"], "my.toml: -o takes a store, found a spec"),
+        (["{store}", "--window", "omega=1:2"], "--window goes with -o, and none is given"),
+        (["{store}", "-o", "{folder}/page.html", "--window", "omega=7:8"], "no cell centre with omega from 7 to 8"),
         (["none.zarr", "-o", "{folder}/page.html"], "no such store"),
     ],
 )

@@ -14,6 +14,7 @@ from atlas.cli.options import (
     examples,
     input_errors,
     interruptible,
+    read_bounds,
     read_number,
     read_pairs,
     say,
@@ -47,6 +48,7 @@ GB = 10**9
     type=click.Path(path_type=Path),
     help="Write the cells of STORE as one .html file that opens without a server, and end.",
 )
+@click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="With -o: only this part of an axis.")
 @scheduler_option
 @workers_option
 @click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
@@ -66,6 +68,7 @@ def explore(
     subject: str,
     select: tuple[str, ...],
     out: Path | None,
+    window: tuple[str, ...],
     scheduler: str | None,
     workers: int | None,
     tolerance: float | None,
@@ -79,8 +82,12 @@ def explore(
     What is in view and not known is computed, coarse first. Default: the example omega-b. Ctrl-C ends it.
     """
     if out is not None:
-        write(ctx, subject, read_pairs("--select", select, read_number), out)
+        write(
+            ctx, subject, read_pairs("--select", select, read_number), read_pairs("--window", window, read_bounds), out
+        )
         return
+    if window:
+        raise InputError("--window goes with -o, and none is given; the page in the browser zooms")
     from atlas.explore.session import explore as start
     from atlas.explore.subject import TOLERANCE
 
@@ -117,17 +124,20 @@ def explore(
         ctx.exit(INTERRUPTED)
 
 
-def write(ctx: click.Context, subject: str, chosen: dict[str, float], out: Path) -> None:
+def write(
+    ctx: click.Context, subject: str, chosen: dict[str, float], window: dict[str, tuple[float, float]], out: Path
+) -> None:
     """Write the page of a store; InputError where an option of the explorer is given with it."""
     for each in ctx.command.params:
-        if each.name not in ("subject", "select", "out") and (
+        if each.name not in ("subject", "select", "window", "out") and (
             ctx.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE
         ):
             name = "/".join([each.opts[-1], *each.secondary_opts])
-            raise InputError(f"{name} is for the explorer in the browser; with -o only --select goes")
+            raise InputError(f"{name} is for the explorer in the browser; with -o go --select and --window")
     from atlas.explore.static.page import check_path, write_page
     from atlas.query.open import open_atlas
     from atlas.query.window import select as selected
+    from atlas.query.window import within
     from atlas.spec.examples import example_names
     from atlas.text import byte_size
 
@@ -136,7 +146,7 @@ def write(ctx: click.Context, subject: str, chosen: dict[str, float], out: Path)
         raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
     with input_errors():
         check_path(out)
-        ds = selected(open_atlas(subject), chosen)
+        ds = within(selected(open_atlas(subject), chosen), window)
         say("reading and painting")
         written = write_page(ds, out)
     say(byte_size(written.stat().st_size))

@@ -185,4 +185,5 @@ new ResizeObserver(draw).observe(map);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { updateKey(); draw(); });
 describe();
 drawCell();
-recall();
+if ("DecompressionStream" in window) recall();
+else say("This browser is too old for this page: it cannot unpack its numbers. Any browser of 2023 or later can.");
