@@ -439,10 +439,14 @@ def test_of_an_atlas_of_all_attractors_the_page_says_which_it_shows(several: Pat
     first = page_of(ds)
     assert described(first)["attractor"] == 0
     assert np.all(numbers(first)["largest"] == 0.0)
+    assert np.all(numbers(first)["largest-1"] == -1.0)
+    assert np.array_equal(numbers(first)["regime-1"], ds.regime[..., 1])
+    assert described(first)["others"]["share-1"].endswith("of attractor number 2")
     second = page_of(select(ds, {"attractor": 1}))
     known = described(second)
     assert known["attractor"] == 1
     assert np.all(numbers(second)["largest"] == -1.0)
+    assert known["others"] == {}
     assert known["regimes"]["-1"] == "not more than 1"
     exponent = next(each for each in known["maps"] if each["name"] == "exponent")
     assert "not more than 1" in [entry["label"] for entry in exponent["legend"]]

@@ -43,7 +43,13 @@ def described(ds: "xr.Dataset", header: Header, axes: tuple[DrawnAxis, DrawnAxis
         "attractor": place,
         "reasons": [reason.text for reason in REASONS],
         "allowances": {each.name: f"--{each.setting.replace('_', '-')}" for each in ALLOWANCES},
-        "special": {"regime": REGIME.name, "reason": REASON.name, "largest": LARGEST.name, "error": ERROR.name},
+        "special": {
+            "pending": PENDING,
+            "regime": REGIME.name,
+            "reason": REASON.name,
+            "largest": LARGEST.name,
+            "error": ERROR.name,
+        },
     }
 
 

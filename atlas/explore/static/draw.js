@@ -3,7 +3,7 @@
 
 const by = (id) => document.getElementById(id);
 const atlas = JSON.parse(by("atlas").textContent);
-const { regime: REGIME, reason: REASON, largest: LARGEST, error: ERROR } = atlas.special;
+const { regime: REGIME, pending: PENDING, reason: REASON, largest: LARGEST, error: ERROR } = atlas.special;
 const axes = atlas.axes.map((axis) => {
   const to = axis.log ? Math.log : (value) => value;
   return { ...axis, to, from: axis.log ? Math.exp : (value) => value, cuts: axis.edges.map(to) };

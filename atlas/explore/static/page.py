@@ -14,7 +14,7 @@ from atlas.curves.asking import header_of
 from atlas.errors import InputError
 from atlas.explore.static import about
 from atlas.explore.static.numbers import Packed, fit, pack
-from atlas.query.attractors import leading
+from atlas.query.attractors import leading, of_all, one
 from atlas.query.export import check_writable, written_whole
 from atlas.query.reads import counted
 from atlas.query.resample import view
@@ -24,7 +24,7 @@ from atlas.render.coded import CodedMap, coded_maps, curves_over
 from atlas.render.drawing import check_units
 from atlas.render.maps import rising
 from atlas.text import byte_size
-from workers.results import ERROR, LARGEST, REGIME
+from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,6 +33,8 @@ LIMIT = 20_000_000
 """Bytes that a page may have."""
 MOST_CELLS = 1 << 20
 """Cells of a page; a larger atlas is shown by an overview."""
+COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
+"""What a page says of the attractors of a cell that it does not show."""
 PROGRAM = ("draw.js", "panel.js", "page.js")
 """The program of a page, in this order."""
 _EACH = 300
@@ -90,9 +92,11 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
         "citation": about.citation(ds, header),
         "provenance": about.provenance(ds, header),
     }
+    others = _others(every) if of_all(every) and max(block) == 1 else {}
+    described["others"] = {name: _label_of_other(name, described["variables"]) for name in others}
+    arrays = {name: partial(_values, seen, name) for name in names} | others
     codes = _codes(maps)
     bare = _filled(described, words, maps, codes)
-    arrays = {name: partial(_values, seen, name) for name in described["variables"]}
     room = limit - len(bare.encode()) - _EACH * len(arrays)
     found, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
     kept = [each for each in maps if found.keys() >= {*each.needs}]
@@ -138,6 +142,21 @@ def _cells(ds: "xr.Dataset", most: int) -> tuple["xr.Dataset", tuple[int, ...]]:
         if seen[REGIME.name].size <= most:
             return seen.load().transpose(up, across, ...), reads.block if len(reads.block) == 2 else (1, 1)
         halved += 1
+
+
+def _others(every: "xr.Dataset") -> dict[str, Any]:
+    """Of an atlas of all attractors the arrays that tell those after the first, as ``largest-1``."""
+    names = [name for name in COEXISTING if name in every]
+    found: dict[str, Any] = {}
+    for place in range(1, every.sizes[ATTRACTOR]):
+        ds, _ = rising(one(every, place)[names])
+        found |= {f"{name}-{place}": partial(_values, ds.load(), name) for name in names}
+    return found
+
+
+def _label_of_other(name: str, variables: Mapping[str, Any]) -> str:
+    variable, _, place = name.rpartition("-")
+    return f"{variables[variable]['label']} of attractor number {int(place) + 1}"
 
 
 def _values(seen: "xr.Dataset", name: str) -> Any:

@@ -158,15 +158,31 @@ function updateKey() {
 }
 
 async function allNumbers() {
-  const names = Object.keys(atlas.variables).filter((name) => name in atlas.arrays);
+  const names = Object.keys(atlas.arrays).filter((name) => name in atlas.variables || name in atlas.others);
   return Object.fromEntries(await Promise.all(names.map(async (name) => [name, await numbers(name)])));
 }
 
 async function fullNumbers(cell) {
   const arrays = await allNumbers(), k = cell[1] * NX + cell[0];
   const found = Object.fromEntries(axes.map(({ name, values }, along) => [name, values[cell[along]]]));
-  for (const name in arrays) found[name] = name === REGIME ? atlas.regimes[arrays[name][k]] : arrays[name][k];
+  for (const name in arrays) found[name] = name.split("-")[0] === REGIME ? atlas.regimes[arrays[name][k]] : arrays[name][k];
   return found;
+}
+
+function coexisting(k, arrays) {
+  const one = (text) => make("td", { textContent: text }), rows = [];
+  for (let place = 0; Object.keys(atlas.others).length; place++) {
+    const [regime, period, upper, lower, largest, share] = [REGIME, "period", "impacts_upper", "impacts_lower", LARGEST, "share"]
+      .map((name) => arrays[place ? `${name}-${place}` : name]?.[k]);
+    if (regime === undefined || regime === PENDING) break;
+    const isOrbit = atlas.variables.period.regimes.includes(regime), rests = Math.min(upper, lower) < 0;
+    rows.push(make("tr", {}, make("th", { scope: "row", textContent: atlas.regimes[regime] }),
+      one(isOrbit ? `${period}-${rests ? "rests" : `${upper}-${lower}`}` : ""),
+      one(largest === undefined ? "" : number(largest, 4)), one(share === undefined ? "" : `${number(100 * share, 3)} %`)));
+  }
+  if (!rows.length) return [];
+  const heads = ["regime", "n-p-q", "exponent", "share"].map((textContent) => make("th", { scope: "col", textContent }));
+  return [make("p", { className: "note", textContent: "Its attractors; below, all numbers of the first:" }), make("table", { className: "all" }, make("tr", {}, ...heads), ...rows)];
 }
 
 async function drawCell() {
@@ -174,12 +190,12 @@ async function drawCell() {
   if (!cell) return panel.replaceChildren(make("p", { className: "note", textContent: hint }));
   const arrays = await allNumbers(), k = cell[1] * NX + cell[0];
   if (state.cell !== cell) return;
-  const names = Object.keys(arrays).filter((name) => name !== REGIME && name !== ERROR);
+  const names = Object.keys(atlas.variables).filter((name) => name in arrays && name !== REGIME && name !== ERROR);
   const rows = [REGIME, ...names].filter((name) => isResult(name, k, arrays)).map((name) => make("tr", {},
     make("th", { scope: "row", textContent: atlas.variables[name].label }),
     make("td", { textContent: inWords(name, k, arrays) })));
   const where = placeOf(cell), title = isCoarse ? `block of up to ${atlas.block.join(" × ")} cells around ${where}` : `cell at ${where}`;
-  panel.replaceChildren(make("h2", { textContent: title }), make("table", {}, ...rows),
+  panel.replaceChildren(make("h2", { textContent: title }), ...coexisting(k, arrays), make("table", {}, ...rows),
     copying("copy all numbers", async () => JSON.stringify(await fullNumbers(cell))));
   if (!atlas.command) return;
   const retried = Object.keys(atlas.allowances).filter((name) => arrays[name]?.[k] > 0);
@@ -200,17 +216,18 @@ function copying(label, text) {
 }
 
 function describe() {
-  const { fixed, variables, arrays, leftOut, block, attractor } = atlas;
+  const { fixed, variables, others, arrays, leftOut, block, attractor } = atlas;
   by("fixed").append(...fixed.flatMap(({ symbol, value, meaning }, k) =>
     [k ? ", " : "", make("span", { title: meaning }, make("i", { textContent: symbol }), ` = ${number(value)}`)]));
   const byDigits = new Map();
-  for (const name of Object.keys(variables))
-    if (name in arrays) byDigits.set(arrays[name].digits, [...(byDigits.get(arrays[name].digits) || []), variables[name].label]);
+  const label = (name) => variables[name]?.label || others[name];
+  for (const name of [...Object.keys(variables), ...Object.keys(others)])
+    if (name in arrays) byDigits.set(arrays[name].digits, [...(byDigits.get(arrays[name].digits) || []), label(name)]);
   const rounded = [...byDigits].filter(([digits]) => digits).sort(([one], [other]) => other - one)
     .map(([digits, labels]) => `${labels.join(", ")}: ${digits} digits`);
   const says = rounded.length ? [`Rounded, to keep this file small: ${rounded.join("; ")}.`, "All other numbers are those of the atlas, to the last bit."]
     : ["All numbers are those of the atlas, to the last bit."];
-  if (leftOut.length) says.push(`Left out: ${leftOut.map((name) => variables[name].label).join(", ")}.`);
+  if (leftOut.length) says.push(`Left out: ${leftOut.map(label).join(", ")}.`);
   if (isCoarse) says.push(`A cell of this page stands for up to ${block.join(" × ")} cells of the atlas: numbers are means, of yes and no the share of yes; period and impacts are the most frequent, and the regime too unless cells without a result or undetermined ones are among them.`);
   if (attractor !== null) {
     const rank = attractor ? `number ${attractor + 1} by its share` : "the one with the largest share";
