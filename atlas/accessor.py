@@ -221,6 +221,16 @@ class AtlasAccessor:
             folder=folder, port=port,
         )  # fmt: skip
 
+    def page(self, path: str | Path) -> Path:
+        """Write this plane as one HTML file that opens in any browser without a server, ``page("plane.html")``.
+
+        It has at most 20 MB: the cells with all their numbers, every kind of map, the curves of the store, the spec
+        and what to cite. See ``atlas.explore.static.page.write_page``.
+        """
+        from atlas.explore.static.page import write_page
+
+        return write_page(self._whole, path)
+
     @takes(Sheet, others=True)
     def portrait(self, path: str | Path | None = None, **point: Any) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.

@@ -1,6 +1,18 @@
-"""Numbers in words, for a person who reads a terminal."""
+"""Numbers in words and symbols in Unicode, for terminals and pages without mathematics."""
 
+import re
+import unicodedata
 from collections.abc import Mapping
+
+SIGNS = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
+    "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
+    "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω", "Gamma": "Γ", "Delta": "Δ", "Lambda": "Λ", "Omega": "Ω",
+    "infty": "∞", "mathrm": "",
+}  # fmt: skip
+_BELOW = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
+_UNDERSCORE = "\0"
+"""Stands for an underscore that is part of a name while subscripts are lowered."""
 
 
 def duration(seconds: float) -> str:
@@ -35,3 +47,17 @@ def shares(counts: Mapping[str, int]) -> str:
     total = sum(counts.values())
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{name} {100 * count / total:.1f} %" for name, count in ordered)
+
+
+def plain(symbol: str) -> str:
+    """A symbol of mathtext in Unicode: ``\\mu_m`` as μₘ."""
+    text = symbol.replace(r"\_", _UNDERSCORE)
+    text = re.sub(r"\\dot\s*\{?\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", text)
+    text = re.sub(r"\\([A-Za-z]+)", lambda found: SIGNS.get(found[1], found[1]), text)
+    text = re.sub(r"_\{([^}]*)\}|_(\w)", lambda found: _lowered(found[1] or found[2]), text)
+    return unicodedata.normalize("NFC", re.sub(r"[{}$\\,]", "", text)).replace(_UNDERSCORE, "_")
+
+
+def _lowered(text: str) -> str:
+    low = text.translate(_BELOW)
+    return low if all(below != given for below, given in zip(low, text, strict=True)) else f"_{text}"

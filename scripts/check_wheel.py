@@ -21,6 +21,7 @@ COARSER = 20
 """Every so-many-th column and row of the demo's plane is solved."""
 HELD = (
     "atlas/py.typed", "workers/py.typed", "atlas/examples/omega-b.toml", "workers/model/systems/two-mass.toml",
+    *(f"atlas/explore/static/{name}" for name in ("page.html", "page.css", "draw.js", "panel.js", "page.js")),
 )  # fmt: skip
 PROGRAM = """
 import atlas
@@ -77,6 +78,7 @@ def use(python: Path, folder: Path) -> None:
     run(*atlas, "render", "coarse.zarr", "-o", "map.png", folder=folder)
     print(run(*atlas, "query", "coarse.zarr", folder=folder))
     run(*atlas, "cite", "coarse.zarr", folder=folder)
+    run(*atlas, "explore", "coarse.zarr", "-o", "page.html", folder=folder)
     (folder / "program.py").write_text(PROGRAM, encoding="utf-8")
     found = Path(run(python, "program.py", folder=folder).splitlines()[-1])
     if ROOT in found.parents:

@@ -1,16 +1,20 @@
-"""The command that opens the explorer."""
+"""The command that opens the explorer, or writes the page of an atlas."""
 
 import sys
 import time
 import webbrowser
+from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
     examples,
+    input_errors,
     interruptible,
+    read_bounds,
     read_number,
     read_pairs,
     say,
@@ -20,6 +24,7 @@ from atlas.cli.options import (
     workers_option,
 )
 from atlas.cli.progress import reporter
+from atlas.errors import InputError
 from atlas.service.progress import prepare_kernels
 
 PACKAGED = "omega-b"
@@ -27,9 +32,23 @@ PACKAGED = "omega-b"
 GB = 10**9
 
 
-@click.command(epilog=examples("atlas explore", "atlas explore plane.zarr", "atlas explore plane.toml"))
+@click.command(
+    epilog=examples(
+        "atlas explore",
+        "atlas explore plane.zarr",
+        "atlas explore plane.toml",
+        "atlas explore plane.zarr -o plane.html",
+    )
+)
 @click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED)
 @select_option
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Write the cells of STORE as one .html file that opens without a server, and end.",
+)
+@click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="With -o: only this part of an axis.")
 @scheduler_option
 @workers_option
 @click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
@@ -48,6 +67,8 @@ def explore(
     ctx: click.Context,
     subject: str,
     select: tuple[str, ...],
+    out: Path | None,
+    window: tuple[str, ...],
     scheduler: str | None,
     workers: int | None,
     tolerance: float | None,
@@ -60,6 +81,13 @@ def explore(
 
     What is in view and not known is computed, coarse first. Default: the example omega-b. Ctrl-C ends it.
     """
+    if out is not None:
+        write(
+            ctx, subject, read_pairs("--select", select, read_number), read_pairs("--window", window, read_bounds), out
+        )
+        return
+    if window:
+        raise InputError("--window goes with -o, and none is given; the page in the browser zooms")
     from atlas.explore.session import explore as start
     from atlas.explore.subject import TOLERANCE
 
@@ -94,3 +122,32 @@ def explore(
     except KeyboardInterrupt:
         say("ended")
         ctx.exit(INTERRUPTED)
+
+
+def write(
+    ctx: click.Context, subject: str, chosen: dict[str, float], window: dict[str, tuple[float, float]], out: Path
+) -> None:
+    """Write the page of a store; InputError where an option of the explorer is given with it."""
+    for each in ctx.command.params:
+        if each.name not in ("subject", "select", "window", "out") and (
+            ctx.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE
+        ):
+            name = "/".join([each.opts[-1], *each.secondary_opts])
+            raise InputError(f"{name} is for the explorer in the browser; with -o go --select and --window")
+    from atlas.explore.static.page import check_path, write_page
+    from atlas.query.open import open_atlas
+    from atlas.query.window import select as selected
+    from atlas.query.window import within
+    from atlas.spec.examples import example_names
+    from atlas.text import byte_size
+
+    if subject.endswith(".toml") or subject in example_names():
+        run = f"atlas run {subject} -o {Path(subject).stem}.zarr"
+        raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
+    with input_errors():
+        check_path(out)
+        ds = within(selected(open_atlas(subject), chosen), window)
+        say("reading and painting")
+        written = write_page(ds, out)
+    say(byte_size(written.stat().st_size))
+    click.echo(str(written))

@@ -1,6 +1,5 @@
 """Commands about a store as a whole: status, verify, pack."""
 
-import re
 import sys
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from atlas.cli.progress import reporter
 from atlas.query.open import open_atlas
 from atlas.service.pack import pack as pack_store
 from atlas.service.status import Census, read_status, watch
-from atlas.spec.citation import bibtex
+from atlas.spec.citation import bibtex, computed_by
 from atlas.store.store import read_header
 
 WATCH_SECONDS = 2.0
@@ -77,5 +76,5 @@ def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool)
 def cite(store: str) -> None:
     """Print BibTeX of what to cite for STORE: the software that computed it, the method, the sources of its machine."""
     header = read_header(store)
-    computed_by = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", str(open_atlas(store).attrs.get("software", "")))
-    click.echo(bibtex(header.spec.record, computed_by[1] if computed_by else "unknown", header.solver_version))
+    version = computed_by(str(open_atlas(store).attrs.get("software", "")))
+    click.echo(bibtex(header.spec.record, version, header.solver_version))

@@ -3,11 +3,8 @@
 import base64
 import html
 import math
-import re
 import shlex
-import unicodedata
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from io import BytesIO
 from typing import Any, NamedTuple
 
@@ -15,38 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from atlas.cell.command import point_words
 from atlas.explore.attractors import Attractors
 from atlas.explore.known import Cell
 from atlas.explore.patches import State
 from atlas.explore.subject import Plane, Subject
 from atlas.spec.system import impacts_of
-from atlas.text import plural
-from workers import Settings
+from atlas.text import plain, plural
 from workers.model.system import System
 from workers.results import ERROR, LARGEST, REASON, REGIME
 
-GREEK = {
-    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
-    "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
-    "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω", "Gamma": "Γ", "Delta": "Δ", "Lambda": "Λ", "Omega": "Ω",
-}  # fmt: skip
-_BELOW = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CLOSE = 1e-3
 """A window so narrow, relative to its place, has ticks that count from a round number near its centre."""
-
-
-def plain(symbol: str) -> str:
-    """A symbol of mathtext in Unicode: ``\\mu_m`` as μₘ."""
-    text = re.sub(r"\\dot\s*\{?\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", symbol)
-    text = re.sub(r"\\([A-Za-z]+)", lambda found: GREEK.get(found[1], found[1]), text)
-    text = re.sub(r"_\{([^}]*)\}|_(\w)", lambda found: _lowered(found[1] or found[2]), text)
-    return unicodedata.normalize("NFC", re.sub(r"[{}$\\,]", "", text))
-
-
-def _lowered(text: str) -> str:
-    low = text.translate(_BELOW)
-    return low if all(below != given for below, given in zip(low, text, strict=True)) else f"_{text}"
 
 
 def symbol_of(system: System, name: str) -> str:
@@ -170,20 +148,7 @@ def _value(value: Any, units: str) -> str:
 def point_line(cell: Cell, subject: Subject) -> str:
     """The command that solves this cell again, to the bit."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
-    words = ["atlas", "point"]
-    if not subject.system.packaged:
-        words += ["--system", f"{subject.system.name}.toml"]
-    elif subject.system.name != "two-mass":
-        words += ["--system", subject.system.name]
-    defaults = {parameter.name: parameter.default for parameter in subject.system.parameters}
-    for name, value in cell.parameters.items():
-        if value != defaults[name] or name in cell.results:
-            words += ["--set", f"{name}={value!r}"]
-    for field in fields(Settings):
-        value = getattr(settings, field.name)
-        if value != field.default:
-            words += [f"--{field.name.replace('_', '-')}", str(value)]
-    return shlex.join(words)
+    return shlex.join(point_words(subject.system, cell.parameters, settings, cell.results.keys()))
 
 
 def progress(state: State, left: int, notes: Iterable[str]) -> str:

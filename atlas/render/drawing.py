@@ -133,7 +133,7 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
             raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
         atlases = _sources(subject, wanted)
         for ds in atlases:
-            _check_units(ds)
+            check_units(ds)
         if isinstance(subject, Comparison):
             drawn = together.difference(subject, page)
         else:
@@ -165,7 +165,7 @@ def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
     if wanted.curves is not None and "curves" not in lines and kind.name != "regions":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
-    _check_units(ds)
+    check_units(ds)
     shown = within(every if kind.name == "coexistence" else ds, wanted.window)
     wanted = replace(wanted, overlays=lines, against=None if against is None else within(against, wanted.window))
     with counted() as reads:
@@ -202,11 +202,11 @@ def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
         raise InputError(f"kind {kind!r} draws {AXES[TABLE[kind].axes]}, found a stack of {count} planes")
     from atlas.render import together
 
-    _check_units(ds)
+    check_units(ds)
     return together.side_by_side([shown.isel({name: k}) for k in range(count)], kind, rest, page=page)
 
 
-def _check_units(ds: "xr.Dataset") -> None:
+def check_units(ds: "xr.Dataset") -> None:
     """Raise InputError where exponents are in another unit than forcing periods: pictures have no other."""
     units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
     if units != LARGEST.units:

@@ -51,6 +51,12 @@ def sources(system: System) -> list[str]:
     return entries
 
 
+def computed_by(packages: str) -> str:
+    """The version of this package among the versions that a store's attribute ``software`` lists."""
+    found = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", packages)
+    return found[1] if found else "unknown"
+
+
 def bibtex(system: System, version: str, solver_version: int) -> str:
     """All entries for an atlas of a system that a version of the package computed."""
     return "\n\n".join([software(version, solver_version), METHOD, *sources(system)])

@@ -1,0 +1,120 @@
+"""What a page says of an atlas besides its numbers: its axes, variables and parameters, its spec, what to cite."""
+
+import shlex
+from typing import TYPE_CHECKING, Any
+
+from atlas.cell.command import point_words
+from atlas.query.extremes import regimes_with
+from atlas.render import words
+from atlas.render.coded import text_of
+from atlas.render.maps import DrawnAxis
+from atlas.spec.attractors import resolved_attractors
+from atlas.spec.axis import Axis, spaced_again
+from atlas.spec.citation import bibtex, computed_by
+from atlas.spec.spec import Spec
+from atlas.spec.toml_text import spec_toml
+from atlas.store.schema import ALLOWANCES
+from atlas.store.store import Header
+from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_PROVENANCE = {
+    "title": "atlas", "digest": "digest of the spec", "solver_version": "solver version", "software": "computed with",
+    "run_id": "run", "origin": "grown from", "references": "sources of the machine",
+}  # fmt: skip
+"""The attributes of a store that a page lists, and their names there."""
+
+
+def described(ds: "xr.Dataset", header: Header, axes: tuple[DrawnAxis, DrawnAxis]) -> dict[str, Any]:
+    """What the page's program knows of an atlas, as plain JSON."""
+    record, place = header.spec.record, ds.attrs.get(ATTRACTOR)
+    names = {regime.code: words.name_of(regime.code) for regime in REGIMES}
+    fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
+    return {
+        "axes": [_axis(ds, axis) for axis in axes],
+        "fixed": [
+            {"symbol": _symbol(ds, p.name), "meaning": p.meaning, "value": float(ds[p.name])}
+            for p in fixed
+            if float(ds[p.name]) or p.name not in record.states
+        ],
+        "regimes": names | ({PENDING: f"not more than {place}"} if place else {}),
+        "attractor": place,
+        "reasons": [reason.text for reason in REASONS],
+        "allowances": {each.name: f"--{each.setting.replace('_', '-')}" for each in ALLOWANCES},
+        "special": {
+            "pending": PENDING,
+            "regime": REGIME.name,
+            "reason": REASON.name,
+            "largest": LARGEST.name,
+            "error": ERROR.name,
+        },
+    }
+
+
+def command(ds: "xr.Dataset", header: Header) -> str:
+    """The command that solves a cell again, but for the values of the axes; empty where cells start from a state that
+    the page does not hold: on one of several attractors, or on a neighbour's.
+    """
+    spec = header.spec
+    if spec.coexistence or spec.continuation is not None:
+        return ""
+    values = {p.name: float(ds[p.name]) for p in spec.record.parameters if p.name in ds.coords and not ds[p.name].ndim}
+    return shlex.join(point_words(spec.record, values, spec.settings))
+
+
+def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
+    """A variable in words: its label with its unit, whether it is a flag, the regimes in which it is a result.
+
+    ``endless``: below zero it stands for infinitely many.
+    """
+    return {
+        "label": text_of(words.variable_label(ds, name)),
+        "flag": ds[name].dtype.kind == "b",
+        "endless": name.startswith("impacts_") and ds[name].dtype.kind == "i",
+        "regimes": sorted(regimes_with(name)),
+    }
+
+
+def spec_text(spec: Spec) -> str:
+    """The text of the spec file of an atlas."""
+    axes = {axis.name: _axis_table(axis) for axis in spec.axes}
+    attractors = None if spec.attractors is None else resolved_attractors(spec.attractors)
+    return spec_toml(spec.record, spec.parameters, axes, spec.settings, attractors)
+
+
+def provenance(ds: "xr.Dataset", header: Header) -> dict[str, str]:
+    """Where the numbers are from, by its name on the page."""
+    cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in header.spec.axes)
+    found = {"cells": cells} | {_PROVENANCE[key]: str(ds.attrs[key]) for key in _PROVENANCE if key in ds.attrs}
+    return {name: found[name] for name in ("atlas", *found) if name in found}
+
+
+def citation(ds: "xr.Dataset", header: Header) -> str:
+    """What to cite, as BibTeX."""
+    return bibtex(header.spec.record, computed_by(str(ds.attrs.get("software", ""))), header.solver_version)
+
+
+def _axis(ds: "xr.Dataset", axis: DrawnAxis) -> dict[str, Any]:
+    return {
+        "name": axis.name,
+        "symbol": _symbol(ds, axis.name),
+        "label": text_of(axis.label),
+        "log": axis.log,
+        "values": axis.values.tolist(),
+        "edges": axis.edges.tolist(),
+    }
+
+
+def _symbol(ds: "xr.Dataset", name: str) -> str:
+    return text_of(f"${words.symbol(ds, name)}$")
+
+
+def _axis_table(axis: Axis) -> dict[str, Any]:
+    """An axis as in a spec file: by its ends where it is spaced evenly on its scale."""
+    outline = axis.outline()
+    kept = {key: value for key, value in outline.items() if key in ("scale", "continuation")}
+    if spaced_again(outline) != tuple(axis.values):
+        return {"values": list(axis.values)} | kept
+    return {key: outline[key] for key in ("start", "stop", "num")} | kept

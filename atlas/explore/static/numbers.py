@@ -1,0 +1,101 @@
+"""Arrays of cells as text inside a page: deflated bytes in base64, rounded only as far as a limit of size asks.
+
+``page.js`` reads them back.
+"""
+
+import base64
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+MANTISSA = 52
+"""Bits of a double's mantissa."""
+DIGITS = {24: 7, 17: 5, 14: 4, 10: 3}
+"""Bits of the mantissa that are kept, and the significant digits that they hold: rounding changes a value by at most
+half a unit of the last of these.
+"""
+
+
+@dataclass(frozen=True)
+class Packed:
+    """An array as text.
+
+    type     the name of its type in numpy
+    bits     of the mantissa that are kept of a float; the values are exact with MANTISSA
+    """
+
+    type: str
+    text: str = field(repr=False)
+    bits: int = MANTISSA
+
+    @property
+    def digits(self) -> int | None:
+        """The significant digits that all values have; None where they are exact."""
+        return DIGITS.get(self.bits)
+
+
+def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> Packed:
+    """An array (y, x) as text; of floats the first ``bits`` bits of the mantissa.
+
+    Its bits count as whole numbers, of which each is stored as its difference from the one below in y, modulo the
+    range of its type: neighbouring cells are alike, and their differences have few digits. Bytes of equal significance
+    stand together.
+    """
+    kept = rounded(values, bits) if values.dtype.kind == "f" else values
+    kept = kept.astype(np.uint8) if kept.dtype.kind == "b" else kept
+    whole = np.ascontiguousarray(kept).view(f"u{kept.itemsize}")
+    steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]]).astype(f"<u{kept.itemsize}")
+    planes = steps.view(np.uint8).reshape(-1, kept.itemsize).T
+    return Packed(kept.dtype.name, base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode(), bits)
+
+
+def unpack(packed: Packed, width: int) -> NDArray[np.generic]:
+    """The array (y, x) of this many columns that a text holds, as the page reads it."""
+    size = np.dtype(packed.type).itemsize
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed.text)), np.uint8).reshape(size, -1)
+    steps = planes.T.copy().view(f"<u{size}").reshape(-1, width).astype(f"u{size}")
+    return np.add.accumulate(steps, axis=0, dtype=steps.dtype).view(packed.type)
+
+
+def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
+    """Values to so many bits of the mantissa, the nearest, ties to even; what is not finite stays."""
+    exact = np.asarray(values, np.float64)
+    if bits >= MANTISSA:
+        return exact
+    dropped = MANTISSA - bits
+    whole = exact.view(np.int64)
+    last = (whole >> dropped) & 1
+    near = ((whole + ((1 << (dropped - 1)) - 1) + last) >> dropped << dropped).view(np.float64)
+    return np.where(np.isfinite(exact) & np.isfinite(near), near, exact)
+
+
+def fit(
+    arrays: Mapping[str, Callable[[], NDArray[np.generic]]], limit: int, last: str, first: str
+) -> tuple[dict[str, Packed], list[str]]:
+    """Arrays as texts of at most ``limit`` characters together where that can be, and the names of those left out.
+
+    They are exact where they fit. Otherwise floats lose digits, one after the other, always one of those that have
+    most: the one named ``first``, then the largest text, ``last`` the last. Those are left out that have no more
+    digits to lose.
+    """
+    found = {name: pack(read()) for name, read in arrays.items()}
+    left_out: list[str] = []
+
+    def order(name: str) -> tuple[int, bool, bool, int]:
+        return found[name].bits, name != last, name == first, len(found[name].text)
+
+    while sum(len(each.text) for each in found.values()) > limit:
+        floats = [name for name, each in found.items() if each.type == "float64"]
+        if not floats:
+            break
+        name = max(floats, key=order)
+        fewer = [bits for bits in DIGITS if bits < found[name].bits]
+        if fewer:
+            found[name] = pack(arrays[name](), max(fewer))
+        else:
+            left_out.append(name)
+            del found[name]
+    return found, left_out

@@ -1,0 +1,189 @@
+// The gestures, and the address.
+
+async function change(given, remembered = false) {
+  const before = state;
+  state = { ...state, ...given };
+  if (state.map !== before.map) state.ends = "ends" in given ? given.ends : null;
+  if (!shown || state.map !== before.map || state.ends !== before.ends) {
+    const one = state.map, names = [...new Set([REGIME, ...one.needs])];
+    const [codes, ...several] = await Promise.all([one.codes, ...names].map(numbers));
+    if (state.map !== one) return;
+    const values = Object.fromEntries(names.map((name, k) => [name, several[k]]));
+    shown = { codes, values, colors: colorsOf(one, codes, values) };
+  }
+  by("kind").value = state.map.name;
+  map.ariaLabel = `${state.map.meaning}, over ${X.label} and ${Y.label}`;
+  if (!by("key").firstChild || state.map !== before.map) makeKey();
+  else if (state.ends !== before.ends || state.hidden !== before.hidden) updateKey();
+  draw();
+  if (state.cell !== before.cell) drawCell();
+  if (state.cell && state.cell !== before.cell) say(sentence(state.cell));
+  if (remembered !== null) remember(remembered);
+}
+
+const say = (text) => { by("readout").textContent = text || "\u00a0"; };
+
+function remember(asNew) {
+  const parts = [];
+  if (state.map !== atlas.maps[0]) parts.push(`map=${state.map.name}`);
+  whole().forEach((full, along) => {
+    const [low, high] = state.window[along];
+    if (low !== full[0] || high !== full[1])
+      parts.push(`${axes[along].name}=${[low, high].map((end) => Number(axes[along].from(end).toPrecision(12))).join(":")}`);
+  });
+  if (state.cell) parts.push(`cell=${axes.map(({ values }, along) => values[state.cell[along]]).join(":")}`);
+  if (state.ends) parts.push(`scale=${state.ends.join(":")}`);
+  if (state.hidden.size) parts.push(`without=${[...state.hidden].join(",")}`);
+  const address = `#${parts.join("&")}`;
+  if (address === (location.hash || "#")) return;
+  try {
+    history[asNew ? "pushState" : "replaceState"](null, "", address);
+  } catch (error) {
+    if (error.name !== "SecurityError") throw error; // inside another page it has no address of its own
+  }
+}
+
+function recall() {
+  const given = new URLSearchParams(location.hash.slice(1));
+  const pair = (name) => {
+    const found = (given.get(name) || "").split(":").map(Number);
+    return found.length === 2 && found.every(Number.isFinite) ? found : null;
+  };
+  const cell = pair("cell"), ends = pair("scale");
+  const window = whole().map((full, along) => {
+    const found = pair(axes[along].name);
+    return found && found[0] < found[1] ? inside(along, found.map(axes[along].to)) : full;
+  });
+  change({
+    map: atlas.maps.find(({ name }) => name === given.get("map")) || atlas.maps[0],
+    window,
+    cell: cell && cell.map((value, along) => nearest(along, value)),
+    ends: ends && ends[0] < ends[1] ? ends : null,
+    hidden: new Set((given.get("without") || "").split(",").filter(Boolean)),
+  }, null);
+}
+
+function nearest(along, value) {
+  const { edges, values } = axes[along];
+  const at = edges.findIndex((edge) => edge > value) - 1;
+  return at === -2 ? values.length - 1 : Math.max(0, at);
+}
+
+function inside(along, [low, high]) {
+  const [first, last] = whole()[along], cells = axes[along].values.length;
+  if (!(low < high) || high - low > (1 - 1e-9) * (last - first)) return [first, last];
+  const least = Math.min(1, 4 / cells) * (last - first), width = Math.min(last - first, Math.max(least, high - low));
+  const start = Math.min(last - width, Math.max(first, (low + high - width) / 2));
+  return [start, start + width];
+}
+
+function zoom(factor, shares = [0.5, 0.5], moved = [0, 0]) {
+  change({ window: state.window.map(([low, high], along) => {
+    const at = low + shares[along] * (high - low), shift = moved[along] * (high - low);
+    return inside(along, [at + factor * (low - at) - shift, at + factor * (high - at) - shift]);
+  }) });
+}
+
+const sharesAt = ({ clientX, clientY }) => {
+  const box = map.getBoundingClientRect();
+  return [(clientX - box.left - plot.left) / plot.width, 1 - (clientY - box.top - plot.top) / plot.height];
+};
+
+function cellAt(event) {
+  const shares = sharesAt(event);
+  if (!shares.every((share) => share >= 0 && share < 1)) return null;
+  return shares.map((share, along) => {
+    const [low, high] = state.window[along];
+    return nearest(along, axes[along].from(low + share * (high - low)));
+  });
+}
+
+const fingers = new Map();
+let pressed = null;
+
+map.onpointerdown = (event) => {
+  fingers.set(event.pointerId, event);
+  map.setPointerCapture(event.pointerId);
+  pressed = fingers.size === 1 ? event : null;
+};
+
+map.onpointermove = (event) => {
+  if (!fingers.has(event.pointerId)) {
+    const cell = cellAt(event);
+    return say(shown && cell ? sentence(cell) : state.cell && shown ? sentence(state.cell) : "");
+  }
+  const before = [...fingers.values()], old = fingers.get(event.pointerId);
+  if (pressed && Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < 5) return;
+  pressed = null;
+  fingers.set(event.pointerId, event);
+  const now = [...fingers.values()];
+  if (now.length === 1) return zoom(1, [0.5, 0.5], sharesAt(event).map((share, along) => share - sharesAt(old)[along]));
+  const [one, other] = [before, now].map(([a, b]) => ({
+    size: Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY),
+    middle: sharesAt({ clientX: (a.clientX + b.clientX) / 2, clientY: (a.clientY + b.clientY) / 2 }),
+  }));
+  zoom(one.size / other.size, other.middle, other.middle.map((share, along) => share - one.middle[along]));
+};
+
+map.onpointerup = map.onpointercancel = (event) => {
+  fingers.delete(event.pointerId);
+  if (pressed && event.type === "pointerup") {
+    const cell = cellAt(event);
+    if (cell) change({ cell }, true);
+  }
+  pressed = null;
+};
+
+map.onpointerleave = () => say(state.cell && shown ? sentence(state.cell) : "");
+
+map.addEventListener("wheel", (event) => {
+  event.preventDefault();
+  const lines = event.deltaMode === 1 ? 16 : 1;
+  zoom(Math.exp(Math.max(-0.5, Math.min(0.5, 0.002 * lines * event.deltaY))), sharesAt(event));
+}, { passive: false });
+
+const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+
+map.onkeydown = (event) => {
+  const step = STEPS[event.key];
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (step && event.shiftKey) zoom(1, [0.5, 0.5], step.map((share) => -0.2 * share));
+  else if (step) stepTo(step);
+  else if (event.key === "+" || event.key === "=") zoom(0.7);
+  else if (event.key === "-") zoom(1 / 0.7);
+  else if (event.key === "0") change({ window: whole() });
+  else if (event.key === "Escape") change({ cell: null }, true).then(() => say(""));
+  else return;
+  event.preventDefault();
+};
+
+function stepTo(step) {
+  const middle = state.window.map(([low, high], along) => nearest(along, axes[along].from((low + high) / 2)));
+  const cell = !state.cell ? middle : state.cell.map((at, along) =>
+    Math.max(0, Math.min(axes[along].values.length - 1, at + step[along])));
+  const window = state.window.map(([low, high], along) => {
+    const [first, last] = [0, 1].map((end) => axes[along].cuts[cell[along] + end]), width = high - low;
+    return first < low ? inside(along, [first, first + width]) : last > high ? inside(along, [last - width, last]) : [low, high];
+  });
+  change({ cell, window });
+}
+
+for (const one of atlas.maps) {
+  const option = make("option", { value: one.name, textContent: one.numbers ? one.meaning : one.name });
+  const label = one.numbers ? "numbers of each cell" : "kinds";
+  const group = by("kind").querySelector(`[label="${label}"]`) || by("kind").appendChild(make("optgroup", { label }));
+  group.append(option);
+}
+by("kind").onchange = (event) => change({ map: atlas.maps.find(({ name }) => name === event.target.value) }, true);
+by("closer").onclick = () => zoom(0.7);
+by("farther").onclick = () => zoom(1 / 0.7);
+by("whole").onclick = () => change({ window: whole() });
+for (const button of document.querySelectorAll(".copy")) button.replaceWith(copying("copy", () => by(button.dataset.of).textContent));
+window.onpopstate = recall;
+window.onhashchange = recall;
+new ResizeObserver(draw).observe(map);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { updateKey(); draw(); });
+describe();
+drawCell();
+if ("DecompressionStream" in window) recall();
+else say("This browser is too old for this page: it cannot unpack its numbers. Any browser of 2023 or later can.");

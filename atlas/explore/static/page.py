@@ -1,0 +1,200 @@
+"""An atlas as one HTML file that opens from disk: its cells, maps and curves, and where they are from."""
+
+import html
+import json
+import math
+from collections.abc import Mapping
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any
+
+from atlas.curves.asking import header_of
+from atlas.errors import InputError
+from atlas.explore.static import about
+from atlas.explore.static.numbers import Packed, fit, pack
+from atlas.query.attractors import leading, of_all, one
+from atlas.query.export import check_writable, written_whole
+from atlas.query.reads import counted
+from atlas.query.resample import view
+from atlas.query.source import find_part
+from atlas.query.window import axis_names, refuse_table
+from atlas.render.coded import CodedMap, coded_maps, curves_over
+from atlas.render.drawing import check_units
+from atlas.render.maps import rising
+from atlas.text import byte_size
+from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+LIMIT = 20_000_000
+"""Bytes that a page may have."""
+MOST_CELLS = 1 << 20
+"""Cells of a page; a larger atlas is shown by an overview."""
+COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
+"""What a page says of the attractors of a cell that it does not show."""
+PROGRAM = ("draw.js", "panel.js", "page.js")
+"""The program of a page, in this order."""
+_EACH = 300
+"""Bytes that surround an array in a page, at most."""
+
+
+def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_cells: int = MOST_CELLS) -> Path:
+    """Write the plane of an atlas as one HTML file of at most ``limit`` bytes, and return its path.
+
+    The page has the cells themselves, or the finest overview with at most ``most_cells``; of an atlas of all attractors
+    the one with the largest share in each cell. Numbers are exact where they fit; otherwise floats lose digits, the
+    exponent last, down to three, and then variables are left out: the page says which. The file appears whole or not at
+    all, in place of any before; the same atlas gives the same bytes.
+    Raises InputError for another suffix than .html, a path that cannot be written, and an atlas that is no plane.
+    """
+    target = Path(path)
+    check_path(target)
+    text = page_of(ds, limit, most_cells)
+    try:
+        with written_whole(target) as unfinished:
+            unfinished.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    return target
+
+
+def check_path(path: Path) -> None:
+    """InputError unless a page can be written there: to be asked before the work."""
+    if path.suffix.lower() != ".html":
+        found = f"found {path.suffix!r}" if path.suffix else "found none"
+        raise InputError(f"{path.name}: the suffix of a page is .html, {found}")
+    check_writable(path)
+
+
+def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELLS) -> str:
+    """The page as text; arguments and errors as in ``write_page``."""
+    ds = leading(every)
+    _check_plane(ds)
+    header = header_of(ds)
+    seen, block = _cells(ds, most_cells)
+    seen, axes = rising(seen)
+    order = [variable.name for variable in header.spec.variables]
+    names = sorted(map(str, seen.data_vars), key=lambda name: order.index(name) if name in order else len(order))
+    maps = list(coded_maps(ds, seen[names]))
+    described = about.described(ds, header, (axes[0], axes[1])) | {
+        "block": list(block),
+        "command": about.command(ds, header) if max(block) == 1 else "",
+        "curves": curves_over(ds),
+        "leftOut": [],
+        "variables": {name: about.variable(seen, name) for name in names},
+    }
+    words = {
+        "title": str(ds.attrs.get("title", "Impact atlas")),
+        "spec": about.spec_text(header.spec),
+        "citation": about.citation(ds, header),
+        "provenance": about.provenance(ds, header),
+    }
+    others = _others(every) if of_all(every) and max(block) == 1 else {}
+    described["others"] = {name: _label_of_other(name, described["variables"]) for name in others}
+    arrays = {name: partial(_values, seen, name) for name in names} | others
+    codes = _codes(maps)
+    bare = _filled(described, words, maps, codes)
+    room = limit - len(bare.encode()) - _EACH * len(arrays)
+    found, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
+    kept = [each for each in maps if found.keys() >= {*each.needs}]
+    arrays_kept = {each.described["codes"]: codes[each.described["codes"]] for each in kept} | found
+    text = _filled(described | {"leftOut": left_out}, words, kept, arrays_kept)
+    if len(text.encode()) > limit:
+        size = f"{byte_size(len(text.encode()))}, at most {byte_size(limit)}"
+        raise InputError(f"the page of this atlas would take {size}; select a part of it")
+    return text
+
+
+def _check_plane(ds: "xr.Dataset") -> None:
+    refuse_table(ds, "a page")
+    names = axis_names(ds)
+    if len(names) == 1:
+        raise InputError(f"a page shows two axes, found one ({names[0]})")
+    if len(names) > 2:
+        value = f"--select {names[-1]}={float(ds[names[-1]][0]):g}"
+        raise InputError(f"a page shows one plane, found a stack of {ds.sizes[names[-1]]}; pick one by {value}")
+    check_units(ds)
+
+
+def _cells(ds: "xr.Dataset", most: int) -> tuple["xr.Dataset", tuple[int, ...]]:
+    """The cells of a page, read, with all variables of one number a cell; and for how many cells each stands, (x, y).
+
+    InputError where there are too many, and no overview of them.
+    """
+    across, up = axis_names(ds)
+    names = [str(name) for name in ds.data_vars if {*ds[name].dims} == {across, up}]
+    size = ds.sizes[across], ds.sizes[up]
+    if math.prod(size) > most:
+        part = find_part(ds, [REGIME.name])
+        if part is None:
+            hint = "select a part, or open the atlas anew"
+            raise InputError(f"a page shows at most {most} cells of values in memory, found {math.prod(size)}; {hint}")
+        known = {variable.name for variable in part.pyramid.variables}
+        names = [name for name in names if name in known]
+    halved = 0
+    while True:  # unevenly spaced cells may take more halvings than their number says
+        pixels = [-(-count >> halved) for count in size]
+        with counted() as reads:
+            seen = view(ds, names, pixels=pixels) if math.prod(pixels) <= most else ds
+        if seen[REGIME.name].size <= most:
+            return seen.load().transpose(up, across, ...), reads.block if len(reads.block) == 2 else (1, 1)
+        halved += 1
+
+
+def _others(every: "xr.Dataset") -> dict[str, Any]:
+    """Of an atlas of all attractors the arrays that tell those after the first, as ``largest-1``."""
+    names = [name for name in COEXISTING if name in every]
+    found: dict[str, Any] = {}
+    for place in range(1, every.sizes[ATTRACTOR]):
+        ds, _ = rising(one(every, place)[names])
+        found |= {f"{name}-{place}": partial(_values, ds.load(), name) for name in names}
+    return found
+
+
+def _label_of_other(name: str, variables: Mapping[str, Any]) -> str:
+    variable, _, place = name.rpartition("-")
+    return f"{variables[variable]['label']} of attractor number {int(place) + 1}"
+
+
+def _values(seen: "xr.Dataset", name: str) -> Any:
+    return seen[name].values
+
+
+def _codes(maps: list[CodedMap]) -> dict[str, Packed]:
+    """The codes of maps as texts, each once, under the name of the first map that has them."""
+    found: dict[str, Packed] = {}
+    for each in maps:
+        packed = pack(each.codes)
+        same = [name for name, other in found.items() if other.text == packed.text]
+        each.described["codes"] = same[0] if same else f"map-{each.name}"
+        found.setdefault(each.described["codes"], packed)
+    return found
+
+
+def _filled(
+    described: Mapping[str, Any], words: Mapping[str, Any], maps: list[CodedMap], arrays: Mapping[str, Packed]
+) -> str:
+    """The whole page."""
+    whole = {
+        **described,
+        "maps": [each.described for each in maps],
+        "arrays": {name: {"type": each.type, "digits": each.digits} for name, each in arrays.items()},
+    }
+    parts = {name: files(__package__).joinpath(name).read_text("utf-8") for name in ("page.html", "page.css", *PROGRAM)}
+    listed = "".join(
+        f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in words["provenance"].items()
+    )
+    blobs = [f'<script type="text/plain" id="{name}">{each.text}</script>' for name, each in arrays.items()]
+    return Template(parts["page.html"]).substitute(
+        title=html.escape(words["title"]),
+        spec=html.escape(words["spec"]),
+        citation=html.escape(words["citation"]),
+        provenance=listed,
+        style=parts["page.css"],
+        program="".join(parts[name] for name in PROGRAM),
+        described=json.dumps(whole, allow_nan=False, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c"),
+        arrays="\n".join(blobs),
+    )
