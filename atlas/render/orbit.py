@@ -207,8 +207,8 @@ def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
     error, written = float(orbit.cell["error"]), selection.written(orbit)
     unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED
     digits = (4 if len(written) > _IN_A_COLUMN else 6) if orbit.exact else 3
-    many = f"averaged over{' ' if columns > 1 else chr(10)}{len(orbit.running)}{' periods' * (columns == 1)}:"
-    lines = [("exact:" if orbit.exact else many if unknown else "averaged:", "black")]
+    over = f"{' ' if columns > 1 else chr(10)}over {len(orbit.running)}{' periods' * (columns == 1)}" if unknown else ""
+    lines = [("dotted: exact" if orbit.exact else f"dotted: averaged{over}", "black")]
     for i, value in enumerate(written):
         text = "unknown" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
         text = r"-\infty" if np.isneginf(value) else text
