@@ -312,7 +312,7 @@ def name_regions(
         _, name, color = named[number]
         look: dict[str, Any] = {"fontsize": size, "ha": "center", "zorder": 4}
         if region is None:
-            turned = {"va": "center_baseline", "rotation": angle, "rotation_mode": "anchor"}  # about its middle
-            ax.text(*at(cell), name, color=style.ink_on(color), **turned, **look)
+            look |= {"va": "center_baseline", "rotation": angle, "rotation_mode": "anchor"}  # turned about its middle
+            ax.text(*at(cell), name, color=style.ink_on(color), **look)
         else:
             ax.annotate(name, at(region), at(cell), va="center", color=style.ink_on("white"), arrowprops=_ARROW, **look)
