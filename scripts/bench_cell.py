@@ -121,7 +121,8 @@ class Version:
     def __init__(self, root: Path) -> None:
         self.process = subprocess.Popen(
             [sys.executable, __file__, "--serve"],
-            env={**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{ROOT}"},  # scripts that the other lacks are this one's
+            # Scripts that the other version lacks are this one's.
+            env={**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{ROOT}"},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 

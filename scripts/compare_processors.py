@@ -93,7 +93,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(json.dumps(found))
         return
     head = ["pretended to", "cells", "with another digit", "with another class", "largest change of an exponent"]
-    print_table("processors", head, [[DESCRIBED[part], *map(_text, each.values())] for part, each in found.items()], options.keep)  # fmt: skip
+    rows = [[DESCRIBED[part], *map(_text, each.values())] for part, each in found.items()]
+    print_table("processors", head, rows, options.keep)
 
 
 def _text(number: float) -> str:

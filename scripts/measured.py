@@ -25,8 +25,9 @@ PLACE = re.compile(r"(?<=<!-- measured: )([\w-]+)( -->\n).*?(?=<!-- end -->)", r
 
 
 def line(cells: Iterable[object]) -> str:
-    """One row of a Markdown table."""
-    return f"| {' | '.join(map(str, cells))} |"
+    """One row of a Markdown table; whole numbers from 10,000 on have their thousands apart."""
+    shown = [re.sub(r"^\d{5,}$", lambda number: f"{int(number[0]):,}", str(cell)) for cell in cells]
+    return f"| {' | '.join(shown)} |"
 
 
 def header(head: Sequence[str]) -> str:

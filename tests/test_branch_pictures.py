@@ -14,7 +14,7 @@ from atlas import render
 from atlas.accessor import DrawnBranches
 from atlas.branches.sweep import tree_through
 from atlas.errors import InputError
-from atlas.render.branch import DASHES
+from atlas.render.sweep import DASHES
 from tests.pictures import atlas as atlas_of
 from tests.pictures import labels, line, plane
 from tests.test_bifurcations import KNOWN

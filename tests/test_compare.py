@@ -12,9 +12,9 @@ from PIL import Image
 import atlas
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
+from atlas.query.ends import scale_ends
 from atlas.query.reads import counted
 from atlas.render import together
-from atlas.render.scales import scale_ends
 from atlas.store import store
 from tests import pictures
 from tests.pictures import labels

@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import grazing, tidy
+from atlas.query import grazing, room, tidy
+from atlas.query.plane import rising
 from atlas.query.queries import boundary
-from atlas.render import classes, kinds, layout, maps, overlays, scales
+from atlas.render import classes, kinds, overlays, scales
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, painted, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -173,10 +174,10 @@ def test_a_motion_is_named_inside_its_region() -> None:
 def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
     rows, columns = np.mgrid[:200, :200]
     band = np.abs(rows - columns) < 12
-    row, column, angle = layout.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    row, column, angle = room.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
     assert angle == pytest.approx(45.0, abs=3.0)
     assert abs(row - column) < 6
-    assert layout.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+    assert room.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
 
 
 # Combined
@@ -307,7 +308,7 @@ def test_the_grazing_line_is_that_of_the_solver() -> None:
 
 
 def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut() -> None:
-    _, (x, y) = maps.rising(plane())
+    _, (x, y) = rising(plane())
     fixed = {p.name: p.default for p in TWO_MASS.parameters}
     xs, ys, quick = grazing.grazing_grid(TWO_MASS, fixed, x, y, points=12)
     assert quick == pytest.approx(grazing.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
@@ -376,7 +377,7 @@ def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it()
         {"omega": np.linspace(0.5, 4.5, n), "mu_k": np.linspace(1.0, 5.0, n)},
         regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
     ).assign_coords(zeta=0.002, b=1.5)  # fmt: skip
-    _, (x, y) = maps.rising(ds)
+    _, (x, y) = rising(ds)
     fixed = {p.name: float(ds[p.name]) for p in TWO_MASS.parameters if ds[p.name].ndim == 0}
     xs, _, ratio = grazing.grazing_grid(TWO_MASS, fixed, x, y)
     ridge = ratio[:, (xs > 1.2) & (xs < 2.2)].max(axis=1)

@@ -169,7 +169,7 @@ def test_the_stops_are_drawn_where_they_are(page: Figure) -> None:
 def test_exact_exponents_are_written_in_numbers_and_a_lost_one_as_infinite(page: Figure) -> None:
     texts = [text.get_text() for text in page.axes[-1].texts]
     assert texts == [
-        "exact:",
+        "dotted: exact",
         *(rf"$\lambda_{{{i}}} = {v}$" for i, v in ((1, "-0.200000"), (2, "-0.300000"), (3, "-0.500000"))),
         r"$\lambda_{4} = -\infty$",
     ]
@@ -267,4 +267,4 @@ def test_the_exponents_written_of_an_undetermined_cell_are_where_its_curves_end(
     cell = {**found.cell, "regime": UNDETERMINED, "spectrum": np.array([0.223, -0.3, -0.5, -0.9])}
     figure = render.figure(replace(found, cell=cell, running=running))
     written = [text.get_text() for text in figure.axes[-1].texts]
-    assert written[:2] == ["averaged over\n100 periods:", r"$\lambda_{1} = -0.020$"]
+    assert written[:2] == ["dotted: averaged\nover 100 periods", r"$\lambda_{1} = -0.020$"]

@@ -12,6 +12,8 @@ from PIL import Image
 
 from atlas import render
 from atlas.errors import InputError
+from atlas.query import ends
+from atlas.query.plane import Meaning
 from atlas.query.queries import cell_edges
 from atlas.render import scales, style, words
 from tests.pictures import NAN, atlas, colour, every_regime, labels, painted, pixel, section, sweep
@@ -113,7 +115,7 @@ def test_a_path_that_cannot_be_written_is_said_to_be_one(tmp_path: Path) -> None
 
 
 def test_zero_lies_in_the_middle_of_the_scale_and_each_half_has_its_own_end() -> None:
-    low, high = scales.scale_ends(np.array([-4.0, -2.0, 0.5, NAN]))
+    low, high = ends.scale_ends(np.array([-4.0, -2.0, 0.5, NAN]))
     assert (low, high) == pytest.approx((-4.0, 0.5), rel=0.03)
     bar = render.figure(every_regime()).axes[1]
     assert bar.transAxes.inverted().transform(bar.transData.transform((0, 0.0)))[1] == pytest.approx(0.5)
@@ -121,16 +123,16 @@ def test_zero_lies_in_the_middle_of_the_scale_and_each_half_has_its_own_end() ->
 
 def test_outliers_do_not_stretch_the_scale() -> None:
     values = np.concatenate([np.linspace(-1, 0, 1000), [-500.0, -np.inf], np.linspace(0, 2, 1000), [300.0]])
-    assert scales.scale_ends(values) == pytest.approx((-1.0, 2.0), rel=0.05)
+    assert ends.scale_ends(values) == pytest.approx((-1.0, 2.0), rel=0.05)
 
 
 @pytest.mark.parametrize("values", [[0.0], [NAN], [-np.inf]])
 def test_a_scale_exists_without_any_finite_sign(values: list[float]) -> None:
-    assert scales.scale_ends(np.array(values)) == (-1.0, 1.0)
+    assert ends.scale_ends(np.array(values)) == (-1.0, 1.0)
 
 
 def test_a_sign_that_does_not_occur_gets_the_other_ones_range() -> None:
-    assert scales.scale_ends(np.array([-0.5, -0.5])) == (-0.5, 0.5)
+    assert ends.scale_ends(np.array([-0.5, -0.5])) == (-0.5, 0.5)
 
 
 def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent() -> None:
@@ -185,7 +187,7 @@ def test_a_written_chaos_map_shows_known_cells_in_their_colours(tmp_path: Path) 
     figure = render.figure(ds)
     assert pixel(path, figure, 2.0, 0.2) == colour(UNDETERMINED)[:3]
     assert pixel(path, figure, 4.0, 0.2) == colour(FAILED)[:3]
-    expected = scales.EXPONENT(colors.TwoSlopeNorm(0.0, *scales.scale_ends(ds.largest.values))(1.0), bytes=True)
+    expected = scales.EXPONENT(colors.TwoSlopeNorm(0.0, *ends.scale_ends(ds.largest.values))(1.0), bytes=True)
     assert pixel(path, figure, 1.0, 0.2) == tuple(int(part) for part in expected[:3])
 
 
@@ -247,8 +249,8 @@ def test_initial_values_of_a_system_of_ones_own_are_named_once() -> None:
     x, v = (System.from_mapping(hammer).parameter(name) for name in ("x", "v"))
     attributes = {p.name: {"long_name": p.meaning, "units": p.unit, "symbol": p.symbol} for p in (x, v)}
     ds = xr.Dataset(coords={name: (name, [0.0, 1.0], attributes[name]) for name in ("x", "v")})
-    assert words.axis_label(ds, "x") == "initial displacement $x(0)$"
-    assert words.axis_label(ds, "v") == r"initial velocity $\dot x(0)$"
+    assert words.axis_label("x", Meaning.of(ds, "x")) == "initial displacement $x(0)$"
+    assert words.axis_label("v", Meaning.of(ds, "v")) == r"initial velocity $\dot x(0)$"
 
 
 def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -> None:

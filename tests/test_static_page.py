@@ -20,10 +20,11 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.explore.static.numbers import DIGITS, MANTISSA, Packed, fit, pack, rounded, unpack
 from atlas.explore.static.page import LIMIT, PROGRAM, page_of, write_page
+from atlas.query.plane import Plane
 from atlas.query.window import select
 from atlas.render.coded import coded_maps, curves_over, text_of
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
-from atlas.render.maps import Plane, View
+from atlas.render.maps import View
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
 from atlas.spec.spec import Spec

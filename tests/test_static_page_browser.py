@@ -103,8 +103,9 @@ def test_the_map_has_the_colours_that_a_file_has(browser: Any, page: Path, ds: A
 
 def period_colors(ds: Any) -> np.ndarray:
     """The colours (y, x, 3) that files give the cells by their period."""
+    from atlas.query.plane import Plane
     from atlas.render.kinds import TABLE
-    from atlas.render.maps import Plane, View
+    from atlas.render.maps import View
     from atlas.render.options import Wanted
     from atlas.render.page import STANDARD
 

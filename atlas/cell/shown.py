@@ -1,4 +1,4 @@
-"""What a portrait shows of a cell's motion: which stretch of time, which displacements, a chatter to enlarge."""
+"""What a portrait shows of a cell's motion: its stretch of time, displacements and exponents, what to enlarge."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.cell.orbit import SAMPLES, CellOrbit, modulation
-from workers.results import QUASIPERIODIC, REGIME
+from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 
 Array = NDArray[np.float64]
 
@@ -62,6 +62,21 @@ def chatter(orbit: CellOrbit) -> slice | None:
         if last - first >= _LEAST_CHATTER and drawn.size:
             return slice(int(first + max(0, drawn[-1] - 1)), int(last + 2))
     return None
+
+
+def is_few(x: Array, y: Array) -> bool:
+    """Whether section values are few points: of thousands of states many may be one, where an orbit closes late."""
+    extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)
+    return bool(np.unique(np.round(np.stack([x, y]) / extent, 2), axis=1).shape[1] <= 64)
+
+
+def written(orbit: CellOrbit) -> Array:
+    """The exponents that are written in numbers: the cell's, or, where its class is not known, those of the path that
+    is drawn. What such a cell holds are averages over motions that it has left.
+    """
+    if int(orbit.cell[REGIME.name]) == UNDETERMINED:
+        return np.sort(orbit.running[-1])[::-1]
+    return np.asarray(orbit.cell[SPECTRUM.name])
 
 
 def _repeated(orbit: CellOrbit, times: Array, turns: int) -> Array:

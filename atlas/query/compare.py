@@ -1,6 +1,6 @@
 """Two atlases of the same cells compared: exponents by their difference, regimes by a table."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, Self
@@ -67,10 +67,8 @@ class Comparison:
         _check_cells(one, other)
         found = inside(one, window)
         weights = tuple(cell_widths(one, str(dim))[found[str(dim)]] for dim in one[REGIME.name].dims)
-        fixed = [str(n) for n in one.coords if n in other.coords and one[n].ndim == other[n].ndim == 0]
-        numbers = [n for n in fixed if one[n].dtype.kind in "iuf"]
-        differing = {n: (float(one[n]), float(other[n])) for n in numbers if float(one[n]) != float(other[n])}
-        return cls(within(one, window), within(other, window), differing, weights)
+        pairs = {name: (float(one[name]), float(other[name])) for name in differing([one, other])}
+        return cls(within(one, window), within(other, window), pairs, weights)
 
     @property
     def has_exponents(self) -> bool:
@@ -182,6 +180,13 @@ class Comparison:
         index = dict(zip(self.one[REGIME.name].dims, [at[0] + first, *at[1:]], strict=True))
         found = {name: float(axis_values(self.one, name)[index[name]]) for name in axis_names(self.one)}
         return found | {name: float(axis_values(self.one, name)[index[POINT]]) for name in columns(self.one)}
+
+
+def differing(atlases: Sequence["xr.Dataset"]) -> list[str]:
+    """The fixed parameters that all of the atlases have, and that are not the same in all."""
+    fixed = [str(n) for n in atlases[0].coords if all(n in ds.coords and ds[n].ndim == 0 for ds in atlases)]
+    numbers = [n for n in fixed if atlases[0][n].dtype.kind in "iuf"]
+    return [n for n in numbers if len({float(ds[n]) for ds in atlases}) > 1]
 
 
 def differences(

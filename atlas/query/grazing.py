@@ -1,6 +1,6 @@
 """Where the impact-free motion would graze: its extremes over a period against the distances to the stops."""
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from contourpy import contour_generator
@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.query import machine
+from atlas.query.plane import Axis
 from atlas.spec.system import refuse_modes
 from workers.model.oscillator import Mode, Oscillator
 from workers.model.system import System
@@ -29,26 +30,6 @@ _REACH = 3.0
 """Logarithm of the ratio up to which a crest between points may still cross zero."""
 _NEGLIGIBLE = 1e-15
 """Share of all harmonics below which one moves no extreme."""
-
-
-class Axis(Protocol):
-    """An axis of a map."""
-
-    @property
-    def name(self) -> str:
-        """The parameter."""
-
-    @property
-    def values(self) -> Array:
-        """Its values in rising order."""
-
-    @property
-    def edges(self) -> Array:
-        """The edges of their cells, one more."""
-
-    @property
-    def log(self) -> bool:
-        """Whether the map has it on a logarithmic scale."""
 
 
 def grazing_lines(ds: "xr.Dataset", x: Axis, y: Axis) -> list[Array]:

@@ -1,5 +1,6 @@
 """The motions of a plane: periodic ones by forcing periods and impacts at either stop, n-p-q, as is the custom."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -7,14 +8,15 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query import machine
-from workers.results import PERIODIC
+from atlas.query.plane import Cells, Plane
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from atlas.query.grazing import Axis
-
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
+OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "no impact"}
+"""The names of regions of other motions."""
 
 
 class Motion(NamedTuple):
@@ -46,20 +48,40 @@ def motions(
     return [Motion(*map(int, kind)) for kind in kinds], number
 
 
-def broken_cells(
-    ds: "xr.Dataset", x: "Axis", y: "Axis", regime: NDArray[np.int8], symmetric: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def regions(plane: Plane, twins: bool) -> Iterator[tuple[str, Cells]]:
+    """The name of every class of motion and its cells (y, x).
+
+    Where motions have mirror images, which of the two a cell holds depends on the start: both are one class, named
+    with the larger number of impacts above. With as many above as below, the motion that is its own mirror image has
+    an s behind its name, others a u.
+    """
+    period, upper, lower = (plane[name] for name in VARIABLES)
+    if twins:
+        upper, lower = np.maximum(upper, lower), np.minimum(upper, lower)
+    found, number = motions(plane.regime, period, upper, lower)
+    for k, motion in enumerate(found):
+        cells = number == k
+        if twins and motion.p == motion.q >= 0 and "symmetric" in plane.values:
+            own = plane["symmetric"].astype(bool)
+            yield from ((f"{motion.label} {side}", cells & part) for side, part in (("s", own), ("u", ~own)))
+        elif motion.p >= 0:
+            yield motion.label, cells
+    for code, name in OTHERS.items():
+        yield name, plane.regime == code
+
+
+def broken_cells(ds: "xr.Dataset", plane: Plane) -> Cells:
     """The periodic cells (y, x) whose motion is not its own mirror image x(t) = -x(t + T/2), though it has one.
 
     InputError where there are periodic cells, but none of a machine whose motions have mirror images.
     """
-    system = machine.known_system(ds, "kind 'symmetry'")
-    same, periodic = machine.fixed(ds, system), regime == PERIODIC
+    system, symmetric = machine.known_system(ds, "kind 'symmetry'"), plane["symmetric"].astype(bool)
+    same, periodic = machine.fixed(ds, system), plane.regime == PERIODIC
     rows, columns = np.nonzero(periodic & ~symmetric)
-    found = np.zeros(regime.shape, bool)
+    found = np.zeros(periodic.shape, bool)
     if not rows.size:
         return found
-    points = {x.name: x.values[columns], y.name: y.values[rows]}
+    points = {plane.x.name: plane.x.values[columns], plane.y.name: plane.y.values[rows]}
     found[rows, columns] = machine.has_twins(system, same, points)
     if not found.any() and not np.any(periodic & symmetric):  # a symmetric motion proves that its machine is
         here = {name: float(values[0]) for name, values in points.items()}

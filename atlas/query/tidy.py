@@ -7,6 +7,7 @@ from scipy import ndimage
 from workers.results import PENDING
 
 Array = NDArray[np.float64]
+Cells = NDArray[np.bool_]
 
 LEAST_REGION = 2e-4
 """Share of the plane below which a connected region is a small one."""
@@ -38,7 +39,7 @@ def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArr
     return regime[tuple(nearest)].astype(np.int16), True
 
 
-def without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def without_dust(cells: Cells) -> Cells:
     """The cells less what is thinner than the eye separates, as between basins: outlined, that would turn black."""
     thin = min(cells.shape) // 150
     if thin == 0:
@@ -58,3 +59,53 @@ def smooth(values: Array, width: float) -> Array:
     weight = ndimage.gaussian_filter(known.astype(float), width, mode="nearest")
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), width, mode="nearest")
     return np.where(known & (weight > 0.8), total / np.maximum(weight, 1e-12), np.nan)
+
+
+def filled(cells: Cells, times: int) -> Cells:
+    """The cells and the holes between them that are at most ``2 * times`` cells wide: one odd cell is no region."""
+    square = np.ones((2 * times + 1, 2 * times + 1))
+    closed = ndimage.binary_closing(np.pad(cells, times, "edge"), square)
+    return np.asarray(closed[times:-times, times:-times])
+
+
+def runs(cells: Cells, x: Array, y: Array) -> Array:
+    """The runs of cells in each row as closed rectangles (N, 5, 2); ``x`` and ``y`` are the edges of the cells."""
+    change = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, first = np.nonzero(change == 1)
+    _, last = np.nonzero(change == -1)
+    left, right, low, high = x[first], x[last], y[rows], y[rows + 1]
+    return np.stack([left, low, right, low, right, high, left, high, left, low], axis=1).reshape(-1, 5, 2)
+
+
+def borders(cells: Cells, x: Array, y: Array) -> Array:
+    """The border of a set of cells as segments (N, 2, 2) along the cells' edges, without the frame of the plane."""
+    rows, columns = np.nonzero(cells[:, 1:] != cells[:, :-1])
+    upright = np.stack([x[columns + 1], y[rows], x[columns + 1], y[rows + 1]], axis=1)
+    rows, columns = np.nonzero(cells[1:] != cells[:-1])
+    level = np.stack([x[columns], y[rows + 1], x[columns + 1], y[rows + 1]], axis=1)
+    return np.concatenate([upright, level]).reshape(-1, 2, 2)
+
+
+def specks(cells: Cells, x: Array, y: Array, step: Array, most: float) -> Array:
+    """The middles (N, 2) of connected regions whose width and height are both below ``most``.
+
+    ``x`` and ``y`` are the edges of the cells, ``step`` the height and the width of a cell in the unit of ``most``.
+    """
+    boxes = ndimage.find_objects(ndimage.label(cells)[0])
+    small = [(r, c) for r, c in boxes if max((r.stop - r.start) * step[0], (c.stop - c.start) * step[1]) < most]
+    return np.array([(x[[c.start, c.stop]].mean(), y[[r.start, r.stop]].mean()) for r, c in small]).reshape(-1, 2)
+
+
+def turns(spectrum: Array, width: float) -> NDArray[np.bool_]:
+    """Which exponents (n, m) are drawn on top along a sweep: all that stand alone, and of equal ones, within a width,
+    each in turn, so that their points alternate like the strands of a braid.
+    """
+    n, m = spectrum.shape
+    stretch = np.arange(n) // max(1, n // 60)
+    apart = np.abs(np.diff(spectrum, axis=1)) > width
+    group = np.concatenate([np.zeros((n, 1), int), np.cumsum(apart, axis=1)], axis=1)
+    shown = np.empty((n, m), dtype=bool)
+    for i in range(m):
+        mine = group == group[:, i : i + 1]
+        shown[:, i] = stretch % mine.sum(axis=1) == mine[:, :i].sum(axis=1)
+    return shown

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,12 +91,19 @@ def axis_values(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 def is_log(ds: "xr.Dataset", name: str) -> bool:
     """Whether an axis is logarithmic: as the atlas's spec says, else if its points grow by a constant factor."""
+    stored = spec_of_axis(ds, name).get("scale")
+    if stored is not None:
+        return bool(stored == "log")
+    values = axis_values(ds, name)
+    return values.size > 2 and bool(values.min() > 0) and not is_uniform(values) and is_uniform(np.log(values))
+
+
+def spec_of_axis(ds: "xr.Dataset", name: str) -> dict[str, Any]:
+    """What the atlas's spec says of an axis; empty where it has no spec, or none of this axis."""
     try:
-        scales = {axis["name"]: axis["scale"] for axis in json.loads(ds.attrs["spec"])["axes"]}
-        return bool(scales[name] == "log")
-    except (KeyError, TypeError, ValueError):
-        values = axis_values(ds, name)
-        return values.size > 2 and bool(values.min() > 0) and not is_uniform(values) and is_uniform(np.log(values))
+        return next(axis for axis in json.loads(ds.attrs["spec"])["axes"] if axis["name"] == name)
+    except (KeyError, TypeError, ValueError, StopIteration):
+        return {}
 
 
 def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:

@@ -20,8 +20,9 @@ from atlas.query import basins as reached
 from atlas.query.attractors import branches
 from atlas.query.motions import VARIABLES, Motion, broken_cells
 from atlas.query.motions import motions as motions_of
+from atlas.query.plane import Cells, Plane
 from atlas.render import maps, style, words
-from atlas.render.maps import Cells, Colors, Painted, View
+from atlas.render.maps import Colors, Painted, View
 from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, SETTLED
 
 Class: TypeAlias = tuple[Cells, str, str]
@@ -168,7 +169,7 @@ def symmetry(view: View) -> Painted:
     plane = view.plane
     regime, upper, lower = plane.regime, plane["impacts_upper"], plane["impacts_lower"]
     symmetric = plane["symmetric"].astype(bool)
-    broken = broken_cells(view.ds, plane.x, plane.y, regime, symmetric)
+    broken = broken_cells(view.ds, plane)
     classes = [
         ((regime == PERIODIC) & symmetric, SYMMETRIC, "symmetric"),
         (broken & (upper > lower), UPPER, "broken, twin A (more impacts above)"),
@@ -208,8 +209,7 @@ def labels(view: View) -> Painted:
 def colors_of(
     known: xr.Dataset, palette: Sequence[str], mirrored: float, quiet: str, rest: str | None = None
 ) -> list[str]:
-    """The colour of every attractor of a table: ``quiet`` without impact; of a mirror image its twin's hue in this
-    lightness.
+    """The colour of every attractor: ``quiet`` without impact; of a mirror image its twin's hue in this lightness.
 
     Where the palette is used up it begins anew, or ``rest`` is the colour of all others.
     """
@@ -252,7 +252,7 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
     one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
         return words.name_of(NO_IMPACT)
-    name = "-".join(str(int(one[each])) for each in VARIABLES)
+    name = Motion(*(int(one[each]) for each in VARIABLES)).label
     return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
 
 
@@ -286,7 +286,7 @@ def _name_of_attractor(known: xr.Dataset, label: int) -> str:
     return f"{label}: {what}, {100 * float(one['share']):.3g} %"
 
 
-def _draw_points(ax: Axes, known: xr.Dataset, plane: maps.Plane, colors: list[str]) -> list[Artist]:
+def _draw_points(ax: Axes, known: xr.Dataset, plane: Plane, colors: list[str]) -> list[Artist]:
     """Draw the section points of the attractors on the plane of the initial states; the legend entry."""
     names = [str(name) for name in known["component"].values]
     x, y = names.index(plane.x.name), names.index(plane.y.name)

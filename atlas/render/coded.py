@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.extremes import numbers_of_cells
+from atlas.query.plane import Plane
 from atlas.query.window import axis_names
 from atlas.render import scales, style, words
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
-from atlas.render.maps import Bar, Painted, Plane, View
+from atlas.render.maps import Bar, Painted, View
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
 from atlas.text import plain
@@ -112,6 +113,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
     for key in keys.tolist():
         source, texture = divmod(key, len(patterns) + 1)
         entries.append(looks[source] | (patterns[texture - 1] if texture else {}))
+    legend = [*painted.legend, *(each.entry for each in painted.textures if each.entry is not None)]
     described = {
         "name": name,
         "needs": list(needs),
@@ -120,7 +122,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
         "entries": entries,
         "bars": [_bar(bar, view.plane[needs[0]], needs[0]) for bar in painted.bars],
         "title": text_of(painted.beside or ""),
-        "legend": [_entry(each) | _pending(view, each) for each in painted.legend],
+        "legend": [_entry(each) | _pending(view, each) for each in legend],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)

@@ -132,17 +132,16 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
         if page.given:
             raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
         atlases = _sources(subject, wanted)
-        for ds in atlases:
-            check_units(ds)
+        check_units(*atlases)
         if isinstance(subject, Comparison):
             drawn = together.difference(subject, page)
         else:
             drawn = together.side_by_side(atlases, wanted.kind, wanted.window, titles, page)
     else:
-        from atlas.render import branch
+        from atlas.render import sweep
 
         page.refuse_ends("branches are lines")
-        drawn = branch.figure(subject, page)
+        drawn = sweep.figure_of_branches(subject, page)
     page.fit(drawn)
     return drawn
 
@@ -206,11 +205,11 @@ def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
     return together.side_by_side([shown.isel({name: k}) for k in range(count)], kind, rest, page=page)
 
 
-def check_units(ds: "xr.Dataset") -> None:
+def check_units(*atlases: "xr.Dataset") -> None:
     """Raise InputError where exponents are in another unit than forcing periods: pictures have no other."""
-    units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
-    if units != LARGEST.units:
-        raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw the atlas as stored")
+    for units in [ds[LARGEST.name].attrs.get("units", LARGEST.units) for ds in atlases if LARGEST.name in ds]:
+        if units != LARGEST.units:
+            raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw it as stored")
 
 
 def _explain_pending(drawn: "Figure", place: int) -> None:

@@ -120,7 +120,7 @@ TABLE = {
         Kind(SCALAR, 2, (), "any number of each cell, which --variable names", "scales.scalar",
              Scale("", ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f"))),
         Kind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
-             "coexistence.figure", _EXPONENTS),
+             "sweep.figure_of_attractors", _EXPONENTS),
         Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", "sweep.figure",
              _EXPONENTS),
         Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents",
@@ -147,12 +147,6 @@ AXES = {1: "one axis", 2: "two axes"}
 MOST_PANELS = 12
 """Planes of a stack that are drawn together."""
 
-MAP_OVERLAYS = ("grazing", "boundaries", "isolines", "curves")
-"""Lines over a map: |Y| = b, borders of regimes, lines of equal exponent, the curves that its store keeps."""
-
-OVERLAYS = (*MAP_OVERLAYS, "branches")
-"""Lines over a picture: those of maps; over a sweep the branches of its orbits."""
-
 OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
     "boundaries": "borders between regimes",
@@ -160,7 +154,11 @@ OVERLAY_MEANINGS = {
     "curves": "the exact bifurcations and grazes that atlas curves has found in the store",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
-"""What each overlay shows, in the same words."""
+"""What each line over a picture shows, in the same words."""
+
+OVERLAYS = tuple(OVERLAY_MEANINGS)
+MAP_OVERLAYS = OVERLAYS[:-1]
+"""All lines over pictures, and those over maps."""
 
 CURVES = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",

@@ -1,15 +1,15 @@
 """The way from a plane of cells to its map: read, paint, frame, draw, overlays, bars, legend, names."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib import axis as mpl_axis
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
@@ -17,32 +17,19 @@ from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from atlas.errors import InputError
+from atlas.query.plane import Axis, Cells, Plane
 from atlas.query.resample import view as in_view
-from atlas.query.window import LOG_SPAN, axis_names, cell_edges, is_log
+from atlas.query.room import places
+from atlas.query.tidy import borders, runs, specks
 from atlas.render import style, words
 from atlas.render.fit import TITLE
 from atlas.render.kinds import Kind
 from atlas.render.options import Wanted
 from atlas.render.page import Page
-from atlas.spec.cells import is_uniform
-from workers.results import (
-    APERIODIC,
-    CHAOTIC,
-    FAILED,
-    INVALID,
-    LARGEST,
-    NO_IMPACT,
-    PENDING,
-    QUASIPERIODIC,
-    REGIME,
-    REGIMES,
-    UNDETERMINED,
-)
+from workers.results import FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
 
-Cells = NDArray[np.bool_]
 Colors = NDArray[np.uint8]
 
 LABEL_SIZE = 7.5
@@ -51,65 +38,13 @@ _VISIBLE = 2.0
 """Points below which a cell on its own is lost to the eye."""
 _MOST_MARKS = 300
 """Marks of such cells: where there are more, they are seen as a cloud anyway."""
+_ARROW = {
+    "arrowstyle": "-|>,head_length=0.25,head_width=0.1", "linewidth": 0.5, "shrinkA": 0.5, "shrinkB": 0.0,
+    "color": "#555555",
+}  # fmt: skip
+"""The arrow from a name to its region."""
 _WITH_TEXTURE = (QUASIPERIODIC, INVALID, FAILED)
 _MARKED = (UNDETERMINED, INVALID, FAILED)
-
-
-@dataclass(frozen=True)
-class DrawnAxis:
-    """One axis of a picture: its points in rising order, their cells' edges, its scale and its label."""
-
-    name: str
-    values: NDArray[np.float64]
-    edges: NDArray[np.float64]
-    log: bool
-    label: str
-
-    @property
-    def uniform(self) -> bool:
-        """Whether all cells are drawn equally wide on a linear scale."""
-        return not self.log and is_uniform(self.values)
-
-
-def rising(ds: xr.Dataset) -> tuple[xr.Dataset, tuple[DrawnAxis, ...]]:
-    """The dataset with every axis in rising order, and its axes, x first."""
-    names, axes = axis_names(ds), []
-    for name in names:
-        if np.any(np.diff(ds[name].values) <= 0):
-            ds = ds.sortby(name)
-    for name in names:
-        values = np.asarray(ds[name].values, dtype=np.float64)
-        log = is_log(ds, name) and values[-1] / values[0] >= LOG_SPAN
-        axes.append(DrawnAxis(name, values, cell_edges(ds, name), log, words.axis_label(ds, name)))
-    return ds, tuple(axes)
-
-
-@dataclass(frozen=True)
-class Plane:
-    """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
-
-    x: DrawnAxis
-    y: DrawnAxis
-    regime: NDArray[np.int8]
-    values: Mapping[str, NDArray[Any]]
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self.values[name]
-
-    @classmethod
-    def of(cls, ds: xr.Dataset, names: Sequence[str]) -> "Plane":
-        """The plane of a dataset that is read."""
-        ds, (x, y) = rising(ds)
-        return cls(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
-
-    @property
-    def determined(self) -> Cells:
-        """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
-        return ((self.regime >= NO_IMPACT) & (self.regime <= CHAOTIC)) | (self.regime == APERIODIC)
-
-    def known(self, name: str) -> NDArray[np.float64]:
-        """The values of a variable where the class of motion is known, NaN elsewhere."""
-        return np.where(self.determined, self[name], np.nan)
 
 
 @dataclass(frozen=True)
@@ -128,12 +63,22 @@ class View:
 
 
 class Texture(NamedTuple):
-    """A texture over cells (y, x), which lets their colours through; ``outlined`` are cells with a line around them."""
+    """A texture over cells (y, x), which lets their colours through.
+
+    ``outlined`` are cells with a line around them; ``entry`` stands in the legend.
+    """
 
     cells: Cells
     hatch: str
     ink: str
     outlined: Cells | None = None
+    entry: Artist | None = None
+
+    @classmethod
+    def on(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "Texture":
+        """A texture in an ink that is seen on this colour, with its legend entry."""
+        ink = style.ink_on(color)
+        return cls(cells, hatch, ink, outlined, style.swatch(color, label, hatch, ink))
 
 
 @dataclass(frozen=True)
@@ -170,7 +115,7 @@ class Painted:
 
 def draw_map(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The map of a kind as a figure, with its overlays; InputError where the atlas does not hold what it draws."""
-    from atlas.render import layout, overlays, scales
+    from atlas.render import overlays, scales
 
     view, page = read(kind, ds, wanted), wanted.page
     painted: Painted = kind.painter(view)
@@ -181,7 +126,7 @@ def draw_map(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
         page.legend(drawn, entries, beside=painted.beside)
         if painted.names and wanted.names:
             page.settle(drawn)
-            layout.name_regions(ax, view.plane, painted.names, [LABEL_SIZE * page.scale])
+            name_regions(ax, view.plane, painted.names, [LABEL_SIZE * page.scale])
     return drawn
 
 
@@ -216,11 +161,12 @@ def lay(ax: Axes, view: View, painted: Painted) -> list[Artist]:
     for entry in painted.legend:
         if entry.get_label() in enlarged:
             entry.set_label(f"{entry.get_label()},\nsingle cells enlarged")
-    for cells, pattern, ink, outlined in painted.textures:
-        hatch(ax, plane, cells, pattern, ink)
-        if outlined is not None:
-            outline(ax, plane, outlined, "#1a2433", 0.3)
-    return [*painted.legend, *(painted.over(ax) if painted.over else [])]
+    for each in painted.textures:
+        hatch(ax, plane, each.cells, each.hatch, each.ink)
+        if each.outlined is not None:
+            outline(ax, plane, each.outlined, "#1a2433", 0.3)
+    textured = [each.entry for each in painted.textures if each.entry is not None]
+    return [*painted.legend, *textured, *(painted.over(ax) if painted.over else [])]
 
 
 def paint_regimes(rgba: Colors, regime: NDArray[np.int8], where: Cells) -> list[Patch]:
@@ -272,45 +218,28 @@ def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: Page) -> set[str]:
 
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
     """Mark the small ones of these cells unless they are seen anyway, or are too many; whether there are marks."""
-    width, height = np.array(size) / plane.regime.shape[::-1]
-    if max(width, height) >= _VISIBLE:
+    step = np.array(size[::-1]) / plane.regime.shape
+    if step.max() >= _VISIBLE:
         return False
-    boxes = ndimage.find_objects(ndimage.label(cells)[0])
-    spans = [(slice(r.start, r.stop + 1), slice(c.start, c.stop + 1)) for r, c in boxes]
-    small = [
-        (plane.y.edges[r][[0, -1]].mean(), plane.x.edges[c][[0, -1]].mean())
-        for r, c in spans
-        if (r.stop - r.start - 1) * height < _VISIBLE and (c.stop - c.start - 1) * width < _VISIBLE
-    ]
+    small = specks(cells, plane.x.edges, plane.y.edges, step, _VISIBLE)
     if not 0 < len(small) <= _MOST_MARKS:
         return False
-    y, x = zip(*small, strict=True)
-    ax.plot(x, y, zorder=2.2, **style.mark("s", 0.9 * _VISIBLE, color, "black", 0.2))
+    ax.plot(*small.T, zorder=2.2, **style.mark("s", 0.9 * _VISIBLE, color, "black", 0.2))
     return True
 
 
 def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> None:
     """Cover a set of cells with a texture that lets their colours through."""
-    change = np.diff(np.pad(inside, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    # Runs of cells in a row are one rectangle each, and all rectangles one path, so that the texture has no seams.
-    rows, first = np.nonzero(change == 1)
-    _, last = np.nonzero(change == -1)
-    left, right, low, high = plane.x.edges[first], plane.x.edges[last], plane.y.edges[rows], plane.y.edges[rows + 1]
-    corners = np.stack([left, low, right, low, right, high, left, high, left, low], axis=1).reshape(-1, 2)
-    codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], rows.size)
-    if rows.size:
-        path = Path(corners, codes)
+    rectangles = runs(inside, plane.x.edges, plane.y.edges)
+    if len(rectangles):  # all rectangles are one path, so that the texture has no seams
+        codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], len(rectangles))
+        path = Path(rectangles.reshape(-1, 2), codes)
         ax.add_patch(PathPatch(path, fill=False, hatch=pattern, edgecolor=color, linewidth=0, rasterized=True))
 
 
 def outline(ax: Axes, plane: Plane, inside: Cells, color: str, width: float) -> None:
-    """Draw the boundary of a set of cells along the cells' edges; the picture's own frame is left out."""
-    x, y = plane.x.edges, plane.y.edges
-    rows, columns = np.nonzero(inside[:, 1:] != inside[:, :-1])
-    upright = np.stack([x[columns + 1], y[rows], x[columns + 1], y[rows + 1]], axis=1)
-    rows, columns = np.nonzero(inside[1:] != inside[:-1])
-    level = np.stack([x[columns], y[rows + 1], x[columns + 1], y[rows + 1]], axis=1)
-    ends = list(np.concatenate([upright, level]).reshape(-1, 2, 2))
+    """Draw the border of a set of cells along the cells' edges; the picture's own frame is left out."""
+    ends = list(borders(inside, plane.x.edges, plane.y.edges))
     lines = LineCollection(ends, colors=color, linewidths=width, capstyle="projecting", rasterized=True)
     ax.add_collection(lines, autolim=False)
 
@@ -329,26 +258,26 @@ def scale_axes(ax: Axes, plane: Plane) -> None:
         ax.set_yscale("log")
         _log_ticks(ax.yaxis, plane.y)
     ax.set_ylim(plane.y.edges[0], plane.y.edges[-1])
-    ax.set_ylabel(plane.y.label)
+    ax.set_ylabel(words.axis_label(plane.y.name, plane.y.meaning))
 
 
-def scale_x(ax: Axes, x: DrawnAxis, label: bool = True) -> None:
+def scale_x(ax: Axes, x: Axis, label: bool = True) -> None:
     """Give the horizontal axis its scale, limits and ticks, and its label if asked."""
     if x.log:
         ax.set_xscale("log")
         _log_ticks(ax.xaxis, x)
     ax.set_xlim(x.edges[0], x.edges[-1])
     if label:
-        ax.set_xlabel(x.label)
+        ax.set_xlabel(words.axis_label(x.name, x.meaning))
 
 
-def _log_ticks(axis: Axis, scale: DrawnAxis) -> None:
+def _log_ticks(axis: mpl_axis.Axis, scale: Axis) -> None:
     # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.
     if math.log10(scale.values[-1] / scale.values[0]) <= 3.0:
         plain_ticks(axis, (1.0, 2.0, 5.0))
 
 
-def plain_ticks(axis: Axis, steps: Sequence[float]) -> None:
+def plain_ticks(axis: mpl_axis.Axis, steps: Sequence[float]) -> None:
     """Label a logarithmic axis at these multiples of powers of ten, in plain numbers: 0.02, 5, 2000, 20 000."""
 
     def plain(value: float, _: int) -> str:
@@ -357,3 +286,33 @@ def plain_ticks(axis: Axis, steps: Sequence[float]) -> None:
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter(FuncFormatter(plain))
     axis.set_minor_locator(NullLocator())
+
+
+def name_regions(
+    ax: Axes,
+    plane: Plane,
+    named: Sequence[tuple[Cells, str, str]],
+    type_sizes: Sequence[float],
+    most: int = 2,
+    free: Cells | None = None,
+) -> None:
+    """Write names into the largest regions of sets of cells (y, x): see ``places``. The plot must have its size.
+
+    ``named``: cells, name, and the colour under the name.
+    """
+    if not all(axis.uniform or axis.log for axis in (plane.x, plane.y)):
+        return  # cells differ in size, and distances in cells mean nothing
+    extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
+    step = np.array([extent.height, extent.width]) / dots / plane.regime.shape  # points per cell
+
+    def at(cell: tuple[int, int]) -> tuple[float, float]:
+        return plane.x.values[cell[1]], plane.y.values[cell[0]]
+
+    for number, cell, size, angle, region in places([each[:2] for each in named], step, type_sizes, most, free):
+        _, name, color = named[number]
+        look: dict[str, Any] = {"fontsize": size, "ha": "center", "zorder": 4}
+        if region is None:
+            look |= {"va": "center_baseline", "rotation": angle, "rotation_mode": "anchor"}  # turned about its middle
+            ax.text(*at(cell), name, color=style.ink_on(color), **look)
+        else:
+            ax.annotate(name, at(region), at(cell), va="center", color=style.ink_on("white"), arrowprops=_ARROW, **look)

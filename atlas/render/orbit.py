@@ -16,7 +16,7 @@ from atlas.render import style, words
 from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
 from atlas.render.sweep import color_of
-from workers.results import REGIME, SPECTRUM, UNDETERMINED
+from workers.results import REGIME, UNDETERMINED
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
     masses = [_shown(orbit, row) for row in selection.displacements(orbit)]
     planes = masses + masses[: len(masses) > 1]  # with two, the plane of both displacements too
     chatter = selection.chatter(orbit)
-    many = len(_written(orbit)) > _IN_A_COLUMN
+    many = len(selection.written(orbit)) > _IN_A_COLUMN
     with page.context():
         if page.wide:
             height, pad, columns = (7.6 if orbit.gap_row.size > 1 else 6.4) * page.width / 7.0, 0.06, 1 + many
@@ -130,16 +130,15 @@ def _history(ax: Axes, orbit: CellOrbit, shown: Shown) -> None:
 
 def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
     """The distance from the stop through a chatter: flights that become ever shorter and lower."""
-    times = orbit.impacts[chatter, 0]
-    side = float(orbit.impacts[chatter.start, 1])
-    room = 0.25 * float(np.ptp(times))
-    inside = (orbit.times >= times[0] - 0.3 * room) & (orbit.times <= times[-1] + room)
-    away = np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
-    between = (orbit.times >= times[0]) & (orbit.times <= times[-1])
-    ax.plot(orbit.times[inside] / orbit.period, away[inside], color=LINE, linewidth=0.9)
-    _mark_impacts(ax, side, times / orbit.period, 0.0 * times)
-    ax.set_xlim((times[0] - 0.3 * room) / orbit.period, (times[-1] + room) / orbit.period)
-    ax.set_ylim(-0.06 * away[between].max(), 1.25 * away[between].max())
+    impacts, side = orbit.impacts[chatter, 0] / orbit.period, float(orbit.impacts[chatter.start, 1])
+    first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)
+    times, away = orbit.times / orbit.period, np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
+    highest = away[(times >= impacts[0]) & (times <= impacts[-1])].max()
+    inside = (times >= first) & (times <= last)
+    ax.plot(times[inside], away[inside], color=LINE, linewidth=0.9)
+    _mark_impacts(ax, side, impacts, 0.0 * impacts)
+    ax.set_xlim(first, last)
+    ax.set_ylim(-0.06 * highest, 1.25 * highest)
     ax.xaxis.set_major_locator(MaxNLocator(3))
     ax.yaxis.set_major_locator(MaxNLocator(4))
     ax.set(xlabel="time $t/T$", ylabel="from the stop")
@@ -168,10 +167,7 @@ def _section(ax: Axes, orbit: CellOrbit) -> None:
     """The gap coordinate and its velocity at the section."""
     shown = _shown(orbit, orbit.gap_row)
     x, y = shown.of(orbit.section), shown.rate_of(orbit.section)
-    # Of thousands of states many may be one point, where a cell was undetermined and closes after all.
-    extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)
-    few = np.unique(np.round(np.stack([x, y]) / extent, 2), axis=1).shape[1] <= 64
-    ink = style.INK[int(orbit.cell[REGIME.name])]
+    few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
         # One point has no extent of its own: the orbit's gives the picture its scale.
@@ -188,7 +184,7 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     periods = np.arange(1, len(orbit.running) + 1)
     ax.axhline(0.0, color="black", linewidth=0.6)
     values = np.sort(orbit.running, axis=1)[:, ::-1]
-    written = _written(orbit)
+    written = selection.written(orbit)
     for i in sorted(range(values.shape[1]), key=lambda i: i % 2):
         # Equal ones come in pairs: one of them is dashed, and lies on the other.
         shown, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
@@ -205,23 +201,14 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     ax.set(xlabel="forcing periods averaged over", ylabel=r"$\lambda_i$ [per forcing period]")
 
 
-def _written(orbit: CellOrbit) -> Array:
-    """The exponents that are written in numbers: the cell's, or, where its class is not known, those of the path that
-    is drawn. What such a cell holds are averages over motions that it has left.
-    """
-    if int(orbit.cell[REGIME.name]) == UNDETERMINED:
-        return np.sort(orbit.running[-1])[::-1]
-    return np.asarray(orbit.cell[SPECTRUM.name])
-
-
 def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
     """The exponents in numbers, as many digits as are known, in a plot area of their own."""
     ax.set_axis_off()
-    error, written = float(orbit.cell["error"]), _written(orbit)
+    error, written = float(orbit.cell["error"]), selection.written(orbit)
     unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED
     digits = (4 if len(written) > _IN_A_COLUMN else 6) if orbit.exact else 3
-    many = f"averaged over{' ' if columns > 1 else chr(10)}{len(orbit.running)}{' periods' * (columns == 1)}:"
-    lines = [("exact:" if orbit.exact else many if unknown else "averaged:", "black")]
+    over = f"{' ' if columns > 1 else chr(10)}over {len(orbit.running)}{' periods' * (columns == 1)}" if unknown else ""
+    lines = [("dotted: exact" if orbit.exact else f"dotted: averaged{over}", "black")]
     for i, value in enumerate(written):
         text = "unknown" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
         text = r"-\infty" if np.isneginf(value) else text

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib import style as mpl_style
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -121,9 +122,7 @@ class Page:
         return drawn
 
     def panels(self, height: float, count: int) -> tuple[Figure, list[Axes]]:
-        """A figure with this number of plots over one shared axis, or the given axes; InputError if those are not as
-        many.
-        """
+        """A figure with ``count`` plots over one shared axis, or the given axes; InputError for another number."""
         if not self.given:
             drawn = self.figure(height)
             return drawn, list(drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
@@ -221,24 +220,22 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
     figsize = rc.pop("figure.figsize", (None, None))
     width = _length("width", look.get("width")) or figsize[0] or WIDTH
     asked = _number("font_size", look.get("font_size"), positive=True)
+    usual = mpl.rcParams["font.size"] if given else np.interp(width, (_NARROW, WIDTH), (_NARROW_FONT, _FONT))
+    font = float(asked or rc.get("font.size") or usual)
     if asked:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
-    font = asked or rc.get("font.size") or (mpl.rcParams["font.size"] if given else _usual_font(width))
+        rc |= {name: house(font / _FONT)[name] for name in _SIZES if given}
     styled = rc.pop("savefig.dpi", DPI)  # out of the style's settings, which override the page's
-    dpi = _number("dpi", look.get("dpi"), positive=True) or styled
-    dpi = dpi if isinstance(dpi, float) else DPI
-    dots = float(font) * dpi / 72.0
-    if dots < _LEAST_DOTS:
+    dpi = _number("dpi", look.get("dpi"), positive=True) or (styled if isinstance(styled, float) else DPI)
+    if font * dpi / 72.0 < _LEAST_DOTS:
         raise InputError(
-            f"dpi: found {dpi:g}, with type of {float(font):g} points, makes letters of {dots:.2g} dots; must make "
-            f"them {_LEAST_DOTS:g} or more"
+            f"dpi: found {dpi:g}, with type of {font:g} points, makes letters of {font * dpi / 72.0:.2g} dots; must "
+            f"make them {_LEAST_DOTS:g} or more"
         )
-    if given and asked:
-        rc |= {name: value for name, value in house(font / _FONT).items() if name in _SIZES}
     return Page(
         width=width,
         height=_length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
-        font=float(font),
+        font=font,
         dpi=dpi,
         vmin=_number("vmin", look.get("vmin")),
         vmax=_number("vmax", look.get("vmax")),
@@ -253,15 +250,11 @@ def _length(name: str, value: float | str | None) -> float | None:
     """A length in inches from a number of them or from a text with its unit, such as "85mm"; InputError otherwise."""
     if value is None:
         return None
-    wrong = InputError(f"{name}: found {shown(value)}, must be a length such as 85mm, 8.5cm or 3.35in")
     if isinstance(value, str):
-        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|cm|in)\s*", value)
+        match = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*(mm|cm|in)\s*", value)
         if not match:
-            raise wrong
-        try:
-            value = float(match[1]) * _INCHES[match[2]]
-        except ValueError:
-            raise wrong from None
+            raise InputError(f"{name}: found {shown(value)}, must be a length such as 85mm, 8.5cm or 3.35in")
+        value = float(match[1]) * _INCHES[match[2]]
     inches = _number(name, value) or 0.0
     low, high = _LENGTHS
     if not low <= inches <= high:
@@ -285,11 +278,6 @@ def _number(name: str, value: float | None, positive: bool = False) -> float | N
     if positive and not 0.0 < found <= 1e4:
         raise InputError(f"{name}: found {found:g}, must be positive and at most 10000")
     return found
-
-
-def _usual_font(width: float) -> float:
-    share = (width - _NARROW) / (WIDTH - _NARROW)
-    return _NARROW_FONT + (_FONT - _NARROW_FONT) * min(1.0, max(0.0, share))
 
 
 _LEAST_DOTS = 4.0

@@ -2,13 +2,13 @@
 
 import json
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from atlas.errors import InputError
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name
+from atlas.store.machine import package_version
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -63,8 +63,7 @@ def provenance_of(*subjects: "xr.Dataset | CellOrbit | Branches") -> Provenance:
 
 def computed_here(title: str, spec: Mapping[str, Any], digest: str = "none") -> Provenance:
     """The provenance of numbers that this process has computed, from all that decides them."""
-    software = f"impact-atlas {own_version()}"
-    return Provenance(f"impact-atlas: {title}", digest, str(SOLVER_VERSION), json.dumps(spec), software)
+    return Provenance(f"impact-atlas: {title}", digest, str(SOLVER_VERSION), json.dumps(spec), _own())
 
 
 def metadata(provenance: Provenance, suffix: str) -> dict[str, str | None]:
@@ -72,31 +71,20 @@ def metadata(provenance: Provenance, suffix: str) -> dict[str, str | None]:
 
     No time of day: a date would make equal pictures unequal files.
     """
-    import matplotlib
-
-    title, digest, spec, solver = provenance.title, provenance.digest, provenance.spec, provenance.solver
-    software = f"impact-atlas {own_version()}, matplotlib {matplotlib.__version__}"
-    source = f"computed by {provenance.software}" + ("" if solver == UNKNOWN else f"; solver version {solver}")
+    title, digest, solver, spec, computed_by = provenance
+    software = f"{_own()}, matplotlib {package_version('matplotlib')}"
+    source = f"computed by {computed_by}" + ("" if solver == UNKNOWN else f"; solver version {solver}")
     if suffix == "svg":
-        named = {"Title": title, "Creator": software, "Identifier": digest, "Source": source, "Description": spec}
-        return {**named, "Date": None}
-    if suffix == "pdf":
-        return {
-            "Title": title,
-            "Creator": software,
-            "Subject": digest,
-            "Keywords": f"{source}; {spec}",
-            "CreationDate": None,
-        }
-    return {"Title": title, "Software": software, "Digest": digest, "Source": source, "Solver": solver, "Spec": spec}
+        named = {"Creator": software, "Identifier": digest, "Source": source, "Description": spec, "Date": None}
+    elif suffix == "pdf":
+        named = {"Creator": software, "Subject": digest, "Keywords": f"{source}; {spec}", "CreationDate": None}
+    else:
+        named = {"Software": software, "Digest": digest, "Source": source, "Solver": solver, "Spec": spec}
+    return {"Title": title, **named}
 
 
-def own_version() -> str:
-    """The version of this distribution in files."""
-    try:
-        return version("impact-atlas")
-    except PackageNotFoundError:
-        return "(not installed)"
+def _own() -> str:
+    return f"impact-atlas {package_version('impact-atlas')}"
 
 
 def _of_one(subject: "xr.Dataset | CellOrbit | Branches") -> Provenance:

@@ -18,6 +18,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocato
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.query.ends import number_ends, scale_ends
 from atlas.query.extremes import regimes_with
 from atlas.query.tidy import without_dust
 from atlas.render import classes, maps, style, words
@@ -29,8 +30,6 @@ from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT,
 
 Array = NDArray[np.float64]
 
-_BEYOND = {"exponents": 2.0, "numbers": 0.5}
-"""Per cent of cells that may lie beyond an end of the scale: outliers must not flatten the rest."""
 BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
 """Colours of numbers below zero in a scale of both signs, from the largest to the smallest."""
 NEUTRAL = "#e4e2d6"
@@ -81,31 +80,9 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
         return painted
-    color = EXPONENT(norm(np.median(largest[quiet])))
-    texture = Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), without_dust(quiet))
-    entry = style.swatch(color, words.name_of(NO_IMPACT), texture.hatch, texture.ink)
-    at = len(painted.legend) - len(painted.textures)  # before the entry of what is lost
-    legend = [*painted.legend[:at], entry, *painted.legend[at:]]
-    return replace(painted, legend=legend, textures=[texture, *painted.textures])
-
-
-def scale_ends(largest: Array) -> tuple[float, float]:
-    """The ends of the scale's two halves, below and above zero, each as far out as all but 2 % of its cells need.
-
-    A half without cells is as long as the other.
-    """
-    finite = largest[np.isfinite(largest)]
-    low, high = _reach(-finite[finite < 0]), _reach(finite[finite > 0])
-    return -(low or high or 1.0), high or low or 1.0
-
-
-def _reach(sizes: Array) -> float:
-    """How far a half of the scale goes: the percentile, rounded up to two digits."""
-    if sizes.size == 0:
-        return 0.0
-    reach = float(np.percentile(sizes, 100.0 - _BEYOND["exponents"]))
-    digit = 10.0 ** (np.floor(np.log10(reach)) - 1.0)
-    return float(np.ceil(reach / digit - 1e-9) * digit)
+    color, name = EXPONENT(norm(np.median(largest[quiet]))), words.name_of(NO_IMPACT)
+    texture = Texture.on(color, quiet, style.HATCH[NO_IMPACT], name, without_dust(quiet))
+    return replace(painted, textures=[texture, *painted.textures])
 
 
 def two_sided(page: Page, low: float, high: float) -> TwoSlopeNorm:
@@ -179,12 +156,9 @@ def _scaled(regime: NDArray[np.int8], values: Array, bar: Bar, others: Sequence[
     Exponents of -inf, which are off any scale, have a texture over its lowest colour.
     """
     painted = classes.colored(regime, others, None, on_scale(values, bar.norm, bar.colormap), ~np.isnan(values))
-    color, lost = bar.colormap(0.0), np.isneginf(values)
-    if not lost.any():
-        return replace(painted, bars=[bar])
-    texture = Texture(lost, style.LOST_HATCH, style.ink_on(color))
-    entry = style.swatch(color, r"$-\infty$: rest on a stop erases disturbances", texture.hatch, texture.ink)
-    return replace(painted, legend=[*painted.legend, entry], bars=[bar], textures=[texture])
+    lost, name = np.isneginf(values), r"$-\infty$: rest on a stop erases disturbances"
+    textures = [Texture.on(bar.colormap(0.0), lost, style.LOST_HATCH, name)] if lost.any() else []
+    return replace(painted, bars=[bar], textures=textures)
 
 
 def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> Colors:
@@ -194,21 +168,8 @@ def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> Colors:
 
 
 def color_norm(values: Array, log: bool, page: Page = STANDARD) -> Normalize:
-    """The scale of finite values, of positive ones where it is logarithmic: to percentiles near both ends.
-
-    A logarithmic one spans a decade at least. Without such values, it is any. Ends that the page gives are kept.
-    """
-    finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
-    low, high = (0.1, 1.0) if log else (0.0, 1.0)
-    if finite.size:
-        ends = _BEYOND["numbers"], 100.0 - _BEYOND["numbers"]
-        low, high = (float(end) for end in np.percentile(finite, ends))
-        if log:
-            # A scale within a decade has ticks that nobody reads.
-            low, high = min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
-        elif high <= low:
-            high = low + 1.0
-    low, high = page.ends(low, high)
+    """The scale of finite values, see ``number_ends``; ends that the page gives are kept."""
+    low, high = page.ends(*number_ends(values, log))
     if log and low <= 0.0:
         raise InputError(f"this scale is logarithmic: found vmin {low:g}, must be positive")
     return LogNorm(low, high) if log else Normalize(low, high)
@@ -258,8 +219,8 @@ def draw_bars(
     for place, bar in enumerate(bars):
         low, high = float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 1.0)
         values = bar.values[np.isfinite(bar.values) & (bar.values != 0.0)]  # zero has no logarithm, or its own name
-        ends = bool(np.any(values < low)), bool(np.any(values > high))
-        extend, mappable = _EXTEND[ends], ScalarMappable(bar.norm, bar.colormap)
+        beyond = int(np.any(values < low)) + 2 * int(np.any(values > high))
+        extend, mappable = ("neither", "min", "max", "both")[beyond], ScalarMappable(bar.norm, bar.colormap)
         if bar.title:
             share, gap = 1.0 / len(bars), 0.13 if len(bars) > 1 else 0.05
             inset = panels[0].inset_axes((1.03, place * share, 0.035, share - gap))
@@ -283,10 +244,6 @@ def draw_bars(
             bars[0].label, (1.065, 0.5), xycoords="axes fraction", xytext=(38.0 * page.scale, 0.0),
             textcoords="offset points", rotation=90, va="center", fontsize=mpl.rcParams["axes.labelsize"],
         )  # fmt: skip
-
-
-_EXTEND = {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}
-"""At which ends of a scale values lie beyond it, in the words of matplotlib's colour bars."""
 
 
 def _ticks(low: float, high: float, most: int) -> list[float]:

@@ -25,11 +25,8 @@ BAR_ASPECT = 28.0
 """Height of a colour bar over its width, as all pictures have it."""
 drawing = threading.Lock()
 """Held while something is drawn in one of several threads: Matplotlib's settings belong to the whole process."""
-
-
 LEAST_TYPE = 2.0
 """Points of the type of a legend: nobody reads a smaller one, and on pixels it takes no less room."""
-
 MOST_LEGEND = 0.9
 """Share of the height that a legend leaves no colour bar of."""
 
@@ -96,19 +93,14 @@ def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
     legend = ax.get_legend()
     if legend is None:
         return 0.0
-    handles: Any = legend.legend_handles
+    look: dict[str, Any] = {
+        "handles": legend.legend_handles, "labels": [text.get_text() for text in legend.get_texts()],
+        "title": legend.get_title().get_text() or None, "alignment": "left",
+        "loc": "lower left", "bbox_to_anchor": (left, 0.0), "borderaxespad": 0.3,
+    }  # fmt: skip
     size = mpl.rcParams["legend.fontsize"]
     while True:
-        made = drawn.legend(
-            handles=handles,
-            labels=[text.get_text() for text in legend.get_texts()],
-            title=legend.get_title().get_text() or None,
-            alignment="left",
-            loc="lower left",
-            bbox_to_anchor=(left, 0.0),
-            borderaxespad=0.3,
-            fontsize=size,
-        )
+        made = drawn.legend(fontsize=size, **look)
         extent = made.get_window_extent()
         share = float(extent.height / drawn.bbox.height)
         excess = max(share, float(extent.width / (drawn.bbox.width * (1.0 - left))))
@@ -127,7 +119,5 @@ def _bare(ax: Axes, ds: xr.Dataset) -> None:
     if not ax.get_images():  # an image fits even axes alone, on which a short logarithmic one does not differ
         for name, change in ((x, ax.set_xscale), (y, ax.set_yscale)):
             change("log" if is_log(ds, name) else "linear")
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-    ax.xaxis.set_visible(False)
-    ax.yaxis.set_visible(False)
+    for each in (*ax.spines.values(), ax.xaxis, ax.yaxis):
+        each.set_visible(False)

@@ -89,14 +89,13 @@ class _GradientHandler(HandlerPatch):
     """Draws the box of a ``Gradient`` in stripes."""
 
     def create_artists(self, legend, orig_handle, xdescent, ydescent, width, height, fontsize, trans):  # type: ignore[no-untyped-def]
-        shades, stripes = np.linspace(1.0, orig_handle.dark, 16), []
-        for k, shade in enumerate(shades):
-            color = shade * np.array(to_rgb(orig_handle.get_facecolor()))
-            left = -xdescent + k * width / shades.size
-            stripes.append(Rectangle((left, -ydescent), 1.02 * width / shades.size, height, color=color, linewidth=0))
-        frame = Rectangle((-xdescent, -ydescent), width, height, fill=False, edgecolor="#404040", linewidth=0.5)
-        for each in (*stripes, frame):
-            each.set_transform(trans)
+        color, shades = np.array(to_rgb(orig_handle.get_facecolor())), np.linspace(1.0, orig_handle.dark, 16)
+        step, look = width / shades.size, {"transform": trans}
+        stripes = [
+            Rectangle((k * step - xdescent, -ydescent), 1.02 * step, height, color=shade * color, linewidth=0, **look)
+            for k, shade in enumerate(shades)
+        ]
+        frame = Rectangle((-xdescent, -ydescent), width, height, **look, fill=False, edgecolor="#404040", linewidth=0.5)
         return [*stripes, frame]
 
 

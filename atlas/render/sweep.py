@@ -1,13 +1,13 @@
-"""Sweeps of one axis: section values of the gap coordinate over exponents; one sweep, or two together."""
+"""Pictures of one axis: sections over exponents, of one sweep or two; over shares, of all attractors; of branches."""
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -15,16 +15,35 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query import hysteresis, machine
+from atlas.query.attractors import branches as branches_of
 from atlas.query.attractors import leading
-from atlas.render import branch, maps, style, words
+from atlas.query.plane import Axis, rising
+from atlas.query.tidy import turns
+from atlas.query.window import spec_of_axis
+from atlas.render import classes, maps, style, words
 from atlas.render.fit import TITLE
-from atlas.render.maps import DrawnAxis
 from atlas.render.options import Wanted
-from atlas.render.page import Page
+from atlas.render.page import STANDARD, Page
 from atlas.spec.system import stored_system
-from workers.results import ERROR, LARGEST, NO_IMPACT, PENDING, PERIODIC, REGIME, REGIMES, SECTION, SPECTRUM
+from workers.results import (
+    ATTRACTOR,
+    ERROR,
+    LABEL,
+    LARGEST,
+    NO_IMPACT,
+    PENDING,
+    PERIODIC,
+    REGIME,
+    REGIMES,
+    SECTION,
+    SPECTRUM,
+)
 
-Panel: TypeAlias = Callable[[Axes, xr.Dataset, DrawnAxis, Page], None]
+if TYPE_CHECKING:
+    from atlas.branches.table import Branches
+
+Array = NDArray[np.float64]
+Panel: TypeAlias = Callable[[Axes, xr.Dataset, Axis, Page], None]
 """Draws one panel of a sweep from what was read of it."""
 
 LARGEST_LABEL = "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
@@ -34,6 +53,18 @@ SHADES = {hysteresis.MIRRORED: "#f0eedd", hysteresis.DIFFERENT: "#d6cdea"}
 """Colours of the ground where two sweeps end on mirror images, and on different motions."""
 EXPONENTS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
 """The colour of each exponent, largest first; those of systems with more begin again."""
+INTERVAL = ("share_low", "share_high")
+"""The ends of the interval of a share, which is drawn where an atlas has it."""
+_PALE, _POINT = 0.3, 2.0
+"""How opaque intervals are; the least diameter of a point in points of the page, which is still seen on white."""
+LABELS = {"share": "share of the\ninitial states", LARGEST.name: LARGEST_LABEL}
+INK = "#1a1a1a"
+"""The colour of branches."""
+DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
+"""Line styles of stable and of unstable parts."""
+_WIDTHS = {True: 1.1, False: 0.6}
+_MARKER = 3.6
+"""Size of an event's marker in points."""
 _HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
 """Height in inches of a figure with one panel, or two, less a share of its width; that share."""
 _FEW, _MANY = 2.2, 1.5
@@ -42,12 +73,11 @@ _FEW, _MANY = 2.2, 1.5
 
 def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The sweep as a figure, each panel only if the atlas holds its variable; InputError if it holds neither."""
-    panels: dict[str, Panel] = {SECTION.name: draw_section, LARGEST.name: _draw_largest}
-    panels = {name: panel for name, panel in panels.items() if name in ds and ds[name].size}
+    panels: dict[str, Panel] = {SECTION.name: _draw_section, LARGEST.name: _draw_largest}
+    panels = {name: panels[name] for name in held(panels, ds)}
     if not panels:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
-    # The error bars come with the exponents; an atlas of another origin may lack them.
-    read = line(ds, [*panels, *([ERROR.name] if ERROR.name in ds else [])])
+    read = line(ds, [*panels, *held([ERROR.name], ds)])  # an atlas of another origin may lack error bars
     return stack(ds, read, panels, regime_legend(read[0][REGIME.name].values), wanted)
 
 
@@ -58,11 +88,10 @@ def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
             "kind 'spectrum' draws the variable 'spectrum', which this atlas does not hold; "
             'see [solve] exponents = "spectrum"'
         )
-    has_section = SECTION.name in ds and ds[SECTION.name].size
-    panels: dict[str, Panel] = {SECTION.name: draw_section} if has_section else {}
+    panels: dict[str, Panel] = dict.fromkeys(held([SECTION.name], ds), _draw_section)
     panels[SPECTRUM.name] = _draw_spectrum
     read = line(ds, list(panels))
-    legend = regime_legend(read[0][REGIME.name].values) if has_section else []
+    legend = regime_legend(read[0][REGIME.name].values) if len(panels) > 1 else []
     for i in range(read[0][SPECTRUM.name].shape[-1]):
         legend.append(Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$"))
     return stack(ds, read, panels, legend, wanted)
@@ -78,11 +107,10 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
     assert against is not None
     hysteresis.check_same_axis(ds, against)
     atlases = (ds, against)
-    names = [name for name in (SECTION.name, LARGEST.name) if all(name in each and each[name].size for each in atlases)]
+    names = held((SECTION.name, LARGEST.name), *atlases)
     if not names:
         raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
-    optional = [name for name in hysteresis.COMPARED if all(name in each for each in atlases)]
-    (first, x), (second, _) = (line(each, [*names, *optional]) for each in atlases)
+    (first, x), (second, _) = (line(each, [*names, *held(hysteresis.COMPARED, *atlases)]) for each in atlases)
     found = hysteresis.compare(first, second)
 
     def panel(ax: Axes, name: str) -> None:
@@ -97,32 +125,75 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
             draw_points(ax, x, values, COLORS[number], size, zorder=2 + number)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
-        ax.set_ylabel(words.gap_label(stored_system(ds.attrs)) if name == SECTION.name else LARGEST_LABEL)
+            ax.set_ylabel(LARGEST_LABEL)
 
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
     legend: list[Artist] = [_dot(color, _direction(each, x.name), size) for color, each, size in sweeps]
-    meanings = {hysteresis.MIRRORED: "mirror images", hysteresis.DIFFERENT: "different motions"}
-    legend += [
-        Patch(facecolor=SHADES[what], edgecolor="#a9a4b8", linewidth=0.4, label=meaning)
-        for what, meaning in meanings.items()
-        if np.any(found == what)
-    ]
+    for what, meaning in ((hysteresis.MIRRORED, "mirror images"), (hysteresis.DIFFERENT, "different motions")):
+        if np.any(found == what):
+            legend.append(Patch(facecolor=SHADES[what], edgecolor="#a9a4b8", linewidth=0.4, label=meaning))
     return stack(ds, (first, x), panels, legend, wanted)
 
 
-def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, DrawnAxis]:
+def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
+    """The sections of all attractors in the colours of their regimes, under them their shares, or their exponents where
+    no sections are kept. Where its attractors are labelled the colours of orbits are those of their labels.
+
+    InputError where the atlas does not hold all attractors.
+    """
+    if ATTRACTOR not in ds.dims:
+        raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
+    known = branches_of(ds) if LABEL.name in ds else None
+    names = (held([SECTION.name], ds) or held([LARGEST.name], ds)) + ["share"]
+    panels = {name: _panel_of_attractors(name, known) for name in names}
+    ends = [name for name in INTERVAL if name in ds]
+    read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])])
+    regime, entries = read[0][REGIME.name].values, list[Artist]()
+    if known is not None:
+        label = read[0][LABEL.name].values
+        entries, regime = [*classes.branch_entries(known, label, ink=True)], regime[label < 0]
+    entries += regime_legend(regime)
+    if ends:
+        entries.append(Line2D([], [], color="#404040", alpha=_PALE, linewidth=0.7, label="95 % interval"))
+    return stack(ds, read, panels, entries, wanted)
+
+
+def figure_of_branches(branches: "Branches", page: Page = STANDARD) -> Figure:
+    """Branches as a figure of their own, under the title line of the other parameters."""
+    system, parameter = branches.system, branches.system.parameter(branches.along)
+    with page.context():
+        drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1)
+        entries = draw_branches(ax, branches, page)
+        symbol = words.shown_symbol(parameter.symbol, parameter.name)
+        ax.set_xlabel(f"{parameter.meaning.split(':')[0]} ${symbol}${words.unit_ending(parameter.unit)}")
+        ax.set_ylabel(words.gap_label(system))
+        ax.set_xlim(*branches.window)
+        ax.margins(y=0.06)
+        if page.title:
+            shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
+            ax.set_title(words.system_line(system, shown), loc="left", gid=TITLE)
+        page.legend(drawn, entries)
+    return drawn
+
+
+def held(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
+    """The variables among these that all of the atlases hold, with values."""
+    return [name for name in names if all(name in each and each[name].size for each in atlases)]
+
+
+def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, Axis]:
     """These variables and the regimes along the axis of a sweep in rising order, and that axis.
 
     The only place where the pictures of sweeps choose what they read.
     """
-    read, (x,) = maps.rising(ds[[*dict.fromkeys(variables), REGIME.name]])
+    read, (x,) = rising(ds[[*dict.fromkeys(variables), REGIME.name]])
     return read, x
 
 
 def stack(
     ds: xr.Dataset,
-    read: tuple[xr.Dataset, DrawnAxis],
+    read: tuple[xr.Dataset, Axis],
     panels: Mapping[str, Panel],
     legend: Sequence[Artist],
     wanted: Wanted,
@@ -146,8 +217,9 @@ def stack(
             panel(ax, cells, x, page)
             if name != SECTION.name:
                 ax.set_ylim(page.vmin, page.vmax)
-            elif branches is not None:
-                legend = [*legend, *branch.draw(ax, branches, page)]
+            else:
+                ax.set_ylabel(words.gap_label(stored_system(ds.attrs)))
+                legend = [*legend, *(draw_branches(ax, branches, page) if branches else [])]
             maps.scale_x(ax, x, label=ax is plots[-1])
         drawn.align_ylabels(plots)
         if page.title:
@@ -156,18 +228,16 @@ def stack(
     return drawn
 
 
-def draw_section(ax: Axes, ds: xr.Dataset, x: DrawnAxis, page: Page) -> None:
-    """The bifurcation diagram: section values of the gap coordinate in the colours of their regimes."""
+def _draw_section(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
     regime = ds[REGIME.name].values
     section = machine.gap_values(ds, x.name, ds[SECTION.name])
     for code in np.unique(regime[regime != PENDING]):
         least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
         shown = np.where((regime == code)[:, None], section, np.nan)
         draw_points(ax, x, shown, style.INK[int(code)], point_size(x, least, page))
-    ax.set_ylabel(words.gap_label(stored_system(ds.attrs)))
 
 
-def _draw_largest(ax: Axes, ds: xr.Dataset, x: DrawnAxis, page: Page) -> None:
+def _draw_largest(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
     regime, largest = ds[REGIME.name].values, ds[LARGEST.name].values
     finite = np.where(np.isfinite(largest), largest, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
@@ -180,7 +250,7 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: DrawnAxis, page: Page) -> None:
     _mark_lost(ax, x, np.isneginf(largest), LARGEST_LABEL, r"(▾: $-\infty$)")
 
 
-def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: DrawnAxis, page: Page) -> None:
+def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     finite = np.where(np.isfinite(spectrum), spectrum, np.nan)
@@ -193,7 +263,39 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: DrawnAxis, page: Page) -> None:
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 
-def _mark_lost(ax: Axes, x: DrawnAxis, lost: Any, label: str, note: str) -> None:
+def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
+    """Section values or one number of every attractor; those of larger share lie on top."""
+
+    def draw(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
+        for k in reversed(range(ds.sizes[ATTRACTOR])):
+            here, section = ds.isel({ATTRACTOR: k}), name == SECTION.name
+            values = machine.gap_values(here, x.name, here[name]) if section else here[name].values
+            size = point_size(x, 0.6 * _POINT if section else _POINT, page)
+            for cells, color in _groups(here, known):
+                if name == "share" and INTERVAL[0] in here:
+                    shown = np.isfinite(values) & cells
+                    low, high = (here[end].values[shown] for end in INTERVAL)
+                    look: dict[str, Any] = {"color": color, "linewidth": 0.7, "alpha": _PALE, "rasterized": True}
+                    ax.vlines(x.values[shown], low, high, zorder=2, **look)
+                own = np.where(cells[:, None] if section else cells, values, np.nan)
+                draw_points(ax, x, own, color, size, "o")
+        ax.set_ylabel(LABELS.get(name, ""))
+
+    return draw
+
+
+def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArray[np.bool_], str]]:
+    """Which cells have an attractor of one colour, and that colour; ``here`` is of one attractor a cell."""
+    regime = here[REGIME.name].values
+    label = here[LABEL.name].values if known is not None else np.full(regime.shape, -1)
+    for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
+        yield (regime == code) & (label < 0), style.INK[int(code)]
+    colors = np.array(classes.branch_colors(known, ink=True) if known is not None else [], dtype=str)
+    for color in np.unique(colors[label[label >= 0]]):
+        yield (label >= 0) & (colors[np.maximum(label, 0)] == color), str(color)
+
+
+def _mark_lost(ax: Axes, x: Axis, lost: Any, label: str, note: str) -> None:
     """Mark cells with an exponent of -inf, which has no place on the axis, at its foot, and label the axis."""
     if lost.any():
         foot = np.full(lost.sum(), 0.015)
@@ -201,33 +303,47 @@ def _mark_lost(ax: Axes, x: DrawnAxis, lost: Any, label: str, note: str) -> None
     ax.set_ylabel(f"{label}\n{note}" if lost.any() else label)
 
 
+def draw_branches(ax: Axes, branches: "Branches", page: Page) -> list[Artist]:
+    """Draw branches, those of mirror images too, with their events, and return the legend entries of what is there."""
+    lines: dict[bool, list[Array]] = {True: [], False: []}
+    events: dict[str, list[Array]] = {}
+    for branch in branches.traced:
+        at = {id(point): k for k, point in enumerate(branch.run.points)}
+        for values in branches.gap_values(branch):
+            for stable, part in branch.parts:
+                lines[stable] += [np.column_stack([branch.values[part], column]) for column in values[part].T]
+            for event in branch.run.events:
+                k = at[id(event.point)]
+                places = np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
+                events.setdefault(event.kind, []).append(places)
+    entries: list[Artist] = []
+    for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
+        if lines[stable]:
+            width, dashes = _WIDTHS[stable] * page.scale, DASHES[stable]
+            ax.add_collection(
+                LineCollection(lines[stable], colors=INK, linewidths=width, linestyles=[dashes], zorder=4)
+            )
+            entries.append(Line2D([], [], color=INK, linewidth=width, linestyle=dashes, label=label))
+    for kind in [kind for kind in style.LOOKS if kind in events]:
+        look = style.event_look(kind, _MARKER * page.scale)
+        ax.plot(*np.concatenate(events[kind]).T, zorder=5, **look)
+        entries.append(Line2D([], [], **look))
+    ax.autoscale_view()
+    return entries
+
+
 def color_of(i: int) -> str:
     """The colour of an exponent by its number, the largest being 0."""
     return EXPONENTS[i % len(EXPONENTS)]
 
 
-def turns(spectrum: NDArray[np.float64], width: float) -> NDArray[np.bool_]:
-    """Which exponents (n, m) are drawn on top along a sweep: all that stand alone, and of equal ones, within a width,
-    each in turn, so that their points alternate like the strands of a braid.
-    """
-    n, m = spectrum.shape
-    stretch = np.arange(n) // max(1, n // 60)
-    apart = np.abs(np.diff(spectrum, axis=1)) > width
-    group = np.concatenate([np.zeros((n, 1), int), np.cumsum(apart, axis=1)], axis=1)
-    shown = np.empty((n, m), dtype=bool)
-    for i in range(m):
-        mine = group == group[:, i : i + 1]
-        shown[:, i] = stretch % mine.sum(axis=1) == mine[:, :i].sum(axis=1)
-    return shown
-
-
-def point_size(x: DrawnAxis, least: float, page: Page) -> float:
+def point_size(x: Axis, least: float, page: Page) -> float:
     """The diameter of a point in points: wider than a cell, but within what is seen and what tells points apart."""
     return float(np.clip(1.6 * page.plot_size(1.0)[0] / x.values.size, least, 4.0))
 
 
 def draw_points(
-    ax: Axes, x: DrawnAxis, values: NDArray[np.float64], color: str, size: float, marker: str = ".", zorder: float = 3
+    ax: Axes, x: Axis, values: Array, color: str, size: float, marker: str = ".", zorder: float = 3
 ) -> None:
     """Draw the values of cells (N,) or (N, n) that are finite as points, ``size`` in points."""
     at = np.broadcast_to(x.values if values.ndim == 1 else x.values[:, None], values.shape)
@@ -247,9 +363,5 @@ def _dot(color: str, label: str, size: float) -> Line2D:
 
 
 def _direction(ds: xr.Dataset, name: str) -> str:
-    try:
-        (found,) = (axis.get("continuation") for axis in json.loads(ds.attrs["spec"])["axes"] if axis["name"] == name)
-    except (KeyError, TypeError, ValueError):
-        found = None
-    direction = {"forward": "rising", "backward": "falling"}.get(str(found))
+    direction = {"forward": "rising", "backward": "falling"}.get(str(spec_of_axis(ds, name).get("continuation")))
     return f"{direction} ${words.symbol(ds, name)}$" if direction else "each cell from its own start"

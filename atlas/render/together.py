@@ -16,14 +16,16 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query.compare import Comparison, differences
+from atlas.query.compare import Comparison, differences, differing
+from atlas.query.ends import scale_ends
+from atlas.query.plane import Plane
 from atlas.query.reads import counted
 from atlas.query.resample import view as in_view
 from atlas.query.window import Window, axis_names, within
 from atlas.render import maps, scales, style, words
 from atlas.render.fit import OWN_TITLE, TITLE
 from atlas.render.kinds import TABLE
-from atlas.render.maps import Colors, Plane
+from atlas.render.maps import Colors
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
 from workers.results import LARGEST, PENDING, REGIME, REGIMES
@@ -85,15 +87,15 @@ def side_by_side(
     with counted() as reads, page.context():
         views = [maps.read(chosen, ds, Wanted(sheet.panel)) for ds in shown]
         drawn, panels = sheet.draw()
-        differing = _differing(shown)
-        _head(drawn, page, words.title_line(shown[0].drop_vars(differing)), max(reads.block))
+        changed = differing(shown)
+        _head(drawn, page, words.title_line(shown[0].drop_vars(changed)), max(reads.block))
         known = norm = None
         if chosen.name == "exponent":
             known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
-            norm = scales.two_sided(page, *scales.scale_ends(known))
+            norm = scales.two_sided(page, *scale_ends(known))
         entries: dict[str, Artist] = {}
         for k, (ax, view) in enumerate(zip(panels, views, strict=True)):
-            title = sheet.panel_title(shown[k], differing, names[k] if names else f"{k + 1}")
+            title = sheet.panel_title(shown[k], changed, names[k] if names else f"{k + 1}")
             ax.set_title(title, loc="left", gid=OWN_TITLE)
             painted = chosen.painter(view) if norm is None else chosen.painter(view, norm)
             for entry in maps.lay(ax, view, painted):
@@ -148,10 +150,10 @@ class _Sheet:
             empty.remove()
         return drawn, panels[: self.count]
 
-    def panel_title(self, ds: xr.Dataset, differing: Sequence[str], name: str) -> str:
+    def panel_title(self, ds: xr.Dataset, changed: Sequence[str], name: str) -> str:
         """The parameters that differ, or the name in lines that are not wider than a map."""
-        if differing:
-            return _values(ds, differing)
+        if changed:
+            return _values(ds, changed)
         letters = self.panel.map_size[0] / (0.6 * self.page.font)
         return textwrap.fill(name, max(4, int(letters)))
 
@@ -187,12 +189,6 @@ def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
         if not lacking:
             return chosen
     raise InputError(f"kind {chosen!r} draws {variable!r}, which atlas {lacking[0]} lacks")
-
-
-def _differing(atlases: Sequence[xr.Dataset]) -> list[str]:
-    """The fixed parameters that are not the same in all of them."""
-    fixed = [str(n) for n in atlases[0].coords if all(n in ds.coords and ds[n].ndim == 0 for ds in atlases)]
-    return [n for n in fixed if len({str(ds[n].values) for ds in atlases}) > 1]
 
 
 def _values(ds: xr.Dataset, names: Iterable[str]) -> str:

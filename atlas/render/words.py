@@ -7,6 +7,7 @@ from functools import lru_cache
 import xarray as xr
 from matplotlib.mathtext import MathTextParser
 
+from atlas.query.plane import Meaning
 from atlas.spec.system import stored_system
 from workers.model.system import System
 from workers.results import REGIMES
@@ -32,20 +33,13 @@ def shown_symbol(symbol: str, name: str) -> str:
 
 def symbol(ds: xr.Dataset, name: str) -> str:
     """The symbol of an atlas's parameter as mathtext, without the dollars."""
-    return shown_symbol(_attribute(ds, name, "symbol", "symbol"), name)
+    return shown_symbol(Meaning.of(ds, name).symbol, name)
 
 
-def axis_label(ds: xr.Dataset, name: str) -> str:
+def axis_label(name: str, meaning: Meaning) -> str:
     r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none."""
-    meaning = _attribute(ds, name, "long_name", "meaning").split(":")[0]
-    return f"{meaning} ${symbol(ds, name)}${unit_ending(_attribute(ds, name, 'units', 'unit') or '1')}".strip()
-
-
-def _attribute(ds: xr.Dataset, name: str, stored: str, known: str) -> str:
-    """An attribute of a coordinate, or where it lacks that, of the parameter that the atlas's system has."""
-    system = stored_system(ds.attrs)
-    found = [getattr(p, known) for p in system.parameters if p.name == name] if system else []
-    return str(ds[name].attrs.get(stored) or (found[0] if found else ""))
+    symbol = shown_symbol(meaning.symbol, name)
+    return f"{meaning.words.split(':')[0]} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
 
 
 def variable_label(ds: xr.Dataset, name: str) -> str:

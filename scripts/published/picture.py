@@ -1,18 +1,36 @@
 """How pictures of entries are drawn and written: with the provenance that every picture of these pages has."""
 
 from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from cycler import cycler
 from matplotlib.figure import Figure
 
 import atlas
 from atlas.render.provenance import Provenance, computed_here, metadata, provenance_of
+from atlas.render.style import house
 
 DPI = 150
 Bounds = Mapping[str, tuple[str, Callable[[float], float]]]
+COLORS = ("#0a6ebd", "#e8701a", "#00785a", "#8a1c7c")
+"""Colours of lines, which differ without red or green receptors too."""
+
+
+def in_house_style(draw: Callable[[Path], None]) -> Callable[[Path], None]:
+    """Draw lines in the type and the line widths of all other pictures."""
+
+    @wraps(draw)
+    def styled(path: Path) -> None:
+        settings: Any = house(1.0) | {"axes.prop_cycle": cycler(color=COLORS)}
+        with mpl.rc_context(settings):
+            draw(path)
+
+    return styled
 
 
 def save(figure: Figure, path: Path, title: str, spec: Mapping[str, Any]) -> None:

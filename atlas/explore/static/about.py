@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.cell.command import point_words
 from atlas.query.extremes import regimes_with
+from atlas.query.plane import Axis as PlaneAxis
 from atlas.render import words
 from atlas.render.coded import text_of
-from atlas.render.maps import DrawnAxis
 from atlas.spec.attractors import resolved_attractors
 from atlas.spec.axis import Axis, spaced_again
 from atlas.spec.citation import bibtex, computed_by
@@ -27,7 +27,7 @@ _PROVENANCE = {
 """The attributes of a store that a page lists, and their names there."""
 
 
-def described(ds: "xr.Dataset", header: Header, axes: tuple[DrawnAxis, DrawnAxis]) -> dict[str, Any]:
+def described(ds: "xr.Dataset", header: Header, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
     """What the page's program knows of an atlas, as plain JSON."""
     record, place = header.spec.record, ds.attrs.get(ATTRACTOR)
     names = {regime.code: words.name_of(regime.code) for regime in REGIMES}
@@ -96,11 +96,11 @@ def citation(ds: "xr.Dataset", header: Header) -> str:
     return bibtex(header.spec.record, computed_by(str(ds.attrs.get("software", ""))), header.solver_version)
 
 
-def _axis(ds: "xr.Dataset", axis: DrawnAxis) -> dict[str, Any]:
+def _axis(ds: "xr.Dataset", axis: PlaneAxis) -> dict[str, Any]:
     return {
         "name": axis.name,
         "symbol": _symbol(ds, axis.name),
-        "label": text_of(axis.label),
+        "label": text_of(words.axis_label(axis.name, axis.meaning)),
         "log": axis.log,
         "values": axis.values.tolist(),
         "edges": axis.edges.tolist(),

@@ -16,13 +16,13 @@ from atlas.explore.static import about
 from atlas.explore.static.numbers import Packed, fit, pack
 from atlas.query.attractors import leading, of_all, one
 from atlas.query.export import check_writable, written_whole
+from atlas.query.plane import rising
 from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.query.source import find_part
 from atlas.query.window import axis_names, refuse_table
 from atlas.render.coded import CodedMap, coded_maps, curves_over
 from atlas.render.drawing import check_units
-from atlas.render.maps import rising
 from atlas.text import byte_size
 from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
 

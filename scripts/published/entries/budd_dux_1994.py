@@ -17,7 +17,7 @@ from atlas.spec.spec import Spec
 from scripts.published.entry import Entry, Statement
 from scripts.published.finding import PERIODIC, cell, event
 from scripts.published.one_impact import OneImpact
-from scripts.published.picture import save
+from scripts.published.picture import in_house_style, save
 from workers import solve_tile
 
 R = 0.8
@@ -55,6 +55,7 @@ def statements() -> list[Statement]:
 CLOSED_DOUBLE = "closed form; a double multiplier, which rounding splits by 1e-8"
 
 
+@in_house_style
 def draw(path: Path) -> None:
     """The ellipses of the (1, 1) orbits and the cells that reach them."""
     system = Spec.from_toml(EXAMPLE).record

@@ -15,7 +15,7 @@ from atlas.cell.orbit import cell_orbit
 from scripts.published.entry import Entry, Statement
 from scripts.published.finding import PERIODIC, cell, event, largest_difference
 from scripts.published.one_impact import OneImpact
-from scripts.published.picture import save
+from scripts.published.picture import COLORS, in_house_style, save
 from workers import trace
 
 ZETA, R = 0.05, 0.8
@@ -53,6 +53,7 @@ def statements() -> list[Statement]:
     ]  # fmt: skip
 
 
+@in_house_style
 def draw(path: Path) -> None:
     """Three orbits of the branch in (x1, x2), and the curve of grazes in (A, w), over the demo's axes."""
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
@@ -60,13 +61,15 @@ def draw(path: Path) -> None:
     for k, A in enumerate((1.0, 0.5, 0.1001)):
         x, v = cell_orbit(GIVEN | {"A": A}, "single-mass", PERIODIC).states.T
         left.plot(x, v, color=f"C{k}", lw=1.2, label=f"$A = {A:g}$")
-    left.axvline(1.0, color="black", lw=1.5)
-    left.set(xlabel="$x_1$", ylabel="$x_2$", xlim=(-1.5, 2.0), ylim=(-2.0, 2.0))
-    left.legend(frameon=False, fontsize="small")
+    left.axvline(1.0, color="black", lw=1.5, label="stop")
+    left.set(xlabel="displacement $x_1$", ylabel="velocity $x_2$", xlim=(-1.5, 2.0), ylim=(-2.0, 2.0))
+    left.legend(loc="lower left")
     omega = np.linspace(0.0, 1.5, 301)
     right.plot([graze(w) for w in omega], omega, color="black", lw=1.0)
-    right.plot([grazing(w) for w in FREQUENCIES], FREQUENCIES, "o", ms=5, color="C3")
-    right.set(xlabel="$A$", ylabel=r"$\omega$", xlim=(0.0, 1.0), ylim=(0.0, 1.5))
+    right.plot([grazing(w) for w in FREQUENCIES], FREQUENCIES, "o", ms=5, color=COLORS[3])
+    right.set(
+        xlabel="amplitude of the force $A$", ylabel=r"forcing frequency $\omega$", xlim=(0.0, 1.0), ylim=(0.0, 1.5)
+    )
     save(figure, path, "single-mass, orbits and grazes of COCO's example", GIVEN)
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from scripts.published.entry import Entry, Statement
 from scripts.published.finding import cell, event
-from scripts.published.picture import save
+from scripts.published.picture import in_house_style, save
 from workers import Settings, solve_tile
 
 FORCES = (1.4, 2.0, 3.0, 5.0)
@@ -60,6 +60,7 @@ def statements() -> list[Statement]:
     return found
 
 
+@in_house_style
 def draw(path: Path) -> None:
     """Amplitude over the frequency, as his diagram has it."""
     figure = Figure(figsize=(5.0, 3.4), layout="constrained")

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scripts.published.entry import Entry, Statement
 from scripts.published.finding import curves_of
 from scripts.published.one_impact import OneImpact
-from scripts.published.picture import save
+from scripts.published.picture import in_house_style, save
 
 EXAMPLE = "simpson-ghosh-2026"
 ZETA, R = 0.05, 0.8
@@ -64,6 +64,7 @@ def measured(curves: Any, kind: str, n: int, reach: float) -> float:
     return float(np.polyfit(away[near], quotient, 2)[-1])
 
 
+@in_house_style
 def draw(path: Path) -> None:
     """The curves near the resonant graze: computed points on the closed forms."""
     curves, figure = curves_of(EXAMPLE), Figure(figsize=(5.0, 3.4), layout="constrained")

@@ -1,15 +1,13 @@
-"""Where names have room in regions of cells, and which lines run side by side. Lengths are in points."""
+"""Where a name has room in a region of cells, and which lines run side by side. Lengths are in points."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
-
-from atlas.render import maps, style
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
@@ -17,34 +15,40 @@ Cells = NDArray[np.bool_]
 _LEAST_AREA = 120.0
 """Square points of a region that a name beside it may point to."""
 _FARTHEST = 100.0
-"""Length of the arrow from such a name, at most."""
+"""Distance of such a name, at most."""
 _STEP = 2.0
 """Distance between the points of a line that are looked at."""
 _SHORTEST = 21
 """Such points over which the majority decides: dashes begin anew with each part, and lines that cross stay whole."""
 
 
-def name_regions(
-    ax: Axes,
-    plane: maps.Plane,
-    named: Iterable[tuple[Cells, str, str]],
+class Place(NamedTuple):
+    """Where a name stands: its number among those given, the cell (row, column) under its middle, its size of type, its
+    angle in degrees, and for a name beside its region the cell of the region that it points to.
+    """
+
+    number: int
+    cell: tuple[int, int]
+    size: float
+    angle: float = 0.0
+    region: tuple[int, int] | None = None
+
+
+def places(
+    named: Sequence[tuple[Cells, str]],
+    step: Array,
     type_sizes: Sequence[float],
     most: int = 2,
     free: Cells | None = None,
-) -> None:
-    """Write names into the largest connected regions, at most ``most``, of sets of cells (y, x), where they fit.
+) -> Iterator[Place]:
+    """Where names stand in the largest connected regions, at most ``most``, of sets of cells (y, x), where they fit.
 
-    ``named``: cells, name, and the colour under the name. A name takes the first of ``type_sizes`` that fits. Where one
-    fits nowhere and ``free`` marks the cells (y, x) that a name may cover, it stands on the nearest of them, and an
-    arrow leads from there to its largest region. The plot must have its size already.
+    ``named``: cells and name; ``step``: height and width of a cell. A name takes the first of ``type_sizes`` that fits.
+    Where one fits nowhere and ``free`` marks the cells that a name may cover, it stands on the nearest of them, and
+    points to its largest region.
     """
-    if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
-        return  # cells differ in size, and distances in cells mean nothing
-    extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
-    step = np.array([extent.height, extent.width]) / dots / plane.regime.shape  # points per cell
-    at = np.indices(plane.regime.shape)
-    narrow: list[tuple[str, Sequence[np.intp]]] = []
-    for cells, name, color in named:
+    narrow: list[tuple[int, tuple[int, int]]] = []
+    for k, (cells, name) in enumerate(named):
         regions, _ = ndimage.label(cells)
         areas = np.bincount(regions.ravel())[1:] * step.prod()
         boxes, placed = ndimage.find_objects(regions), False
@@ -58,41 +62,38 @@ def name_regions(
                 spot = label_spot(region, step, half) if areas[number] >= 4.0 * half[0] * half[1] else None
                 if spot is None:
                     continue
-                row, column = (i + part.start for i, part in zip(spot[:2], boxes[number], strict=True))
-                ax.text(
-                    plane.x.values[column], plane.y.values[row], name, fontsize=size, ha="center", zorder=4,
-                    va="center_baseline", color=style.ink_on(color), rotation=spot[2],
-                )  # fmt: skip
+                cell = spot[0] + boxes[number][0].start, spot[1] + boxes[number][1].start
+                yield Place(k, cell, size, spot[2])
                 if free is not None:
-                    free = free & (_distance(at, (row, column), step) > np.hypot(*half))
+                    free = free & (_distance(free.shape, cell, step) > np.hypot(*half))
                 placed = True
                 break
         if not placed and areas.size and areas[largest[0]] >= _LEAST_AREA:
             inside = ndimage.distance_transform_edt(np.pad(regions == largest[0] + 1, 1))[1:-1, 1:-1]
-            narrow.append((name, np.unravel_index(int(np.argmax(inside)), inside.shape)))
+            narrow.append((k, _unravelled(np.argmax(inside), inside.shape)))
     if free is None:
         return
     size = type_sizes[min(1, len(type_sizes) - 1)]
-    for name, cell in narrow:
-        tall, wide = 0.75 * size, 0.3 * size * (len(name) + 1)
+    for k, region in narrow:
+        tall, wide = 0.75 * size, 0.3 * size * (len(named[k][1]) + 1)
         room = ndimage.minimum_filter(free, 1 + 2 * (np.array([tall, wide]) / step).astype(int), mode="constant")
-        far = _distance(at, cell, step)
+        far = _distance(free.shape, region, step)
         far = np.where(room & (far > wide), far, np.inf)
-        row, column = np.unravel_index(int(np.argmin(far)), far.shape)
-        if far[row, column] > _FARTHEST:
-            continue
-        free = free & (_distance(at, (row, column), step) > np.hypot(tall, wide))
-        ax.annotate(
-            name, (plane.x.values[cell[1]], plane.y.values[cell[0]]), (plane.x.values[column], plane.y.values[row]),
-            fontsize=size, ha="center", va="center", zorder=4, color=style.ink_on("white"),
-            arrowprops={"arrowstyle": "-|>,head_length=0.25,head_width=0.1", "linewidth": 0.5, "shrinkA": 0.5,
-                        "shrinkB": 0.0, "color": "#555555"},
-        )  # fmt: skip
+        cell = _unravelled(np.argmin(far), far.shape)
+        if far[cell] <= _FARTHEST:
+            free = free & (_distance(free.shape, cell, step) > np.hypot(tall, wide))
+            yield Place(k, cell, size, region=region)
 
 
-def _distance(at: NDArray[np.intp], cell: Sequence[np.intp], step: Array) -> Array:
-    """How far every cell (y, x) lies from one."""
-    return np.asarray(np.hypot((at[0] - cell[0]) * step[0], (at[1] - cell[1]) * step[1]))
+def _distance(shape: tuple[int, ...], cell: tuple[int, int], step: Array) -> Array:
+    """How far every cell (y, x) of a plane lies from one."""
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    return np.asarray(np.hypot((rows - cell[0]) * step[0], (columns - cell[1]) * step[1]))
+
+
+def _unravelled(index: np.intp, shape: tuple[int, ...]) -> tuple[int, int]:
+    row, column = np.unravel_index(index, shape)
+    return int(row), int(column)
 
 
 def label_spot(
@@ -136,7 +137,9 @@ def dense(line: Array) -> tuple[Array, Array]:
     return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)]), at
 
 
-def parts(lines: Sequence[Array], places: Sequence[Array], distance: float) -> Iterator[tuple[int, Array, bool]]:
+def crowded_parts(
+    lines: Sequence[Array], places: Sequence[Array], distance: float
+) -> Iterator[tuple[int, Array, bool]]:
     """Lines cut into parts: the number of the line, the part, and whether another line runs within ``distance`` of it.
 
     ``lines`` are (N, 2) each, ``places`` the same in points. Another part of the same line counts too where it is

@@ -1,0 +1,105 @@
+"""The cells of a plane as arrays (y, x) with both axes rising, and what its axes mean."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.query.window import LOG_SPAN, axis_names, cell_edges, is_log
+from atlas.spec.cells import is_uniform
+from atlas.spec.system import stored_system
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+Cells = NDArray[np.bool_]
+
+
+class Meaning(NamedTuple):
+    """What a coordinate means: in words, its symbol as mathtext, its CF unit; empty where unknown."""
+
+    words: str
+    symbol: str
+    unit: str
+
+    @classmethod
+    def of(cls, ds: "xr.Dataset", name: str) -> "Meaning":
+        """What the coordinate's attributes say, or, where it lacks one, the atlas's system."""
+        system, own = stored_system(ds.attrs), ds[name].attrs
+        known = next((p for p in system.parameters if p.name == name), None) if system else None
+        names = (("long_name", "meaning"), ("symbol", "symbol"), ("units", "unit"))
+        return cls(*(str(own.get(stored) or getattr(known, attribute, "")) for stored, attribute in names))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis: its points in rising order, their cells' edges, whether it is drawn in the logarithm, its meaning."""
+
+    name: str
+    values: Array
+    edges: Array
+    log: bool
+    meaning: Meaning
+
+    @property
+    def uniform(self) -> bool:
+        """Whether all cells are drawn equally wide on a linear scale."""
+        return not self.log and is_uniform(self.values)
+
+    def finer(self, times: int) -> "Axis":
+        """The axis with each cell cut into ``times`` that are drawn equally wide."""
+        scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
+        at = np.arange(2 * times * self.values.size + 1) / (2 * times)
+        every = back(np.interp(at, np.arange(self.edges.size), scale(self.edges)))
+        return replace(self, values=every[1::2], edges=every[::2])
+
+
+def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[Axis, ...]]":
+    """The dataset with every axis in rising order, and its axes, x first."""
+    names, axes = axis_names(ds), []
+    for name in names:
+        if np.any(np.diff(ds[name].values) <= 0):
+            ds = ds.sortby(name)
+    for name in names:
+        values = np.asarray(ds[name].values, dtype=np.float64)
+        log = is_log(ds, name) and values[-1] / values[0] >= LOG_SPAN
+        axes.append(Axis(name, values, cell_edges(ds, name), log, Meaning.of(ds, name)))
+    return ds, tuple(axes)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
+
+    x: Axis
+    y: Axis
+    regime: NDArray[np.int8]
+    values: Mapping[str, NDArray[Any]]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.values[name]
+
+    @classmethod
+    def of(cls, ds: "xr.Dataset", names: Sequence[str]) -> "Plane":
+        """The plane of a dataset that is read."""
+        ds, (x, y) = rising(ds)
+        return cls(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
+
+    @property
+    def determined(self) -> Cells:
+        """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
+        return ((self.regime >= NO_IMPACT) & (self.regime <= CHAOTIC)) | (self.regime == APERIODIC)
+
+    def known(self, name: str) -> Array:
+        """The values of a variable where the class of motion is known, NaN elsewhere."""
+        return np.where(self.determined, self[name], np.nan)
+
+    def finer(self, times: int) -> "Plane":
+        """The plane with each cell cut into ``times`` x ``times``."""
+        whole = {**self.values, REGIME.name: self.regime}
+        cut = {name: each.repeat(times, axis=0).repeat(times, axis=1) for name, each in whole.items()}
+        return Plane(self.x.finer(times), self.y.finer(times), cut.pop(REGIME.name), cut)
