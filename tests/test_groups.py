@@ -12,7 +12,6 @@ import pytest
 
 import atlas
 from atlas.check.verify import verify
-from atlas.curves.stored import put_part
 from atlas.curves.table import read_curves, write_curves
 from atlas.errors import ChunkError, InputError
 from atlas.labels.table import Count, Labels, stored_count, write_labels
@@ -20,7 +19,8 @@ from atlas.query.open import open_table
 from atlas.service.lease import CLAIM
 from atlas.service.progress import Progress
 from atlas.store import store
-from atlas.store.groups import ATTRACTORS, LABELS, write_table
+from atlas.store.groups import ATTRACTORS, CURVES, LABELS, write_table
+from atlas.store.parts import put_part
 from atlas.store.schema import StoredArray
 from atlas.store.sidecar import notes_of
 from atlas.store.tiles import read_tile, write_tile
@@ -39,7 +39,7 @@ def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = Path(shutil.copytree(solved_plane, tmp_path_factory.mktemp("groups") / "plane.zarr"))
     header = store.read_header(path)
     write_curves(header, BOTH)
-    put_part(header, "seed-0", b'{"found": []}')
+    put_part(header, CURVES, "seed-0", b'{"found": []}')
     make_plane(header, PLANE, {"digest": f"{PLANE}...", "parameters": {}})
     sheet = store.create(sheet_place(header, PLANE, "x0_y0_0_0"), header.spec, header.tile)
     write_tile(sheet, (0, 0), read_tile(header, (0, 0)))

@@ -16,6 +16,7 @@ from atlas.cli.curves import curves
 from atlas.cli.demo import demo
 from atlas.cli.explore import explore
 from atlas.cli.labels import label
+from atlas.cli.measures import measure
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import basin_measures, export, extremes, query, regions
@@ -118,6 +119,7 @@ for command in (
     compare,
     curves,
     label,
+    measure,
     render,
     figures,
     point,
