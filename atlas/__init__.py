@@ -8,8 +8,8 @@ a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the
 a plane, within the budget of ``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one
 branch from cell to cell; ``measure_attractors`` measures how stable the attractors of an atlas are.
 Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``stability`` measures how stable
-they are, ``portrait`` draws its motion, ``branch`` follows its orbit along a parameter, ``solve_tile`` takes arrays of
-parameters, ``trace`` gives a motion in time.
+they are, ``saddles`` finds the unstable orbits between their basins, ``portrait`` draws its motion, ``branch`` follows
+its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`` gives a motion in time.
 ``errors`` has what they raise.
 """
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         point,
         portrait,
         run,
+        saddles,
         stability,
         status,
         verify,
@@ -64,6 +65,7 @@ __all__ = [
     "point",
     "portrait",
     "run",
+    "saddles",
     "solve_tile",
     "stability",
     "status",

@@ -21,6 +21,7 @@ from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import basin_measures, export, extremes, query, regions
 from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
+from atlas.cli.saddles import saddles
 from atlas.cli.stability import stability
 from atlas.cli.store import cite, pack, status, verify
 from atlas.errors import InputError, RunError, one_line
@@ -124,6 +125,7 @@ for command in (
     figures,
     point,
     stability,
+    saddles,
     portrait,
     branch,
     explore,

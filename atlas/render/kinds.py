@@ -165,14 +165,15 @@ MOST_PANELS = 12
 MAP_OVERLAYS = ("grazing", "boundaries", "isolines", "curves")
 """Lines over a map: |Y| = b, borders of regimes, lines of equal exponent, the curves that its store keeps."""
 
-OVERLAYS = (*MAP_OVERLAYS, "branches")
-"""Lines over a picture: those of maps; over a sweep the branches of its orbits."""
+OVERLAYS = (*MAP_OVERLAYS, "saddles", "branches")
+"""Lines over a picture: those of maps; over basins their saddles; over a sweep the branches of its orbits."""
 
 OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
     "boundaries": "borders between regimes",
     "isolines": "lines of equal exponent",
     "curves": "the exact bifurcations and grazes that atlas curves has found in the store",
+    "saddles": "on basins of one mass: the unstable orbits between them, with the boundaries as stable manifolds",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
 """What each overlay shows, in the same words."""
@@ -263,6 +264,6 @@ def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-        if len(axes) != (2 if overlay in MAP_OVERLAYS else 1):
-            kind = "a map" if overlay in MAP_OVERLAYS else "a sweep"
+        if len(axes) != (1 if overlay == "branches" else 2):
+            kind = "a sweep" if overlay == "branches" else "a map"
             raise InputError(f"overlay {overlay!r} is drawn over {kind}, found {AXES[len(axes)]} ({', '.join(axes)})")

@@ -101,6 +101,12 @@ def _isolines(ax: Axes, view: View) -> list[Artist]:
     return [Line2D([], [], color="white", linewidth=1.0, path_effects=shadow, label=r"$\lambda_1$ constant")]
 
 
+def _saddles(ax: Axes, view: View) -> list[Artist]:
+    from atlas.render import saddles  # with it Numba
+
+    return saddles.draw(ax, view)
+
+
 def _level(value: float) -> str:
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
@@ -110,4 +116,5 @@ DRAW: dict[str, Callable[[Axes, View], list[Artist]]] = {
     "boundaries": _boundaries,
     "isolines": _isolines,
     "curves": curves.draw,
+    "saddles": _saddles,
 }

@@ -1,9 +1,9 @@
 """The stable manifold of a saddle of a map of the plane, grown point by point without the inverse of the map.
 
-The points z_0 (the saddle), z_1, ... of a branch lie on the manifold in order. A next one is looked for on a circle about
-the last one: there f maps a point of the manifold into the part that is known, since f draws the manifold towards the
-saddle. The directions of a fan about the last step are mapped, and the one whose image lies on the known polyline is
-found by sections of intervals. The radius Delta of the circle adapts to the angle alpha between steps: alpha below
+The points z_0 (the saddle), z_1, ... of a branch lie on the manifold in order. The next one is looked for on a circle
+about the last one: f maps it into the part that is known, since f draws the manifold towards the saddle. The directions
+of a fan about the last step are mapped, and the one whose image lies on the known polyline is found by sections of
+intervals. The radius Delta of the circle adapts to the angle alpha between steps: alpha below
 BEND, and Delta alpha below SAGITTA times the extent. Deviations across the manifold grow by f, so that an error of an
 image is smaller at its preimage: chords bound the accuracy, not the steps.
 
@@ -17,20 +17,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workers.model.oscillator import Array
 
 Map = Callable[[Array], Array]
 """Images (N, 2) of states (N, 2), NaN for states that are none."""
-Across = Callable[[Array, Array], Array | None]
-"""Where a branch goes on that meets a stop on the way from its last state (2,) along a step (2,); None if it does not."""
+Across = Callable[[Array, Array], tuple[Array, Array, Array] | None]
+"""Of a state (2,) and a step (2,) that meets a stop: the state there, the one at which the branch goes on, and the
+direction away from the stop; None if there is no stop on the way.
+"""
 
 FIRST, SHORTEST, LONGEST = 1e-4, 1e-7, 1e-2
 """Steps relative to the extent of the picture: the first, the shortest and the longest."""
 BEND, STRAIGHT, SAGITTA = 0.3, 0.1, 1e-5
 """Largest angle between steps; that below which a step may double; largest Delta alpha relative to the extent."""
-FAN, WIDE = np.pi / 4.0, np.pi / 2.0
-"""Half of the fan of directions; after a stop."""
+FAN, WIDE = np.pi / 4.0, 0.8 * np.pi
+"""Half of the fan of directions; at a sharp bend, and after a stop."""
 DIRECTIONS, ROUNDS = 17, 9
 """Directions that are mapped at once, and rounds, each in the interval that the last one has found."""
 ON = 1e-7
@@ -84,6 +87,9 @@ def grow(
                 step *= 0.5
                 continue
             beyond = across(branch.points[-1], 2.0 * step * heading)
+            if beyond is None and half < WIDE:
+                half = WIDE
+                continue
             if beyond is None:
                 branch.end = LOST
                 return branch
@@ -116,25 +122,32 @@ def _next(
     first, last = points[:-1], points[1:]
     real = np.ones(len(first), dtype=np.bool_)
     real[[k - 1 for k in branch.breaks]] = False
-    segments = np.flatnonzero(real & (np.arange(len(first)) >= at - 1))
+    known = np.flatnonzero(real & (np.arange(len(first)) >= at - 1))
     base = np.arctan2(heading[1], heading[0])
-    low, high = base - half, base + half
-    point, place = points[-1], -1
+    centre, place = base, -1
     for _ in range(ROUNDS):
-        angle = np.linspace(low, high, DIRECTIONS)
-        circle = points[-1] + step * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        images = image(circle)
+        angle = np.linspace(centre - half, centre + half, DIRECTIONS)
+        images = image(points[-1] + step * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        segments = known[_near(images, first[known], last[known])]
         hit = _crossing(images, first[segments], last[segments], np.abs(angle - base))
-        if hit is None:
-            return None
-        k, share, segment = hit
-        low, high = angle[k], angle[k + 1]
-        middle = low + share * (high - low)
-        point, place = points[-1] + step * np.array([np.cos(middle), np.sin(middle)]), int(segments[segment])
-        if step * (high - low) <= 0.01 * tolerance:
+        if hit is None:  # at last the images differ by rounding alone
             break
+        k, share, segment = hit
+        centre, place = angle[k] + share * (angle[k + 1] - angle[k]), int(segments[segment])
+        half /= 2.0 * DIRECTIONS
+        if step * half <= 0.01 * tolerance:
+            break
+    if place < 0:
+        return None
+    point = points[-1] + step * np.array([np.cos(centre), np.sin(centre)])
     away = _distance(image(point[None])[0], first[place], last[place])
     return (point, place) if away <= tolerance else None
+
+
+def _near(images: Array, first: Array, last: Array) -> NDArray[np.int64]:
+    """Which segments (S, 2) may meet a polyline of images (D, 2): their boxes meet its box."""
+    low, high = np.nanmin(images, axis=0, initial=np.inf), np.nanmax(images, axis=0, initial=-np.inf)
+    return np.flatnonzero(np.all((np.maximum(first, last) >= low) & (np.minimum(first, last) <= high), axis=1))
 
 
 def _crossing(images: Array, first: Array, last: Array, turn: Array) -> tuple[int, float, int] | None:

@@ -43,11 +43,11 @@ def saddles(
 
     ``given``, ``starts`` and ``norm`` as in ``atlas.stability``; attractors have the places that ``atlas.attractors``
     gives them. Each of ``saddles`` has its ``period``; ``between``, the two attractors whose basins meet at it;
-    ``multipliers`` as [real, imaginary], one of them outside the unit circle; ``states``, its section states; ``normal``
-    of the boundary at each, a unit vector in the norm's coordinates w z; for one mass ``slopes``, dv/dx along the
-    boundary at each. With ``manifolds``, for one mass, ``manifold``: lines, lists of states (x, v) in order, that are
-    the boundary within ``box``, (low, high) of x and v, by default that of the initial states; and ``ends``, why its
-    branches end. ``troubles`` has boundaries on which no saddle was found, in words.
+    ``multipliers`` as [real, imaginary], one of them outside the unit circle; ``states``, its section states; the
+    ``normal`` of the boundary at each, a unit vector in the norm's coordinates w z; for one mass ``slopes``, dv/dx
+    along the boundary at each. With ``manifolds``, for one mass, ``manifold``: lines, lists of states (x, v) in order,
+    that are the boundary within ``box``, (low, high) of x and v, by default that of the initial states; and ``ends``,
+    why its branches end. ``troubles`` has boundaries on which no saddle was found, in words.
     Raises InputError as ``atlas.stability`` does, for manifolds of more than one mass, and where a coordinate drifts.
 
     >>> import atlas
@@ -55,18 +55,31 @@ def saddles(
     >>> [(each["period"], each["between"]) for each in found["saddles"]]
     [(1, [0, 1])]
     """
-    from atlas.robustness.saddle import saddles_of
-    from workers.attractors.basins import Table
-
     record, settings = checked_system(system), settings or Settings()
-    refuse_drift(record, "saddles")
     parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
     search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
     assert search is not None
+    return saddles_between(record, parameters, settings, search, weights, manifolds, box)
+
+
+def saddles_between(
+    record: System,
+    parameters: Mapping[str, float],
+    settings: Settings,
+    search: Starts,
+    norm: Mapping[str, float] | None = None,
+    manifolds: bool = False,
+    box: Box | None = None,
+) -> dict[str, Any]:
+    """``saddles`` of checked values."""
+    from atlas.robustness.saddle import saddles_of
+    from workers.attractors.basins import Table
+
+    refuse_drift(record, "saddles")
     if manifolds and len(record.states) != 2:
         raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
     table = Table(record, parameters, settings, search)
-    w = weights_of(weights, record, float(table.oscillators.period[0]))
+    w = weights_of(norm or {}, record, float(table.oscillators.period[0]))
     tracked = saddles_of(table, w)
     each = [_described(saddle) for saddle in tracked.saddles]
     if manifolds:

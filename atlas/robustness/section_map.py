@@ -1,5 +1,7 @@
 """The map of one machine over forcing periods, from physical section states to physical section states."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from atlas.robustness.linear import one_period
@@ -17,11 +19,12 @@ class SectionMap:
 
     def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
+        self.many = lru_cache(maxsize=4)(lambda count: taken(oscillator, np.zeros(count, dtype=np.int64)))
 
     def orbits(self, states: Array, periods: int) -> Array:
         """The states (N, periods + 1, 2n) of motions from states (N, 2n); NaN beyond a stop, and where one ends."""
-        many = taken(self.oscillator, np.zeros(len(states), dtype=np.int64))
-        motions, reasons = begin(many, np.full(len(states), NO_REASON, dtype=np.int8), states)
+        many = self.many(len(states))
+        motions, reasons = begin(many, np.full(len(states), NO_REASON, dtype=np.int8), np.ascontiguousarray(states))
         found = sections_from(many, motions, np.where(reasons == NO_REASON, periods + 1, 0))
         return np.asarray(found) if found.shape[1] else np.full((len(states), periods + 1, states.shape[1]), np.nan)
 

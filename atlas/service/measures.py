@@ -118,8 +118,8 @@ def measure_attractors(
         header = read_header(waiting(place_of(store), options.patience))
         check_store(header)
         weights = checked_weights(norm, header.spec.record)
-        options.report(Progress("reading the cells"))
-        wanted = _requests(header, shocks, margin, weights, checked_scale(header, scale) if margin else {})
+        of_margin = margin_request(header, checked_scale(header, scale)) if margin else None
+        wanted = _requests(header, shocks, of_margin, weights)
         stored = _still_true(read_measures(header), wanted)
         missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
         if not missing:
@@ -147,9 +147,7 @@ def measure_attractors(
         return MeasureSummary(str(header.place), summary_of(ordered), found.requests, seconds, busy, tasks)
 
 
-def _requests(
-    header: Header, shocks: bool, margin: bool, norm: Mapping[str, float], scale: Mapping[str, float]
-) -> dict[str, Request]:
+def _requests(header: Header, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
     """What is asked of each family; ``content`` is a digest of all else that its measures depend on."""
     if shocks and not header.spec.coexistence:
         raise InputError(f"{header.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
@@ -157,9 +155,7 @@ def _requests(
     found: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
     if shocks:
         found[SHOCKS] = {"content": content, "norm": dict(norm)}
-    if margin:
-        found[MARGIN] = margin_request(header, scale)
-    return found
+    return found if margin is None else found | {MARGIN: margin}
 
 
 def _still_true(stored: Stored, wanted: Mapping[str, Request]) -> Stored:
