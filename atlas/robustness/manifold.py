@@ -34,7 +34,7 @@ BEND, STRAIGHT, SAGITTA = 0.3, 0.1, 1e-5
 """Largest angle between steps; that below which a step may double; largest Delta alpha relative to the extent."""
 FAN, WIDE = np.pi / 4.0, 0.8 * np.pi
 """Half of the fan of directions; at a sharp bend, and after a stop."""
-DIRECTIONS, ROUNDS = 17, 9
+DIRECTIONS, ROUNDS = 17, 12
 """Directions that are mapped at once, and rounds, each in the interval that the last one has found."""
 ON = 1e-7
 """Distance of an image from the known part, relative to the extent, at which its point is taken to lie on it."""
@@ -124,18 +124,22 @@ def _next(
     real[[k - 1 for k in branch.breaks]] = False
     known = np.flatnonzero(real & (np.arange(len(first)) >= at - 1))
     base = np.arctan2(heading[1], heading[0])
-    centre, place = base, -1
+    centre, place, whole = base, -1, (base, half)
     for _ in range(ROUNDS):
-        angle = np.linspace(centre - half, centre + half, DIRECTIONS)
-        images = image(points[-1] + step * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-        segments = known[_near(images, first[known], last[known])]
-        hit = _crossing(images, first[segments], last[segments], np.abs(angle - base))
+        for middle, wide in ((centre, half), whole):  # the second if the image bends so much that the first misses it
+            angle = np.linspace(middle - wide, middle + wide, DIRECTIONS)
+            images = image(points[-1] + step * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+            segments = known[_near(images, first[known], last[known])]
+            hit = _crossing(images, first[segments], last[segments], np.abs(angle - base))
+            if hit is not None or place < 0:
+                break
         if hit is None:  # at last the images differ by rounding alone
             break
         k, share, segment = hit
-        centre, place = angle[k] + share * (angle[k + 1] - angle[k]), int(segments[segment])
-        half /= 2.0 * DIRECTIONS
-        if step * half <= 0.01 * tolerance:
+        between = angle[k + 1] - angle[k]
+        centre, place = angle[k] + share * between, int(segments[segment])
+        half, whole = between / 8.0, (angle[k] + 0.5 * between, 0.55 * between)
+        if np.linalg.norm(images[k + 1] - images[k]) <= 0.1 * tolerance:  # beside a graze they are far apart for long
             break
     if place < 0:
         return None

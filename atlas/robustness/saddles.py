@@ -127,7 +127,7 @@ def manifold_of(table: "Table", saddle: "Saddle", box: tuple["Array", "Array"]) 
     inner = float(np.real(saddle.multipliers[np.argmin(np.abs(saddle.multipliers))]))
     turns = max(1, int(np.ceil(np.log(CONTRACTED) / np.log(max(abs(inner), 1e-300)))))
     turns += turns % 2 if inner < 0.0 else 0
-    ends = box[0] * w, box[1] * w
+    ends = _beyond_stops(table, box, w)
     length = TIMES * float(np.linalg.norm(ends[1] - ends[0]))
     across = _across(table, w)
 
@@ -141,18 +141,34 @@ def manifold_of(table: "Table", saddle: "Saddle", box: tuple["Array", "Array"]) 
     ]
 
 
+def _stops(table: "Table") -> list[tuple[float, float]]:
+    """The position x of each rigid stop of one mass, and on which side it is: 1 above, -1 below."""
+    return [
+        (stop[0] / row[0, 0], side if row[0, 0] > 0.0 else -side)
+        for row, *both in table.cell.oscillator.rigid_stops
+        for stop, side in zip(both, (1.0, -1.0), strict=True)
+        if np.isfinite(stop[0]) and row[0, 0] != 0.0
+    ]
+
+
+def _beyond_stops(table: "Table", box: tuple["Array", "Array"], w: "Array") -> tuple["Array", "Array"]:
+    """The ends of the box in coordinates w z, beyond a stop at its edge: a manifold goes on there."""
+    low, high = box[0] * w, box[1] * w
+    room = 0.01 * (high[0] - low[0])
+    for stop, side in _stops(table):
+        if side > 0.0 and high[0] >= w[0] * stop - room:
+            high[0] = w[0] * stop + room
+        if side < 0.0 and low[0] <= w[0] * stop + room:
+            low[0] = w[0] * stop - room
+    return low, high
+
+
 def _across(table: "Table", w: "Array") -> "Across":
     """How a manifold goes on at a rigid stop, in coordinates w z."""
     from workers.model.oscillator import HEAD
 
     oscillator = table.cell.oscillator
-    R = float(oscillator.head[0, HEAD.R])
-    stops = [
-        (stop[0] / row[0, 0], side if row[0, 0] > 0.0 else -side)
-        for row, *both in oscillator.rigid_stops
-        for stop, side in zip(both, (1.0, -1.0), strict=True)
-        if np.isfinite(stop[0]) and row[0, 0] != 0.0
-    ]
+    R, stops = float(oscillator.head[0, HEAD.R]), _stops(table)
 
     def across(point: "Array", step: "Array") -> "tuple[Array, Array, Array] | None":
         x, dx = point[0] / w[0], step[0] / w[0]
