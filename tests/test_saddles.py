@@ -1,4 +1,4 @@
-"""Claims about saddles between basins and their stable manifolds: what is solved to either side, branches, differences."""
+"""Claims about saddles between basins and their stable manifolds: motions to either side, branches, differences."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ def masses() -> dict[str, Any]:
 
 
 def system_of(found: dict[str, Any]) -> str:
-    return str(found["system"]["name"])
+    return str(found["system"])
 
 
 def regimes(found: dict[str, Any], states: np.ndarray) -> np.ndarray:
