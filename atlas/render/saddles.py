@@ -12,9 +12,12 @@ from atlas.curves.asking import header_of
 from atlas.errors import InputError
 from atlas.query.basins import of_basins
 from atlas.render import style
-from atlas.render.maps import View
+from atlas.render.maps import DrawnAxis, View
 from atlas.robustness.saddles import saddles_between
 from workers.attractors.basins import fixed_values
+
+BEYOND = 0.5
+"""How far beyond the picture manifolds are grown, in parts of its sides."""
 
 
 def draw(ax: Axes, view: View) -> list[Artist]:
@@ -24,7 +27,7 @@ def draw(ax: Axes, view: View) -> list[Artist]:
     if not of_basins(view.ds) or len(record.states) != 2 or spec.attractors is None:
         raise InputError("overlay 'saddles' is drawn over basins of one mass")
     values = fixed_values(record, spec.parameters)
-    box = {axis.name: (float(axis.edges[0]), float(axis.edges[-1])) for axis in (view.plane.x, view.plane.y)}
+    box = {axis.name: _around(axis) for axis in (view.plane.x, view.plane.y)}
     found = saddles_between(record, values, spec.settings, spec.attractors, manifolds=True, box=box)["saddles"]
     order = [record.states.index(name) for name in names]
     lines = [np.array(line)[:, order] for each in found for line in each["manifold"] if len(line) > 1]
@@ -37,3 +40,9 @@ def draw(ax: Axes, view: View) -> list[Artist]:
         return [Line2D([], [], linestyle="", label="no saddle found between basins")]
     manifold = Line2D([], [], color="black", linewidth=0.9, label="stable manifold of a saddle")
     return [Line2D([], [], label="saddle: unstable orbit", **look), manifold]
+
+
+def _around(axis: DrawnAxis) -> tuple[float, float]:
+    """The ends between which manifolds are grown: they leave the picture and come back."""
+    low, high = float(axis.edges[0]), float(axis.edges[-1])
+    return low - BEYOND * (high - low), high + BEYOND * (high - low)

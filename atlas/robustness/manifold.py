@@ -150,7 +150,7 @@ def _next(
 
 def _near(images: Array, first: Array, last: Array) -> NDArray[np.int64]:
     """Which segments (S, 2) may meet a polyline of images (D, 2): their boxes meet its box."""
-    low, high = np.nanmin(images, axis=0, initial=np.inf), np.nanmax(images, axis=0, initial=-np.inf)
+    low, high = np.fmin.reduce(images, initial=np.inf), np.fmax.reduce(images, initial=-np.inf)  # which pass over NaN
     return np.flatnonzero(np.all((np.maximum(first, last) >= low) & (np.minimum(first, last) <= high), axis=1))
 
 
