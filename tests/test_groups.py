@@ -122,10 +122,10 @@ def test_a_flipped_byte_is_found_in_every_object(which: str, request: pytest.Fix
 GROUPS = [
     ("whole", "curves/position/c/0/0", "atlas curves {} makes it anew"),
     ("whole", "curves/zarr.json", "atlas curves {} makes it anew"),
-    ("whole", "curves/parts/seed-0", "curves/parts/seed-0 is damaged"),
+    ("whole", "parts/curves/seed-0", "parts/curves/seed-0 is damaged"),
     ("whole", "stability/reactivity/c/0/0", "atlas measure {} makes it anew"),
     ("whole", "stability/zarr.json", "atlas measure {} makes it anew"),
-    ("whole", "stability/parts/linear-0.0-0", "stability/parts/linear-0.0-0 is damaged"),
+    ("whole", "parts/stability/linear-0.0-0", "parts/stability/linear-0.0-0 is damaged"),
     ("whole", "tiles/records/c.0.0.0", "tiles/records is damaged"),
     ("whole", "tiles/record/zarr.json", "tiles/record/zarr.json is damaged"),
     ("whole", "tiles/records/zarr.json", "tiles/records/zarr.json is damaged"),

@@ -271,3 +271,11 @@ def test_shocks_of_a_store_are_those_of_single_cells(tmp_path: Path, client: Cli
     found = atlas.stability({"zeta": 0.05}, system="gear-mesh", shocks=True)["coexisting"]
     assert ds["fatal_shock"].values[:2] == pytest.approx([each["fatal_shock"] for each in found], rel=1e-9)
     assert ds["shock_reaches"].values[:2].tolist() == [each["shock_reaches"] for each in found]
+
+
+def test_a_store_is_read_without_a_warning_while_other_measures_are_under_way(measured: Path, tmp_path: Path) -> None:
+    """Warnings are errors: Zarr warns of what is no array among those of a group."""
+    header = read_header(copied(measured, tmp_path))
+    kept_parts(header, STABILITY, "another")
+    assert "reactivity" in atlas.open(header.path)
+    assert "reactivity" in xr.open_zarr(header.path, group=STABILITY, consolidated=False)

@@ -25,6 +25,7 @@ from atlas.spec.system import checked_system
 from atlas.store import store
 from atlas.store.groups import CURVES, TABLES
 from atlas.store.machine import MACHINES
+from atlas.store.parts import PARTS
 from atlas.store.record import TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from tests.test_systems import table
@@ -38,7 +39,7 @@ EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 def own_names() -> Iterator[str]:
     """What the package calls its own things."""
-    yield from (*TABLES, CURVES, TILES, MACHINES, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
+    yield from (*TABLES, CURVES, PARTS, TILES, MACHINES, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
     for kind in ({}, {"attractors": True}, {"basins": True}):
         results = result_variables(EVERYTHING, **kind)
         for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):

@@ -56,7 +56,7 @@ def mend_groups(header: Header, report: GroupReport) -> list[str]:
         done.append(f"{group} dropped: {command} makes them anew")
     for key in report.parts:
         header.place.remove(key)
-        done.append(f"{key} dropped: {MADE_BY[key.partition('/')[0]]} {header.place} finds it again")
+        done.append(f"{key} dropped: {MADE_BY[key.split('/')[1]]} {header.place} finds it again")
     for key in report.machines:
         record_machine(header, UNKNOWN)  # that there was one still counts
         header.place.remove(key)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.robustness.linear import touches_a_stop
 from atlas.robustness.section_map import SectionMap
 from atlas.robustness.shock import CHAOS_STATES, NO_MOTION, reached
 from workers.attractors.basins import Table, section_points
@@ -31,8 +32,8 @@ LONGEST, NEAR = 12, 1e-3
 """Longest period of a saddle; distance within which its motion recurs, relative to that of the first two states."""
 PARTS = 8
 """Parts that an interval is divided into at once."""
-NEWTON, CLOSED = 30, 1e-11
-"""Newton's steps; residual of an orbit, relative to its largest component."""
+TRIES, NEWTON, CLOSED = 12, 30, 1e-11
+"""Searches for an orbit, Newton's steps in each; residual of an orbit, relative to its largest component."""
 SAME = 1e-6
 """Distance of states of one orbit, relative to its largest component."""
 ASIDE = 1e-5
@@ -123,10 +124,10 @@ class _Tracker:
         tried = 0
         for step in range(MOST_STEPS):
             if self.size(pair[1] - pair[0]) > APART * whole:
-                pair = self.bisected(*pair, whole)
+                pair = self.bisected(pair[0], pair[1], whole)
             history.append(0.5 * (pair[0] + pair[1]))
             period = self._recurs(history, whole) if step >= BURN else 0
-            if period and tried < LONGEST:
+            if period and tried < TRIES:
                 tried += 1
                 found = self.orbit(history[-1], period, whole)
                 if found is not None:
@@ -165,14 +166,14 @@ class _Tracker:
                 return None
             if residual <= CLOSED * max(1e-300, float(np.abs(states).max())):
                 break
-            step = np.linalg.solve(jacobian - eye, z - last)
+            step = np.linalg.lstsq(jacobian - eye, z - last)[0]
             z = z + step
             if self.size(z - state) > 100.0 * NEAR * whole:
                 return None
         else:
             return None
-        multipliers = np.linalg.eigvals(jacobian)
-        if np.sum(np.abs(multipliers) > 1.0) != 1:
+        multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
+        if np.sum(np.abs(multipliers) > 1.0) != 1 or touches_a_stop(self.map.oscillator, states):
             return None
         normal, along = zip(*(self._directions(each, period) for each in states), strict=True)
         aside = ASIDE * max(self.size(each) for each in states) * normal[0] / self.weights
