@@ -279,3 +279,24 @@ def test_a_store_is_read_without_a_warning_while_other_measures_are_under_way(me
     kept_parts(header, STABILITY, "another")
     assert "reactivity" in atlas.open(header.path)
     assert "reactivity" in xr.open_zarr(header.path, group=STABILITY, consolidated=False)
+
+
+@pytest.mark.slow
+def test_margins_to_a_graze_are_those_of_its_closed_form(tmp_path: Path, client: Client) -> None:
+    """Without impact the amplitude is A / sqrt((1 - omega^2)^2 + (2 zeta omega)^2), which is b = 1 at the graze."""
+    axes = {"omega": {"start": 1.3, "stop": 1.8, "num": 12}, "A": {"start": 0.2, "stop": 3.0, "num": 12}}
+    path = tmp_path / "graze.zarr"
+    atlas.run(atlas.Spec("single-mass", axes, {"zeta": 0.05}, solve={"max_periods": 2000}), path, client=client)
+    atlas.find_curves(path, client=client)
+    measure_attractors(path, margin=True, scale={"omega": 0.5, "A": 2.8}, client=client)
+    ds = atlas.open(path)
+    graze = list(MEASURES["margin_kind"].flags).index("graze")
+    near = (ds["margin_kind"].values == graze) & (ds["margin"].values < 0.3)
+    omega = np.linspace(1.27, 1.83, 40_001)
+    A = np.hypot(1.0 - omega**2, 2.0 * 0.05 * omega)
+    y, x = np.meshgrid(ds["A"].values, ds["omega"].values, indexing="ij")
+    rows = list(zip(x[near], y[near], ds["margin"].values[near], ds["margin_error"].values[near], strict=True))
+    assert len(rows) > 5
+    for at, height, margin, error in rows:
+        exact = np.hypot((omega - at) / 0.5, (A - height) / 2.8).min()
+        assert margin == pytest.approx(exact, abs=2.0 * error + 1e-6)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from distributed import Client
 
 import atlas
 from atlas.cli.main import main
@@ -183,3 +184,20 @@ def test_the_command_writes_the_manifolds(tmp_path: Any) -> None:
     assert "saddles: 1, between 2 attractors" in shown.stdout
     header, *rows = out.read_text().splitlines()
     assert header == "saddle,line,x,v" and len(rows) > 100
+
+
+@pytest.mark.slow
+def test_the_overlay_draws_saddle_and_manifold_over_basins_of_one_mass(tmp_path: Any, client: Client) -> None:
+    axes = {"x": {"start": -1.0, "stop": 1.5, "num": 6}, "v": {"start": -0.5, "stop": 0.5, "num": 5}}
+    atlas.run(atlas.Spec("gear-mesh", axes, attractors={"starts": 16}), tmp_path / "b.zarr", client=client)
+    drawn = atlas.open(tmp_path / "b.zarr").atlas.plot("basins", overlay="saddles")
+    (mark,) = [line for line in drawn.axes[0].lines if line.get_gid() == "saddle"]
+    (saddle,) = atlas.saddles(system="gear-mesh", starts=16)["saddles"]
+    assert mark.get_xydata()[0] == pytest.approx(saddle["states"][0], abs=1e-12)
+
+
+@pytest.mark.slow
+def test_the_overlay_of_another_map_is_refused(tmp_path: Any, client: Client) -> None:
+    atlas.run(atlas.Spec("gear-mesh", {"omega": [0.7, 0.8], "eps": [0.1, 0.2]}), tmp_path / "p.zarr", client=client)
+    with pytest.raises(InputError, match="overlay 'saddles' is drawn over basins of one mass"):
+        atlas.open(tmp_path / "p.zarr").atlas.plot(overlay="saddles")
