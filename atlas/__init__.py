@@ -6,10 +6,10 @@ progress meanwhile. ``extend`` computes a larger or finer atlas
 from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
 a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
 a plane, within the budget of ``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one
-branch from cell to cell.
+branch from cell to cell; ``measure_attractors`` measures how stable the attractors of an atlas are.
 Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``stability`` measures how stable
-they are, ``portrait`` draws its motion, ``branch`` follows its orbit along a parameter, ``solve_tile`` takes arrays of
-parameters, ``trace`` gives a motion in time.
+they are, ``saddles`` finds the unstable orbits between their basins, ``portrait`` draws its motion, ``branch`` follows
+its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`` gives a motion in time.
 ``errors`` has what they raise.
 """
 
@@ -33,12 +33,14 @@ if TYPE_CHECKING:
         point,
         portrait,
         run,
+        saddles,
         stability,
         status,
         verify,
     )
     from atlas.service.curves import find_curves
     from atlas.service.labels import label_attractors
+    from atlas.service.measures import measure_attractors
     from workers import solve_tile, trace
 
     __version__: str
@@ -56,12 +58,14 @@ __all__ = [
     "extend",
     "find_curves",
     "label_attractors",
+    "measure_attractors",
     "open",
     "pack",
     "plan",
     "point",
     "portrait",
     "run",
+    "saddles",
     "solve_tile",
     "stability",
     "status",
@@ -75,6 +79,7 @@ _WITH_NUMBA = {
     "trace": "workers",
     "find_curves": "atlas.service.curves",
     "label_attractors": "atlas.service.labels",
+    "measure_attractors": "atlas.service.measures",
 }
 """Where those names are that bring Numba with them: apart from the others, which do without."""
 

@@ -14,6 +14,7 @@ from atlas.curves.settings import CurveSettings
 from atlas.query.open import Chunks, open_atlas
 from atlas.render import portrait
 from atlas.robustness.cell import stability
+from atlas.robustness.saddles import saddles
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.pack import pack
@@ -48,6 +49,7 @@ __all__ = [
     "point",
     "portrait",
     "run",
+    "saddles",
     "stability",
     "status",
     "verify",

@@ -21,12 +21,13 @@ from atlas.curves.cells import CellOrbits
 from atlas.curves.following import events_between, follow_event, lies_on
 from atlas.curves.plane import plane_of
 from atlas.curves.settings import CurveSettings
-from atlas.curves.stored import part_names
 from atlas.curves.table import read_curves, write_curves
 from atlas.errors import InputError
 from atlas.service.curves import CurvesSummary, find_curves
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
+from atlas.store.groups import CURVES
+from atlas.store.parts import part_names
 from atlas.store.store import create, read_header
 from atlas.store.tiles import write_tile
 from tests import synthetic
@@ -96,7 +97,7 @@ def test_a_store_that_has_the_curves_gives_them_at_once(searched: tuple[Path, Cu
     again = find_curves(path)
     assert again.tasks == 0
     assert all_same(again.found, summary.found)
-    assert not list(part_names(read_header(path)))
+    assert not list(part_names(read_header(path), CURVES))
 
 
 @pytest.mark.slow
@@ -115,7 +116,7 @@ def test_a_search_that_was_stopped_goes_on_and_finds_the_same_to_the_bit(
     with pytest.raises(KeyboardInterrupt):
         find_curves(fresh, client=client, options=RunOptions(on_progress=stop))
     assert read_curves(read_header(fresh)) is None
-    assert list(part_names(read_header(fresh)))
+    assert list(part_names(read_header(fresh), CURVES))
     resumed = find_curves(fresh, client=client)
     assert resumed.tasks < searched[1].tasks
     assert all_same(resumed.found, searched[1].found)
@@ -291,7 +292,7 @@ def test_after_a_kill_the_same_command_finds_the_same_to_the_bit(
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with (tmp_path / "log").open("w") as log:
         running = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
-        while running.poll() is None and len(list(part_names(read_header(fresh)))) < 4:
+        while running.poll() is None and len(list(part_names(read_header(fresh), CURVES))) < 4:
             time.sleep(0.1)
         assert running.poll() is None, (tmp_path / "log").read_text()
         os.killpg(running.pid, signal.SIGKILL)

@@ -12,15 +12,16 @@ import pytest
 
 import atlas
 from atlas.check.verify import verify
-from atlas.curves.stored import put_part
 from atlas.curves.table import read_curves, write_curves
 from atlas.errors import ChunkError, InputError
 from atlas.labels.table import Count, Labels, stored_count, write_labels
+from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
 from atlas.query.open import open_table
 from atlas.service.lease import CLAIM
 from atlas.service.progress import Progress
 from atlas.store import store
-from atlas.store.groups import ATTRACTORS, LABELS, write_table
+from atlas.store.groups import ATTRACTORS, CURVES, LABELS, STABILITY, write_table
+from atlas.store.parts import put_part
 from atlas.store.schema import StoredArray
 from atlas.store.sidecar import notes_of
 from atlas.store.tiles import read_tile, write_tile
@@ -35,11 +36,13 @@ STARTS = {"attractors": {"starts": 4}, "solve": {"exponents": "none"}}
 
 @pytest.fixture(scope="module")
 def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A solved plane with curves, a part of a search of them, and a sheet of a zoom level."""
+    """A solved plane with curves, measures, a part of a search of both, and a sheet of a zoom level."""
     path = Path(shutil.copytree(solved_plane, tmp_path_factory.mktemp("groups") / "plane.zarr"))
     header = store.read_header(path)
     write_curves(header, BOTH)
-    put_part(header, "seed-0", b'{"found": []}')
+    put_part(header, CURVES, "seed-0", b'{"found": []}')
+    write_measures(header, Stored(empty(of_family(LINEAR), header.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
+    put_part(header, STABILITY, "linear-0.0-0", b"")
     make_plane(header, PLANE, {"digest": f"{PLANE}...", "parameters": {}})
     sheet = store.create(sheet_place(header, PLANE, "x0_y0_0_0"), header.spec, header.tile)
     write_tile(sheet, (0, 0), read_tile(header, (0, 0)))
@@ -119,7 +122,10 @@ def test_a_flipped_byte_is_found_in_every_object(which: str, request: pytest.Fix
 GROUPS = [
     ("whole", "curves/position/c/0/0", "atlas curves {} makes it anew"),
     ("whole", "curves/zarr.json", "atlas curves {} makes it anew"),
-    ("whole", "curves/parts/seed-0", "curves/parts/seed-0 is damaged"),
+    ("whole", "parts/curves/seed-0", "parts/curves/seed-0 is damaged"),
+    ("whole", "stability/reactivity/c/0/0", "atlas measure {} makes it anew"),
+    ("whole", "stability/zarr.json", "atlas measure {} makes it anew"),
+    ("whole", "parts/stability/linear-0.0-0", "parts/stability/linear-0.0-0 is damaged"),
     ("whole", "tiles/records/c.0.0.0", "tiles/records is damaged"),
     ("whole", "tiles/record/zarr.json", "tiles/record/zarr.json is damaged"),
     ("whole", "tiles/records/zarr.json", "tiles/records/zarr.json is damaged"),

@@ -13,18 +13,19 @@ import pytest
 import atlas
 from atlas.accessor import AtlasAccessor
 from atlas.curves.export import columns
-from atlas.curves.stored import GROUP as CURVES
 from atlas.curves.table import Curves, as_arrays
 from atlas.errors import InputError
 from atlas.labels.table import _MEANINGS, BRANCH
+from atlas.measures.table import MEASURES
 from atlas.overview.coarsen import SHARE, level_variables
 from atlas.overview.coordinates import bounds_name
 from atlas.render import figure, words
 from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
 from atlas.store import store
-from atlas.store.groups import ATTRACTORS, LABELS
+from atlas.store.groups import CURVES, TABLES
 from atlas.store.machine import MACHINES
+from atlas.store.parts import PARTS
 from atlas.store.record import TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from tests.test_systems import table
@@ -38,7 +39,7 @@ EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 def own_names() -> Iterator[str]:
     """What the package calls its own things."""
-    yield from (CURVES, TILES, MACHINES, OVERVIEWS, ATTRACTORS, LABELS, store.ZOOM, BRANCH, POINT, "component")
+    yield from (*TABLES, CURVES, PARTS, TILES, MACHINES, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
     for kind in ({}, {"attractors": True}, {"basins": True}):
         results = result_variables(EVERYTHING, **kind)
         for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):

@@ -36,10 +36,12 @@ PAGE = (ROOT / "docs/stability.md").read_text(encoding="utf-8")
 
 PROMISED = """
 atlas       CurveSettings Retry RunOptions Settings Spec __version__ attractors branch errors extend find_curves
-            label_attractors open pack plan point portrait run solve_tile stability status trace verify
+            label_attractors measure_attractors open pack plan point portrait run saddles solve_tile stability
+            status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
 commands    demo example plan run submit cancel retry extend basins status verify pack cite query regions extremes
-            basin-measures export compare curves label render figures point stability portrait branch explore systems
+            basin-measures export compare curves label measure render figures point stability saddles portrait branch
+            explore systems
 variables   attractors average error exact impact_energy impacts_lower impacts_per_period impacts_upper kaplan_yorke
             label largest left lumped lumped_distance max_impact_speed mean_impact_speed min_impact_speed mirror own
             peak_to_peak period periods_used reason regime section settled share share_error share_high share_low

@@ -238,6 +238,12 @@ def test_the_command_prints_what_the_function_gives() -> None:
     assert all(name in table.stdout for name in ("return_time", "reactivity", "amplification", "share"))
 
 
+def test_without_exponents_there_are_no_measures() -> None:
+    shown = CliRunner().invoke(main, ["stability", "--exponents", "none"])
+    assert (shown.exit_code, shown.stdout) == (2, "")
+    assert "exponents: found 'none'; stability measures need the largest one" in shown.stderr
+
+
 def test_a_bad_weight_on_the_command_line_ends_in_one_line() -> None:
     shown = CliRunner().invoke(main, ["stability", "--norm", "x1=0"])
     assert (shown.exit_code, shown.stdout) == (2, "")

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 from atlas.check.metadata import copy_faults, restore
-from atlas.curves.stored import GROUP as CURVES
-from atlas.curves.stored import damaged_parts
 from atlas.errors import MADE_BY, ChunkError
 from atlas.overview.pyramid import drop_all
-from atlas.store.groups import ATTRACTORS, LABELS, drop_group, read_group
+from atlas.store.groups import drop_group, groups_of, read_group
 from atlas.store.machine import UNKNOWN
 from atlas.store.machines import machine_keys, record_machine, recorded_machine
+from atlas.store.parts import damaged_parts
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import Header
 
@@ -31,7 +30,7 @@ class GroupReport:
 def check_groups(header: Header) -> GroupReport:
     """Read all groups."""
     found: dict[str, list[str]] = {}
-    for group in (CURVES, *[ATTRACTORS] * header.spec.basins, *[LABELS] * header.spec.coexistence):
+    for group in groups_of(header):
         try:
             read_group(header, group)
         except ChunkError as error:
@@ -39,11 +38,11 @@ def check_groups(header: Header) -> GroupReport:
     copies = copy_faults(header)
     for key in copies:
         found.setdefault(key.partition("/")[0], []).append(f"{key} is damaged, or its copy is")
-    parts = damaged_parts(header)
+    parts = [key for group in groups_of(header) for key in damaged_parts(header, group)]
     machines = [key for key in machine_keys(header) if recorded_machine(header.place, key) is None]
     faults = [f"{fault}{_remedy(header, group)}" for group, several in found.items() for fault in several]
     faults += [f"{key} is damaged" for key in (*parts, *machines)]
-    groups = tuple(group for group in found if group in (CURVES, ATTRACTORS, LABELS, OVERVIEWS))
+    groups = tuple(group for group in found if group in (*groups_of(header), OVERVIEWS))
     others = tuple(key for key in copies if key.partition("/")[0] not in groups)
     return GroupReport(tuple(faults), groups, tuple(parts), tuple(machines), others)
 
@@ -57,7 +56,7 @@ def mend_groups(header: Header, report: GroupReport) -> list[str]:
         done.append(f"{group} dropped: {command} makes them anew")
     for key in report.parts:
         header.place.remove(key)
-        done.append(f"{key} dropped: {MADE_BY[CURVES]} {header.place} finds it again")
+        done.append(f"{key} dropped: {MADE_BY[key.split('/')[1]]} {header.place} finds it again")
     for key in report.machines:
         record_machine(header, UNKNOWN)  # that there was one still counts
         header.place.remove(key)

@@ -10,7 +10,7 @@ from atlas.errors import ChunkError, message_of
 from atlas.overview.pyramid import Pyramid
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
-from atlas.store.groups import ATTRACTORS, LABELS
+from atlas.store.groups import TABLES
 from atlas.store.machine import MACHINES
 from atlas.store.record import DIGESTS, RECORD, TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
@@ -136,7 +136,7 @@ def restore(header: Header, copies: Mapping[str, Mapping[str, Any]]) -> None:
 def _groups_with_copies(header: Header) -> list[str]:
     """The keys of the metadata of tables and of levels of overviews."""
     levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(header).levels.count + 1)]
-    return [key for key in (f"{ATTRACTORS}/{ROOT}", f"{LABELS}/{ROOT}", *levels) if header.place.exists(key)]
+    return [key for key in (*(f"{table}/{ROOT}" for table in TABLES), *levels) if header.place.exists(key)]
 
 
 def _json(header: Header, key: str) -> dict[str, Any] | None:

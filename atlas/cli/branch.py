@@ -11,6 +11,7 @@ from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_cell, seed_of_point, system_of
 from atlas.branches.table import Branches
 from atlas.cli.options import (
+    asked_cell,
     at_option,
     check_cell_options,
     examples,
@@ -32,8 +33,6 @@ from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
 from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.spec.spec import checked_parameters, checked_settings
-from atlas.spec.system import checked_system
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import plural
 
@@ -139,11 +138,9 @@ def _seed(
 ) -> "Seed":
     """The orbit of the cell that is asked for."""
     check_cell_options(store)
-    pairs, at = read_pairs("--set", given, read_number), read_pairs("--at", point, read_number)
+    at = read_pairs("--at", point, read_number)
     if store is None:
-        settings = checked_settings(options)
-        record = checked_system(system)
-        checked_parameters(record, pairs)
+        record, pairs, settings = asked_cell(given, system, options)
         prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)

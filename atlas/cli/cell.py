@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
+    asked_cell,
     at_option,
     check_cell_options,
     examples,
@@ -20,9 +21,10 @@ from atlas.cli.options import (
     select_option,
     set_option,
     settings_options,
+    starts_option,
     system_option,
 )
-from atlas.cli.output import print_attractors, print_table, text, to_json
+from atlas.cli.output import print_cell, print_table, to_json
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
 from atlas.query.cell import SolvedCell, solved_cell
@@ -33,10 +35,9 @@ from atlas.render import portrait as draw_portrait
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
-from atlas.spec.spec import checked_parameters, checked_settings
 from atlas.spec.system import checked_system
 from atlas.task.compile import ATTRACTORS, kernels_for
-from workers.attractors.starts import MOST_STARTS, Starts
+from workers.attractors.starts import Starts
 from workers.model.system import System, find_system, system_names
 
 
@@ -50,13 +51,7 @@ from workers.model.system import System, find_system, system_names
 @set_option
 @system_option
 @click.option("--attractors", "every", is_flag=True, help="All attractors that initial states reach, with shares.")
-@click.option(
-    "--starts",
-    type=click.IntRange(1, MOST_STARTS),
-    default=Starts.count,
-    show_default=True,
-    help="Initial states, with --attractors.",
-)
+@starts_option
 @settings_options()
 @json_option
 def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
@@ -66,9 +61,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
 
     if starts != Starts.count and not every:
         raise InputError("--starts goes with --attractors: without it one initial state is solved")
-    pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
-    record = checked_system(system)
-    checked_parameters(record, pairs)
+    record, pairs, settings = asked_cell(given, system, solve)
     with reporter(sys.stderr) as show:
         prepare_kernels(show, *kernels_for(record, *((ATTRACTORS,) if every else ())))
         show(Progress("solving"))
@@ -76,13 +69,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
             found = attractors(pairs, system=record, settings=settings, starts=starts)
         else:
             found = solve_point(pairs, system=record, settings=settings)
-    if as_json:
-        click.echo(to_json(found))
-        return
-    shown = found | {"system": record.name}
-    several = shown.pop("coexisting", [])
-    print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
-    print_attractors(several)
+    click.echo(to_json(found)) if as_json else print_cell(found, record.name)
 
 
 @click.command(
@@ -117,10 +104,7 @@ def portrait(
     look = {name: options.pop(name) for name in LOOK if name in options}
     with input_errors(), reporter(sys.stderr) as show:
         if store is None:
-            record = checked_system(system)
-            values = read_pairs("--set", given, read_number)
-            checked_parameters(record, values)
-            cell = SolvedCell(record, values, checked_settings(options))
+            cell = SolvedCell(*asked_cell(given, system, options))
         else:
             ds = select_plane(open_atlas(store), read_pairs("--select", select, read_number))
             cell = solved_cell(ds, read_pairs("--at", point, read_number))

@@ -16,10 +16,12 @@ from atlas.cli.curves import curves
 from atlas.cli.demo import demo
 from atlas.cli.explore import explore
 from atlas.cli.labels import label
+from atlas.cli.measures import measure
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import basin_measures, export, extremes, query, regions
 from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
+from atlas.cli.saddles import saddles
 from atlas.cli.stability import stability
 from atlas.cli.store import cite, pack, status, verify
 from atlas.errors import InputError, RunError, one_line
@@ -118,10 +120,12 @@ for command in (
     compare,
     curves,
     label,
+    measure,
     render,
     figures,
     point,
     stability,
+    saddles,
     portrait,
     branch,
     explore,

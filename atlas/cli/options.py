@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from types import FrameType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -15,8 +15,11 @@ from click.core import ParameterSource
 from atlas.errors import ChunkError, InputError, NetworkError, shown
 from atlas.service.options import MOST_WORKERS
 from atlas.service.timing import TIMING, Timing
+from atlas.spec.spec import checked_parameters, checked_settings
+from atlas.spec.system import checked_system
 from workers import Settings
-from workers.model.system import DEFAULT
+from workers.attractors.starts import MOST_STARTS, Starts
+from workers.model.system import DEFAULT, System
 from workers.settings import EXPONENTS, METHODS
 
 INTERRUPTED = 130
@@ -54,6 +57,19 @@ set_option = click.option(
 )
 system_option = click.option(
     "--system", default=DEFAULT, show_default=True, help="A name, see: atlas systems; or the path of a .toml file."
+)
+norm_option = click.option(
+    "--norm",
+    metavar="NAME=WEIGHT",
+    multiple=True,
+    help="Weight of a component of the state; default: 1 for displacements, 1/omega for velocities.",
+)
+starts_option = click.option(
+    "--starts",
+    type=click.IntRange(1, MOST_STARTS),
+    default=Starts.count,
+    show_default=True,
+    help="Initial states from which all attractors are found.",
 )
 picture_option = click.option(
     "-o",
@@ -134,6 +150,16 @@ def check_cell_options(store: str | None) -> None:
                     f"{each.opts[-1]} is for a cell of a STORE, and none is given; without one, give --set"
                 )
             raise InputError(f"{each.opts[-1]} is for a cell without a STORE; a cell of a STORE has its own, give --at")
+
+
+def asked_cell(
+    given: tuple[str, ...], system: str, solve: Mapping[str, Any]
+) -> tuple[System, dict[str, float], Settings]:
+    """The system, the parameters of --set, checked, and the settings of a cell that is given on the command line."""
+    pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
+    record = checked_system(system)
+    checked_parameters(record, pairs)
+    return record, pairs, settings
 
 
 def say(text: str) -> None:

@@ -43,6 +43,14 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
     console.print(table)
 
 
+def print_cell(found: Mapping[str, Any], name: str) -> None:
+    """The results of a cell of the system of this name as a table, and one of its attractors, if there are several."""
+    shown = {**found, "system": name}
+    several = shown.pop("coexisting", [])
+    print_table("", ["", ""], [(key, text(value)) for key, value in shown.items()])
+    print_attractors(several)
+
+
 def print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
     """The attractors of one cell as a table, a column each."""
     if several:

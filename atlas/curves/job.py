@@ -11,10 +11,11 @@ from atlas.curves.following import Followed
 from atlas.curves.plane import plane_of
 from atlas.curves.record import curve_from_json
 from atlas.curves.settings import CurveSettings
-from atlas.curves.stored import get_part, put_part
 from atlas.curves.tasks import Task, do
+from atlas.store.groups import CURVES
 from atlas.store.location import place_of
 from atlas.store.outage import LONG
+from atlas.store.parts import get_part, put_part
 from atlas.store.store import Header, read_header
 from atlas.task.compile import ORBITS, compile_once, kernels_for
 from atlas.task.task import RefusedError, check_claim, checked_header, file_errors
@@ -72,13 +73,13 @@ def do_and_keep(job: CurveJob) -> CurveReceipt:
         found = {"trouble": f"{type(error).__name__}: {error}"}
     with file_errors(job.store):
         check_claim(header.place, job.claim)
-        put_part(header, job.name, json.dumps(found).encode())
+        put_part(header, CURVES, job.name, json.dumps(found).encode())
     return CurveReceipt(job.index, job.name, time.thread_time() - begin)
 
 
 def read_part(header: Header, name: str) -> dict[str, Any]:
     """The result that a part holds; RefusedError where there is none."""
-    data = get_part(header, name)
+    data = get_part(header, CURVES, name)
     if data is None:
         raise RefusedError(f"{header.place}: has no part {name}; is the path the same on all hosts?")
     found: dict[str, Any] = json.loads(data)

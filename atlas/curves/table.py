@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.curves.stored import GROUP, read_arrays, write_arrays
+from atlas.curves.stored import read_arrays, write_arrays
 from atlas.errors import ChunkError, message_of
+from atlas.store.groups import CURVES
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
 
@@ -131,7 +132,7 @@ def read_curves(header: Header) -> Curves | None:
     try:
         return from_arrays(*stored)
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise ChunkError(header.place, {GROUP: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(header.place, {CURVES: f"is damaged ({message_of(error)})"}) from None
 
 
 def as_arrays(found: Curves) -> dict[str, StoredArray]:

@@ -19,15 +19,13 @@ from zarr.storage import WrapperStore
 
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
-from atlas.store.groups import ATTRACTORS, LABELS
+from atlas.store.groups import TABLES
 from atlas.store.remote import zarr_store
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from atlas.store.store import ROOT, Header
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
-_TABLES = (ATTRACTORS, LABELS)
-"""Groups of arrays of one chunk, all of which are there."""
 _PATIENCE_SECONDS = 10.0
 
 
@@ -67,7 +65,7 @@ class GuardedStore(WrapperStore[Any]):
         whole = _is_whole_shard(found.to_bytes(), parts) if parts else _is_whole(found.to_bytes())
         above, _, name = array.rpartition("/")
         names = self._complete if above.partition("/")[0] == OVERVIEWS else self._checked
-        if (above in _TABLES or name in names) and not whole:
+        if (above in TABLES or name in names) and not whole:
             raise self._error(key, "is damaged (its checksum is wrong)")
         return found
 
@@ -85,7 +83,7 @@ class GuardedStore(WrapperStore[Any]):
     async def _must_exist(self, array: str, index: str) -> bool:
         """Whether what is written after a chunk is there."""
         above, _, name = array.rpartition("/")
-        if above in _TABLES:
+        if above in TABLES:  # one chunk each, all of which are there
             return True
         if name not in self._complete or name == REGIME.name:
             return False

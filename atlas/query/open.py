@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, message_of
-from atlas.store.groups import LABELS, group_attributes, read_group
+from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
 from atlas.store.store import Header, read_header
 from workers.results import LABEL
 
@@ -20,7 +20,8 @@ Chunks = int | str | Mapping[Any, Any] | None
 def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
-    ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too. Reading
+    ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label``
+    too, and where they are measured their measures. Reading
     a chunk of a finished tile that is missing or damaged raises ChunkError.
     """
     import xarray
@@ -35,6 +36,8 @@ def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.
     )
     if header.spec.coexistence and group_attributes(header, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
+    if group_attributes(header, STABILITY) is not None:
+        opened = opened.assign(open_table(header, STABILITY).data_vars)
     opened.encoding["source"] = str(header.place)  # by which a view finds the overviews
     return opened
 

@@ -78,6 +78,11 @@ BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
 
 _PER_PERIOD = "[per forcing period]"
 _EXPONENTS = Scale(rf"$\lambda_i$ {_PER_PERIOD}")
+_VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
+_PALE_BLUE = ("#eef3f0", "#c4dcd9", "#93bfc4", "#5f9cad", "#356f8c", "#173f5f")
+_DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
+"""Colours from safe to unsafe, and from unsafe to safe: what is near an edge is dark."""
+_MEASURE = "measure its attractors by atlas measure"
 _MOTIONS = ("impacts_upper", "impacts_lower", "period")
 
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked.
@@ -117,8 +122,18 @@ TABLE = {
         Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
              "classes.basins",
              lacking="both axes must be initial states, and the spec have [attractors]"),
+        Kind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
+             "scales.scalar", Scale("return time [forcing periods]", _PALE_BLUE, log=True), lacking=_MEASURE),
+        Kind("reactivity", 2, ("reactivity",), "the largest log growth of a small deviation over one forcing period",
+             "scales.scalar", Scale("reactivity, log growth in a period", _VIOLET), lacking=_MEASURE),
+        Kind("amplification", 2, ("amplification",), "the largest growth of a small deviation over any time",
+             "scales.scalar", Scale("amplification of a deviation", _PALE_BLUE, log=True), lacking=_MEASURE),
+        Kind("fatal_shock", 2, ("fatal_shock",), "the smallest shock found that leads to another attractor",
+             "scales.scalar", Scale("minimal fatal shock", _DARK_FIRST, log=True), lacking=f"{_MEASURE} --shocks"),
+        Kind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
+             "scales.scalar", Scale("distance to the nearest curve", _DARK_FIRST), lacking=f"{_MEASURE} --margin"),
         Kind(SCALAR, 2, (), "any number of each cell, which --variable names", "scales.scalar",
-             Scale("", ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f"))),
+             Scale("", _VIOLET)),
         Kind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
              "sweep.figure_of_attractors", _EXPONENTS),
         Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", "sweep.figure",
@@ -152,13 +167,14 @@ OVERLAY_MEANINGS = {
     "boundaries": "borders between regimes",
     "isolines": "lines of equal exponent",
     "curves": "the exact bifurcations and grazes that atlas curves has found in the store",
+    "saddles": "on basins of one mass: the unstable orbits between them, with the boundaries as stable manifolds",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
 """What each line over a picture shows, in the same words."""
 
 OVERLAYS = tuple(OVERLAY_MEANINGS)
-MAP_OVERLAYS = OVERLAYS[:-1]
-"""All lines over pictures, and those over maps."""
+MAP_OVERLAYS = OVERLAYS[:4]
+"""All lines over pictures, and those over any map."""
 
 CURVES = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",
@@ -246,6 +262,6 @@ def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-        if len(axes) != (2 if overlay in MAP_OVERLAYS else 1):
-            kind = "a map" if overlay in MAP_OVERLAYS else "a sweep"
+        if len(axes) != (1 if overlay == "branches" else 2):
+            kind = "a sweep" if overlay == "branches" else "a map"
             raise InputError(f"overlay {overlay!r} is drawn over {kind}, found {AXES[len(axes)]} ({', '.join(axes)})")

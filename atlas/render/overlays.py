@@ -194,9 +194,16 @@ def _is_in_view(ax: Axes, line: Array) -> bool:
     return bool(x1 >= left and x0 <= right and y1 >= low and y0 <= high)
 
 
+def _saddles(ax: Axes, view: View) -> list[Artist]:
+    from atlas.render import saddles  # with it Numba
+
+    return saddles.draw(ax, view)
+
+
 DRAW: dict[str, Callable[[Axes, View], list[Artist]]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
     "isolines": _isolines,
     "curves": _curves,
+    "saddles": _saddles,
 }

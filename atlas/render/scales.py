@@ -130,12 +130,14 @@ def _numbers(view: View, values: Array) -> Painted:
 
 
 def scalar(view: View) -> Painted:
-    """Any number that an atlas holds, on an even scale from pale to dark, or on two from a pale zero on.
+    """Any number of each cell, the one that is named or that of the kind, from pale to dark, on two scales around zero.
 
     Cells whose motion has no such number are NEUTRAL, and textured where it is -inf. InputError for a logarithmic scale
     of numbers below zero.
     """
-    name, log, plane = str(view.wanted.variable), view.wanted.log, view.plane
+    scale, plane = view.kind.scale, view.plane
+    name = view.kind.variables[0] if view.kind.variables else str(view.wanted.variable)
+    log, label = scale.log or view.wanted.log, scale.label or words.variable_label(view.ds, name)
     regime, values = plane.regime, plane.known(name).astype(np.float64)
     # Counts of an orbit are results in orbits alone, and not where it rests, which makes its impacts infinitely many.
     values[~np.isin(regime, list(regimes_with(name))) | (name.startswith("impacts_") & (values < 0.0))] = np.nan
@@ -145,7 +147,7 @@ def scalar(view: View) -> Painted:
     zero = known & (values == 0.0) & log
     none = ~known & plane.determined & (regime != NO_IMPACT)
     meaning = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
-    bar = Bar(signed_colormap(norm), norm, values, words.variable_label(view.ds, name))
+    bar = Bar(signed_colormap(norm, scale.colors), norm, values, label)
     painted = _scaled(regime, values, bar, [(zero | none, NEUTRAL, meaning)])
     return replace(painted, bars=[bar] if np.isfinite(values).any() else [])
 
@@ -175,9 +177,9 @@ def color_norm(values: Array, log: bool, page: Page = STANDARD) -> Normalize:
     return LogNorm(low, high) if log else Normalize(low, high)
 
 
-def signed_colormap(norm: Normalize) -> Colormap:
+def signed_colormap(norm: Normalize, above: tuple[str, ...] = TABLE[SCALAR].scale.colors) -> Colormap:
     """The colours of a scale: zero between its ends is pale, and equally far from it both sides are equally dark."""
-    low, high, above = float(norm.vmin or 0.0), float(norm.vmax or 0.0), TABLE[SCALAR].scale.colors
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if not low < 0.0 < high:
         return colormap_of(above)
     shares = np.linspace(low, high, 512) / max(-low, high)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.attractors import checked_attractors, resolved_attractors
 from atlas.spec.spec import checked_parameters
@@ -55,6 +56,8 @@ def stability(
     from workers.attractors.basins import Table
 
     record, settings = checked_system(system), settings or Settings()
+    if settings.exponents == "none":
+        raise InputError("exponents: found 'none'; stability measures need the largest one")
     parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
     search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
     assert search is not None

@@ -45,6 +45,10 @@ NO_ORBIT, TOUCHES, STICKS, DRIFTS, LASTING, LONG, LOST = (
     "one turn of the orbit could not be followed",
 )
 """Why a measure of an attractor is not known."""
+UNMEASURED = {NO_ORBIT: 0, TOUCHES: 1, STICKS: 2, DRIFTS: 3, LASTING: 4, LONG: 5, LOST: 6}
+"""Their codes in a store; a new one gets a new code."""
+FLAGS = ("no_orbit", "touches_stop", "sticks", "drifts", "lasting", "long", "lost")
+"""Their names in a store, by code."""
 
 
 class Phases(NamedTuple):
@@ -90,23 +94,26 @@ def phases_of(oscillator: Oscillator, orbit: Attractor) -> Phases | str:
     for _ in range(orbit.period):
         start = motions_at(h[None], np.array([[contact]]))
         states.append(physical_states(oscillator, start, np.zeros(1, dtype=np.int64))[0])
-        motion = _one_period(oscillator, h, contact)
+        motion, jacobian = one_period(oscillator, h, contact)
         if motion.tally[STATUS] != RUNNING:
             return LOST
         if motion.tally[NEUTRAL] > 0.0:
             return STICKS
-        jacobians.append(oscillator.to_physical[0] @ jacobian_of(motion.V) @ oscillator.to_blocks[0])
+        jacobians.append(jacobian)
         h, contact = motion.h, int(motion.contact[0])
     phases = Phases(np.array(states), np.array(jacobians))
     return TOUCHES if touches_a_stop(oscillator, phases.states) else phases
 
 
-def _one_period(oscillator: Oscillator, h: Array, contact: int) -> Motion:
-    """The motion one period after block state h (n, 2), with tangent vectors along the block axes."""
+def one_period(oscillator: Oscillator, h: Array, contact: int) -> tuple[Motion, Array]:
+    """The motion one period after block state h (n, 2) of one machine, a record of many, and the Jacobian (2n, 2n).
+
+    The Jacobian is that of physical states.
+    """
     none, one = (np.zeros(0), np.zeros((0, 0))), (1, np.bool_(False))
     osc = one_of(oscillator, 0)
     motion: Motion = oscillator.with_modes(lambda _: iterate(osc, h, contact, axes(len(h)), *none, *one), FIRST)
-    return motion
+    return motion, np.asarray(oscillator.to_physical[0] @ jacobian_of(motion.V) @ oscillator.to_blocks[0])
 
 
 def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:

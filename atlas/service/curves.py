@@ -4,7 +4,7 @@ import os
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -13,20 +13,19 @@ from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, prepare, read_
 from atlas.curves.plane import plane_of
 from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
-from atlas.curves.stored import drop_parts, get_part, part_names, put_part
 from atlas.curves.table import Curves, read_curves, write_curves
-from atlas.errors import ChunkError, RunError
+from atlas.errors import ChunkError
 from atlas.service.batches import Labour
-from atlas.service.cluster import leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import Workers, workforce
-from atlas.service.lease import Claim
+from atlas.service.cluster import leave_if_bootstrapping
+from atlas.service.crew import Crew
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
-from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
+from atlas.service.progress import Progress
 from atlas.service.run import check_client, claimed_place, joined, worker_count
-from atlas.service.summary import TileFailure
 from atlas.store.archive import ZipPlace, refuse_packed
+from atlas.store.groups import CURVES
 from atlas.store.location import place_of, waiting
+from atlas.store.parts import drop_parts, kept_parts, part_names
 from atlas.store.store import Header, read_header
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.task.task import forget
@@ -35,9 +34,6 @@ from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client
-
-DIGEST = "digest"
-"""The part that says which search the others are of."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,8 @@ def find_curves(
         client = joined(client, options, stack)
         workers = worker_count(client, options)
         claim = stack.enter_context(claimed_place(header.place, options))
-        return _Coordinator(header, search, digest, options, claim, stack, workers, client).run()
+        crew = Crew(kernels_for(header.spec.record, ORBITS), options, claim, stack, workers, client)
+        return _Coordinator(header, search, digest, options, crew).run()
 
 
 def _stored(header: Header, digest: str) -> Curves | None:
@@ -128,8 +125,8 @@ def _stored(header: Header, digest: str) -> Curves | None:
         return None  # they are found anew
     if stored is None or stored.report.get("digest") != digest:
         return None
-    if not isinstance(header.place, ZipPlace) and any(part_names(header)):
-        drop_parts(header)  # of a run that was killed at its very end
+    if not isinstance(header.place, ZipPlace) and any(part_names(header, CURVES)):
+        drop_parts(header, CURVES)  # of a run that was killed at its very end
     return stored
 
 
@@ -141,38 +138,29 @@ class _Coordinator:
     search: Search
     digest: str
     options: RunOptions
-    claim: Claim
-    stack: ExitStack
-    workers: int
-    client: "Client | None"
+    crew: Crew
     tasks: int = 0
     processor_seconds: float = 0.0
-    begin: float = field(default_factory=time.monotonic)
-    told: float = 0.0
-    last: str = ""
 
     def run(self) -> CurvesSummary:
         """Do the stages that are due, and write the curves."""
-        if get_part(self.header, DIGEST) != self.digest.encode():
-            drop_parts(self.header)
-            put_part(self.header, DIGEST, self.digest.encode())
-        kept = {name for name in part_names(self.header) if get_part(self.header, name) is not None}
+        kept = kept_parts(self.header, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
-            self._do(jobs)
+            self.crew.do(self._labour, jobs, self._count, self._progress)
             self.search.take([read_part(self.header, name) for name in tasks])
         found = finished(self.search)
-        self.claim.confirm(self.header.place)
+        self.crew.claim.confirm(self.header.place)
         write_curves(self.header, found)
-        drop_parts(self.header)
-        seconds = time.monotonic() - self.begin
-        return CurvesSummary(str(self.header.place), found, seconds, self.processor_seconds, self.workers, self.tasks)
+        drop_parts(self.header, CURVES)
+        seconds, workers = time.monotonic() - self.crew.begin, self.crew.threads
+        return CurvesSummary(str(self.header.place), found, seconds, self.processor_seconds, workers, self.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         header, settings = self.header, self.search.settings
         index, store = (self.search.stage, number), str(header.place)
         run, patience = (header.run_id, SOLVER_VERSION), self.options.patience
-        return CurveJob(index, name, task, settings, self.digest, store, *run, patience, self.claim.token)
+        return CurveJob(index, name, task, settings, self.digest, store, *run, patience, self.crew.claim.token)
 
     @property
     def _labour(self) -> Labour[CurveJob, CurveReceipt]:
@@ -180,42 +168,16 @@ class _Coordinator:
         ready = partial(prepare, store, run_id, SOLVER_VERSION, patience)
         return Labour(store, do_and_keep, ready, partial(forget, store, run_id, patience))
 
-    def _do(self, jobs: list[CurveJob]) -> None:
-        if not jobs:
-            return
-        if self.client is None:
-            prepare_kernels(self.options.report, *kernels_for(self.header.spec.record, ORBITS))
-            self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
-            self.client = self.stack.enter_context(local_cluster(self.workers))
-            self.begin = time.monotonic()
-        with workforce(self.client, self._labour, self.options.timing) as force:
-            for outcome in force.outcomes(jobs, self._tick):
-                if isinstance(outcome, TileFailure):
-                    kept = "what is found is kept, and the same command resumes"
-                    raise RunError(f"a task failed: {outcome.message}; {kept}")
-                self._count(outcome)
-
     def _count(self, receipt: CurveReceipt) -> None:
         self.tasks += 1
         self.processor_seconds += receipt.processor_seconds
-        self._report(self.search.doing)
 
-    def _tick(self, workers: Workers) -> None:
-        self.claim.check()
-        self.workers = max(self.workers, workers.threads)
-        doing = self.search.doing if workers.threads else "no worker left: waiting for one"
-        self._report(workers.trouble or doing)
-
-    def _report(self, doing: str) -> None:
-        """Tell how far it is; in a log once every few seconds."""
-        search, now = self.search, time.monotonic()
+    def _progress(self) -> Progress:
+        search = self.search
         settled, edges = search.settled, len(search.edges)
         curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
-        stage = f"{doing}: {curves}, {settled} of {edges} edges settled"
-        passing = now - self.told < LOG_INTERVAL or stage == self.last
-        if not passing:
-            self.told, self.last = now, stage
-        self.options.report(Progress(stage, cells=edges, cells_done=settled, passing=passing))
+        stage = f"{search.doing}: {curves}, {settled} of {edges} edges settled"
+        return Progress(stage, cells=edges, cells_done=settled)
 
 
 def _edge_line(name: str, counts: Mapping[str, int]) -> str:

@@ -6,14 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from atlas.curves.stored import GROUP as CURVES
 from atlas.errors import ChunkError, InputError
 from atlas.service.lease import Observer
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
-from atlas.store.groups import ATTRACTORS, LABELS, read_group
+from atlas.store.groups import groups_of, read_group
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, chunk_key, done_tiles, read_header
@@ -125,7 +124,7 @@ def _refuse_lost(header: Header, tiles: set[tuple[int, ...]], keys: set[str]) ->
     lost = [key for index in sorted(tiles) for each in needed if (key := chunk_key(each, index)) not in keys]
     if lost:
         raise ChunkError(header.place, dict.fromkeys(lost[:SHOWN], "is missing"))
-    for group in (CURVES, *[ATTRACTORS] * header.spec.basins, *[LABELS] * header.spec.coexistence):
+    for group in groups_of(header):
         read_group(header, group)
 
 

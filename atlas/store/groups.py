@@ -17,10 +17,19 @@ from atlas.store.build import consolidate, create_whole
 from atlas.store.schema import StoredArray, coordinates
 from atlas.store.store import ROOT, Header, open_group
 
-ATTRACTORS, LABELS = "attractors", "labels"
-"""The tables: attractors whose basins a store has, one entry each; labels of coexisting attractors."""
+CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
+"""The curves of a plane, and the tables: attractors whose basins a store has, one entry each; labels of coexisting
+attractors; stability measures of cells.
+"""
+TABLES = (ATTRACTORS, LABELS, STABILITY)
 ARRAYS, CHECKSUM = "arrays", "checksum"
 """Attributes of a group: the names of its arrays; the checksum."""
+
+
+def groups_of(header: Header) -> tuple[str, ...]:
+    """The groups that a store of this spec may have."""
+    spec = header.spec
+    return (CURVES, STABILITY, *[ATTRACTORS] * spec.basins, *[LABELS] * spec.coexistence)
 
 
 def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:

@@ -18,7 +18,8 @@ HEAD = (
     " and `tests/test_published.py` checks it by integrations and maps that share no code with the solver. Differences"
     " of at most {exact:g} from a closed form count as agreement.",
     "`python -m scripts.published` computes all entries again and writes `docs/published.json` and this page; with"
-    " names of entries it computes these alone.",
+    " names of entries it computes these alone. It runs in a checkout of the repository: entries are checks of the"
+    " program, which a package need not carry. The commands and the examples below do with an installed package.",
 )
 
 TAIL = """\

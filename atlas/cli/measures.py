@@ -1,0 +1,78 @@
+"""The command that measures the attractors of an atlas."""
+
+import sys
+
+import click
+
+from atlas.cli.options import (
+    INTERRUPTED,
+    check_workers,
+    examples,
+    interruptible,
+    json_option,
+    norm_option,
+    read_number,
+    read_pairs,
+    say,
+    scheduler_option,
+    store_argument,
+    timing_of,
+    workers_option,
+)
+from atlas.cli.output import to_json
+from atlas.cli.progress import reporter
+from atlas.errors import InputError
+from atlas.service.options import RunOptions
+
+
+@click.command(
+    epilog=examples(
+        "atlas measure plane.zarr --margin",
+        "atlas measure plane.zarr --margin --scale omega=0.05 --scale b=0.01",
+        "atlas measure coexistence.zarr --norm v1=0.5 --norm v2=0.5",
+    )
+)
+@store_argument
+@norm_option
+@click.option("--shocks", is_flag=True, help="Also the smallest shock found of each attractor that leads to another.")
+@click.option("--margin", is_flag=True, help="Also the distance of each cell to the nearest curve of STORE.")
+@click.option(
+    "--scale", metavar="AXIS=UNIT", multiple=True, help="Unit of the margin along an axis; default: the plane's width."
+)
+@scheduler_option
+@workers_option
+@json_option
+@click.pass_context
+def measure(
+    ctx: click.Context,
+    /,
+    store: str,
+    norm: tuple[str, ...],
+    shocks: bool,
+    margin: bool,
+    scale: tuple[str, ...],
+    scheduler: str | None,
+    workers: int | None,
+    as_json: bool,
+) -> None:
+    """Measure how stable the attractors of STORE, a finished atlas, are: return time, reactivity, amplification.
+
+    The measures are kept in STORE, for atlas render; what it has already is not computed again. The same command
+    resumes one that was stopped.
+    """
+    from atlas.service.measures import measure_attractors  # with it Numba
+
+    check_workers(scheduler, workers)
+    weights, units = read_pairs("--norm", norm, read_number), read_pairs("--scale", scale, read_number)
+    if units and not margin:
+        raise InputError("--scale goes with --margin: it is the unit of that")
+    try:
+        with interruptible(), reporter(sys.stderr) as show:
+            options = RunOptions(workers, scheduler, on_progress=show, timing=timing_of(ctx))
+            summary = measure_attractors(
+                store, shocks=shocks, margin=margin, norm=weights, scale=units or None, options=options
+            )
+    except KeyboardInterrupt:
+        say("interrupted: what is found is kept; the same command resumes")
+        ctx.exit(INTERRUPTED)
+    click.echo(to_json(summary.as_dict()) if as_json else str(summary))

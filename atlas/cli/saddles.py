@@ -1,0 +1,100 @@
+"""The command about the saddles between the basins of one cell."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from atlas.cli.options import (
+    asked_cell,
+    examples,
+    json_option,
+    norm_option,
+    read_bounds,
+    read_number,
+    read_pairs,
+    set_option,
+    settings_options,
+    starts_option,
+    system_option,
+)
+from atlas.cli.output import print_table, text, to_json
+from atlas.cli.progress import reporter
+from atlas.errors import InputError
+from atlas.query.export import write_rows
+from atlas.robustness.norm import checked_weights
+from atlas.service.progress import Progress, prepare_kernels
+from atlas.task.compile import ATTRACTORS, kernels_for
+
+
+@click.command(
+    epilog=examples(
+        "atlas saddles --system gear-mesh",
+        "atlas saddles --system gear-mesh --box x=-2:2 --box v=-1:1 -o boundary.csv",
+    )
+)
+@set_option
+@system_option
+@norm_option
+@starts_option
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="For one mass, write the stable manifolds to this .csv file."
+)
+@click.option("--box", metavar="NAME=LOW:HIGH", multiple=True, help="With --out: the states in which they are grown.")
+@settings_options()
+@json_option
+def saddles(
+    given: tuple[str, ...],
+    system: str,
+    norm: tuple[str, ...],
+    starts: int,
+    out: Path | None,
+    box: tuple[str, ...],
+    as_json: bool,
+    **solve: Any,
+) -> None:
+    """Find the unstable orbits on the boundaries between the basins of one cell, and for one mass the boundaries.
+
+    A boundary is the stable manifold of such an orbit, a saddle.
+    """
+    from atlas.robustness.saddles import saddles as find_saddles
+
+    record, pairs, settings = asked_cell(given, system, solve)
+    weights, ends = (
+        checked_weights(read_pairs("--norm", norm, read_number), record),
+        read_pairs("--box", box, read_bounds),
+    )
+    if out is None and ends:
+        raise InputError("--box goes with --out: manifolds are grown in it")
+    if out is not None and out.suffix.lower() != ".csv":
+        raise InputError(f"{out.name}: found {out.suffix!r}, must end in .csv")
+    with reporter(sys.stderr) as show:
+        prepare_kernels(show, *kernels_for(record, ATTRACTORS))
+        show(Progress("solving"))
+        found = find_saddles(
+            pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=ends
+        )
+    if out is not None:
+        names = record.states
+        write_rows(
+            out,
+            [
+                {"saddle": k, "line": number, **dict(zip(names, state, strict=True))}
+                for k, each in enumerate(found["saddles"])
+                for number, line in enumerate(each["manifold"])
+                for state in line
+            ],
+        )
+    if as_json:
+        click.echo(to_json(found | ({"file": str(out)} if out is not None else {})))
+        return
+    shown = ("period", "between", "residual", "multipliers", "states", "slopes")
+    rows = [(name, *(text(each.get(name, "")) for each in found["saddles"])) for name in shown]
+    if found["saddles"]:
+        print_table("saddles", ["", *map(str, range(len(found["saddles"])))], rows)
+    for line in found["troubles"]:
+        click.echo(f"no saddle {line}")
+    click.echo(f"saddles: {len(found['saddles'])}, between {found['attractors']} attractors")
+    if out is not None:
+        click.echo(str(out))

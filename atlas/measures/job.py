@@ -1,0 +1,151 @@
+"""Measuring some cells of a tile on a worker: what crosses the scheduler, doing it here and now, the receipt for it."""
+
+import io
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.measures.table import LINEAR, SHOCKS, Arrays, check_names
+from atlas.spec.spec import Spec
+from atlas.store.groups import STABILITY
+from atlas.store.outage import LONG
+from atlas.store.parts import get_part, put_part
+from atlas.store.store import Header, done_tiles
+from atlas.store.tiles import read_tile
+from atlas.task.compile import compile_once
+from atlas.task.solving import kernels_of
+from atlas.task.task import RefusedError, check_claim, checked_header, file_errors
+from atlas.text import plural
+from workers.results import LARGEST, REGIME
+
+NEEDED = (REGIME.name, "period", LARGEST.name, "state")
+"""What of a cell its measures depend on, besides its parameters."""
+AT_ONCE = {LINEAR: 2048, SHOCKS: 4}
+"""Cells of a job: a second or a few of work, up to minutes for shocks."""
+
+
+@dataclass(frozen=True)
+class MeasureJob:
+    """Some cells of a tile, in C order from ``first`` to before ``last``, and the part that is to hold their measures.
+
+    ``claim`` is the token of the claim of the store: where that is lost, nothing is kept. ``measure_and_keep`` does it
+    by hand.
+    """
+
+    index: tuple[int, ...]
+    name: str
+    family: str
+    tile: tuple[int, ...]
+    first: int
+    last: int
+    norm: tuple[tuple[str, float], ...]
+    store: str
+    run_id: str
+    solver_version: int
+    patience: float = LONG
+    claim: str = ""
+
+
+@dataclass(frozen=True)
+class MeasureReceipt:
+    """What a finished job reports: its part, its cells, and the seconds of the worker's processor."""
+
+    index: tuple[int, ...]
+    name: str
+    cells: int
+    processor_seconds: float
+
+
+def pieces(header: Header, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
+    """Name, tile and cells, from the first to before the last, of each part that the measures of a family take."""
+    for tile in (each.index for each in header.tiling.tiles()):
+        count, most = int(np.prod(header.tiling.at(tile).shape)), AT_ONCE[family]
+        for first in range(0, count, most):
+            yield f"{family}-{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
+
+
+def prepare(store: str, run_id: str, solver_version: int, patience: float) -> None:
+    """Check what any job needs of this worker, and see to it that its kernels are compiled."""
+    with file_errors(store):
+        header = checked_header(store, run_id, solver_version, patience)
+    compile_once(*kernels_of(header.spec))
+
+
+def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
+    """Measure some cells and keep the measures as a part of the store."""
+    with file_errors(job.store):
+        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+        cells = stored_cells(header, job.tile)
+    compile_once(*kernels_of(header.spec))
+    begin = time.thread_time()
+    slices = header.tiling.at(job.tile).slices
+    found = _measured(header.spec, job, params_of(header.spec, slices), cells)
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **found)
+    with file_errors(job.store):
+        check_claim(header.place, job.claim)
+        put_part(header, STABILITY, job.name, file.getvalue())
+    return MeasureReceipt(job.index, job.name, job.last - job.first, time.thread_time() - begin)
+
+
+def read_measured(header: Header, name: str) -> Arrays:
+    """The measures that a part holds; RefusedError if there is none."""
+    data = get_part(header, STABILITY, name)
+    if data is None:
+        raise RefusedError(f"{header.place}: has no part {name}; is the path the same on all hosts?")
+    with np.load(io.BytesIO(data)) as arrays:
+        return dict(arrays)
+
+
+def check_store(header: Header) -> None:
+    """InputError unless a store is a finished atlas whose attractors can be measured."""
+    spec = header.spec
+    if spec.basins:
+        raise InputError(
+            f"{header.place}: found basins of one machine; atlas stability measures its attractors, with --set"
+        )
+    check_names(header)
+    lacking = [name for name in NEEDED if name not in {each.name for each in header.variables}]
+    if lacking:
+        raise InputError(f"{header.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
+    missing = header.tiling.count - len(done_tiles(header))
+    if missing:
+        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+
+
+def stored_cells(header: Header, tile: tuple[int, ...]) -> dict[str, NDArray[Any]]:
+    """What measures depend on of the cells of a tile, (cells, keep, ...); keep is 1 for one attractor a cell."""
+    arrays, dims, keep = read_tile(header, tile, NEEDED), len(header.spec.shape), int(header.spec.coexistence)
+    count = int(np.prod(header.tiling.at(tile).shape))
+    return {
+        name: values.reshape(count, *(values.shape[dims : dims + 1] if keep else (1,)), *values.shape[dims + keep :])
+        for name, values in arrays.items()
+    }
+
+
+def params_of(spec: Spec, slices: tuple[slice, ...]) -> dict[str, NDArray[np.float64]]:
+    """The value (cells,) of every parameter in a block of cells, in C order."""
+    given, shape = spec.cell_params(slices), tuple(part.stop - part.start for part in slices)
+    return {
+        p.name: np.broadcast_to(np.asarray(given.get(p.name, p.default), dtype=np.float64), shape).ravel()
+        for p in spec.record.parameters
+    }
+
+
+def _measured(
+    spec: Spec, job: MeasureJob, params: dict[str, NDArray[np.float64]], cells: dict[str, NDArray[Any]]
+) -> Arrays:
+    from atlas.measures.cells import linear_measures, shock_measures  # with it Numba
+
+    some = slice(job.first, job.last)
+    params = {name: values[some].copy() for name, values in params.items()}
+    cells = {name: values[some] for name, values in cells.items()}
+    if job.family == LINEAR:
+        return linear_measures(spec.record, params, cells, dict(job.norm))
+    assert spec.attractors is not None
+    return shock_measures(spec.record, params, cells, dict(job.norm), spec.settings, spec.attractors)

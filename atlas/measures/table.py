@@ -1,0 +1,136 @@
+"""The measures of an atlas as values: which there are, and the group ``stability`` of a store that keeps them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.curves.table import KINDS
+from atlas.errors import ChunkError, InputError
+from atlas.robustness.linear import FLAGS
+from atlas.store.groups import STABILITY, read_group, write_table
+from atlas.store.schema import StoredArray
+from atlas.store.store import Header
+from workers import SOLVER_VERSION
+from workers.results import ATTRACTOR
+
+Arrays = dict[str, NDArray[Any]]
+
+VERSION = 1
+"""Of the way in which measures are computed: raised whenever any may change."""
+
+LINEAR, SHOCKS, MARGIN = FAMILIES = ("linear", "shocks", "margin")
+"""What is computed together."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A measure of each attractor, or of each cell: its family, numpy type, value where it is not known, meaning, unit.
+
+    flags    what the codes of a measure that is a code mean, from 0
+    """
+
+    name: str
+    family: str
+    dtype: str
+    fill: float | int
+    long_name: str
+    units: str = "1"
+    of_cell: bool = False
+    flags: tuple[str, ...] = ()
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Its CF attributes."""
+        codes = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
+        return {"long_name": self.long_name, "units": self.units} | (codes if self.flags else {})
+
+
+_NAN, _PERIODS = float("nan"), "forcing periods"
+MEASURES = {
+    each.name: each
+    for each in (
+        Measure("return_time", LINEAR, "float64", _NAN, "time in which deviations fall by e in the end", _PERIODS),
+        Measure("reactivity", LINEAR, "float64", _NAN, "largest log growth of a deviation over one forcing period"),
+        Measure("amplification", LINEAR, "float64", _NAN, "largest growth of a deviation over any number of periods"),
+        Measure("amplified_after", LINEAR, "int32", -1, "number of periods after which it is that large", _PERIODS),
+        Measure("unmeasured", LINEAR, "int8", -1, "why one of these is not known; -1 if all are",
+                flags=FLAGS),
+        Measure("fatal_shock", SHOCKS, "float64", _NAN, "smallest deviation found that leads to another attractor"),
+        Measure("shock_reaches", SHOCKS, "int32", -1, "place of the attractor it leads to; -2 if it is not stored"),
+        Measure("shock_tried", SHOCKS, "int32", -1, "states that fill the ball of this size and are not fatal"),
+        Measure("margin", MARGIN, "float64", _NAN, "distance to the nearest curve", of_cell=True),
+        Measure("margin_error", MARGIN, "float64", _NAN, "estimated distance of its nearest chord from the curve",
+                of_cell=True),
+        Measure("margin_kind", MARGIN, "int8", -1, "kind of the nearest curve", of_cell=True, flags=KINDS),
+        Measure("margin_curve", MARGIN, "int32", -1, "number of the nearest curve, from 0", of_cell=True),
+    )
+}  # fmt: skip
+"""All measures by name."""
+
+
+def of_family(family: str) -> list[Measure]:
+    """The measures that are computed together."""
+    return [each for each in MEASURES.values() if each.family == family]
+
+
+def empty(measures: Iterable[Measure], shape: tuple[int, ...]) -> Arrays:
+    """Arrays of one shape in which no measure is known."""
+    return {each.name: np.full(shape, each.fill, dtype=each.dtype) for each in measures}
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """The measures that a store has, by name, and of each family the request that they answer."""
+
+    arrays: Arrays
+    requests: dict[str, dict[str, Any]]
+
+
+def read_measures(header: Header) -> Stored:
+    """The measures of a store; none if it has none, or damaged ones, or those of another version."""
+    try:
+        found = read_group(header, STABILITY)
+    except ChunkError:
+        found = None  # they are computed anew
+    if found is None or found[1].get("version") != VERSION or found[1].get("solver_version") != SOLVER_VERSION:
+        return Stored({}, {})
+    arrays, attributes = found
+    requests = {family: dict(attributes[family]) for family in FAMILIES if family in attributes}
+    return Stored({name: arrays[name] for name in MEASURES if name in arrays}, requests)
+
+
+def write_measures(header: Header, found: Stored) -> None:
+    """Keep measures in the store, in the place of any before."""
+    dims = header.spec.dims
+    many = (*dims, ATTRACTOR) if header.spec.coexistence else dims
+    columns = {
+        name: StoredArray(values, dims if MEASURES[name].of_cell else many, MEASURES[name].attributes)
+        for name, values in found.arrays.items()
+    }
+    own = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}
+    write_table(header, STABILITY, columns, own | found.requests)
+
+
+def check_names(header: Header) -> None:
+    """InputError if a machine of an earlier version has a parameter or a result with the name of a measure."""
+    taken = {*header.coordinate_names, *(each.name for each in (*header.variables, *header.unknown))} & MEASURES.keys()
+    if taken:
+        raise InputError(f"{header.place}: {min(taken)!r} is a name of its own, and that of a measure")
+
+
+def summary_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, float]]:
+    """Of each measure that is a number how often it is known, and its least, middle and largest finite value."""
+    found = {}
+    for name, values in arrays.items():
+        if MEASURES[name].dtype != "float64" or name == "margin_error":
+            continue
+        known = values[np.isfinite(values)]
+        found[name] = {"known": int(np.sum(~np.isnan(values)))} | (
+            {"least": float(known.min()), "median": float(np.median(known)), "largest": float(known.max())}
+            if known.size
+            else {}
+        )
+    return found

@@ -1,0 +1,187 @@
+"""The saddles between the basins of the attractors of one cell, and for one mass their stable manifolds."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from atlas.errors import InputError
+from atlas.robustness.norm import checked_weights, weights_of
+from atlas.spec.attractors import checked_attractors, resolved_attractors
+from atlas.spec.spec import checked_parameters
+from atlas.spec.system import checked_system, refuse_drift
+from workers import Settings
+from workers.attractors.starts import MOST_KEPT, Starts
+from workers.model.system import DEFAULT, System
+
+if TYPE_CHECKING:
+    from atlas.robustness.manifold import Across, Branch
+    from atlas.robustness.saddle import Saddle
+    from workers.attractors.basins import Table
+    from workers.model.oscillator import Array
+
+Box = Mapping[str, tuple[float, float]]
+
+CONTRACTED = 0.5
+"""Largest multiplier along a manifold of the map that it is grown by, a power of P."""
+TIMES = 20.0
+"""Length of a branch of a manifold, in diagonals of the box."""
+
+
+def saddles(
+    given: Mapping[str, Any] | None = None,
+    *,
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
+    starts: int = Starts.count,
+    norm: Mapping[str, float] | None = None,
+    manifolds: bool = False,
+    box: Box | None = None,
+) -> dict[str, Any]:
+    """The unstable orbits between the basins of one cell's attractors, exact, with the boundary's direction there.
+
+    ``given``, ``starts`` and ``norm`` as in ``atlas.stability``; attractors have the places that ``atlas.attractors``
+    gives them. Each of ``saddles`` has its ``period``; ``between``, the two attractors whose basins meet at it;
+    ``multipliers`` as [real, imaginary], one of them outside the unit circle; ``states``, its section states; the
+    ``normal`` of the boundary at each, a unit vector in the norm's coordinates w z; for one mass ``slopes``, dv/dx
+    along the boundary at each. With ``manifolds``, for one mass, ``manifold``: lines, lists of states (x, v) in order,
+    that are the boundary within ``box``, (low, high) of x and v, by default that of the initial states; and ``ends``,
+    why its branches end. ``troubles`` has boundaries on which no saddle was found, in words.
+    Raises InputError as ``atlas.stability`` does, for manifolds of more than one mass, and where a coordinate drifts.
+
+    >>> import atlas
+    >>> found = atlas.saddles(system="gear-mesh", starts=8)
+    >>> [(each["period"], each["between"]) for each in found["saddles"]]
+    [(1, [0, 1])]
+    """
+    record, settings = checked_system(system), settings or Settings()
+    parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
+    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
+    assert search is not None
+    return saddles_between(record, parameters, settings, search, weights, manifolds, box)
+
+
+def saddles_between(
+    record: System,
+    parameters: Mapping[str, float],
+    settings: Settings,
+    search: Starts,
+    norm: Mapping[str, float] | None = None,
+    manifolds: bool = False,
+    box: Box | None = None,
+) -> dict[str, Any]:
+    """``saddles`` of checked values."""
+    from atlas.robustness.saddle import saddles_of
+    from workers.attractors.basins import Table
+
+    refuse_drift(record, "saddles")
+    if manifolds and len(record.states) != 2:
+        raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
+    table = Table(record, parameters, settings, search)
+    w = weights_of(norm or {}, record, float(table.oscillators.period[0]))
+    tracked = saddles_of(table, w)
+    each = [_described(saddle) for saddle in tracked.saddles]
+    if manifolds:
+        ends = _box(table, box)
+        for entry, saddle in zip(each, tracked.saddles, strict=True):
+            branches = manifold_of(table, saddle, ends)
+            entry["manifold"] = [(piece / w).tolist() for branch in branches for piece in branch.pieces]
+            entry["ends"] = [branch.end for branch in branches]
+    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
+    found = {"norm": dict(zip(record.states, w.tolist(), strict=True)), "attractors": len(table.attractors)}
+    return record.resolved() | described | found | {"saddles": each, "troubles": tracked.troubles}
+
+
+def _described(saddle: "Saddle") -> dict[str, Any]:
+    return {
+        "period": saddle.period,
+        "between": sorted(saddle.sides),
+        "multipliers": [[float(each.real), float(each.imag)] for each in saddle.multipliers],
+        "residual": saddle.residual,
+        "states": saddle.states.tolist(),
+        "normal": saddle.normal.tolist(),
+        **({"slopes": saddle.slopes.tolist()} if len(saddle.along[0]) else {}),
+    }
+
+
+def _box(table: "Table", given: Box | None) -> tuple["Array", "Array"]:
+    """The lowest and the highest state; InputError for a bad name or ends that do not rise."""
+    from workers.attractors.starts import boxes
+
+    names = table.record.states
+    low, high = (each[0].copy() for each in boxes(table.starts, table.oscillators, names))
+    for name, (first, last) in (given or {}).items():
+        if name not in names or not first < last:
+            raise InputError(f"box.{name}: found {first:g} to {last:g}; must rise, of {' or '.join(names)}")
+        low[names.index(name)], high[names.index(name)] = first, last
+    return low, high
+
+
+def manifold_of(table: "Table", saddle: "Saddle", box: tuple["Array", "Array"]) -> "Sequence[Branch]":
+    """The branches of the stable manifold of a saddle of one mass, two at each of its states, in coordinates w z."""
+    from atlas.robustness.manifold import grow
+    from atlas.robustness.section_map import SectionMap
+
+    w, section_map = saddle.weights, SectionMap(table.cell.oscillator)
+    inner = float(np.real(saddle.multipliers[np.argmin(np.abs(saddle.multipliers))]))
+    turns = max(1, int(np.ceil(np.log(CONTRACTED) / np.log(max(abs(inner), 1e-300)))))
+    turns += turns % 2 if inner < 0.0 else 0
+    ends = _beyond_stops(table, box, w)
+    length = TIMES * float(np.linalg.norm(ends[1] - ends[0]))
+    across = _across(table, w)
+
+    def image(states: "Array") -> "Array":
+        return section_map.images(states / w, turns * saddle.period) * w
+
+    return [
+        grow(image, state * w, sign * along, ends, length, across)
+        for state, along in zip(saddle.states, saddle.along, strict=True)
+        for sign in (1.0, -1.0)
+    ]
+
+
+def _stops(table: "Table") -> list[tuple[float, float]]:
+    """The position x of each rigid stop of one mass, and on which side it is: 1 above, -1 below."""
+    return [
+        (stop[0] / row[0, 0], side if row[0, 0] > 0.0 else -side)
+        for row, *both in table.cell.oscillator.rigid_stops
+        for stop, side in zip(both, (1.0, -1.0), strict=True)
+        if np.isfinite(stop[0]) and row[0, 0] != 0.0
+    ]
+
+
+def _beyond_stops(table: "Table", box: tuple["Array", "Array"], w: "Array") -> tuple["Array", "Array"]:
+    """The ends of the box in coordinates w z, beyond a stop at its edge: a manifold goes on there."""
+    low, high = box[0] * w, box[1] * w
+    room = 0.01 * (high[0] - low[0])
+    for stop, side in _stops(table):
+        if side > 0.0 and high[0] >= w[0] * stop - room:
+            high[0] = w[0] * stop + room
+        if side < 0.0 and low[0] <= w[0] * stop + room:
+            low[0] = w[0] * stop - room
+    return low, high
+
+
+def _across(table: "Table", w: "Array") -> "Across":
+    """How a manifold goes on at a rigid stop, in coordinates w z."""
+    from workers.model.oscillator import HEAD
+
+    oscillator = table.cell.oscillator
+    R, stops = float(oscillator.head[0, HEAD.R]), _stops(table)
+
+    def across(point: "Array", step: "Array") -> "tuple[Array, Array, Array] | None":
+        x, dx = point[0] / w[0], step[0] / w[0]
+        for stop, side in stops if not oscillator.has_modes else ():
+            share = (stop - x) / dx if dx != 0.0 else -1.0
+            if side * dx > 0.0 and 0.0 <= share <= 1.0:
+                last = point + share * step
+                speed = side * last[1] / w[1]
+                beyond = -R * speed if speed > 0.0 else -speed / R if R > 0.0 else np.inf
+                if not np.isfinite(beyond) or speed == 0.0:
+                    return None
+                heading = np.array([-side, 0.0])
+                return last, np.array([stop * w[0], side * beyond * w[1]]), heading
+        return None
+
+    return across

@@ -1,0 +1,52 @@
+"""The map of one machine over forcing periods, from physical section states to physical section states."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from atlas.robustness.linear import one_period
+from workers.cell.stretch import begin, sections_from
+from workers.kernel.cells import physical_states
+from workers.kernel.motion import RUNNING, STATUS
+from workers.model.oscillator import Array, Oscillator, taken
+from workers.results import NO_REASON
+
+FIRST = np.zeros(1, dtype=np.int64)
+
+
+class SectionMap:
+    """P^m of a machine, a record of many of one: images of many states, and the Jacobian at one."""
+
+    def __init__(self, oscillator: Oscillator) -> None:
+        self.oscillator = oscillator
+        self.many = lru_cache(maxsize=4)(lambda count: taken(oscillator, np.zeros(count, dtype=np.int64)))
+
+    def orbits(self, states: Array, periods: int) -> Array:
+        """The states (N, periods + 1, 2n) of motions from states (N, 2n); NaN beyond a stop, and where one ends."""
+        many = self.many(len(states))
+        motions, reasons = begin(many, np.full(len(states), NO_REASON, dtype=np.int8), np.ascontiguousarray(states))
+        found = sections_from(many, motions, np.where(reasons == NO_REASON, periods + 1, 0))
+        return np.asarray(found) if found.shape[1] else np.full((len(states), periods + 1, states.shape[1]), np.nan)
+
+    def images(self, states: Array, periods: int) -> Array:
+        """P^periods of states (N, 2n)."""
+        return np.asarray(self.orbits(states, periods)[:, -1])
+
+    def turn(self, state: Array, periods: int) -> tuple[Array, Array, Array]:
+        """The states (periods, 2n) of the motion from a state, its last one (2n,) and the Jacobian (2n, 2n) of it all.
+
+        NaN where the motion cannot be followed.
+        """
+        size = len(state)
+        motions, _ = begin(self.oscillator, np.full(1, NO_REASON, dtype=np.int8), state[None])
+        h, contact = motions.h[0], int(motions.contact[0, 0])
+        states, jacobian = [state], np.eye(size)
+        for _ in range(periods):
+            motion, one = one_period(self.oscillator, h, contact)
+            if motion.tally[STATUS] != RUNNING:
+                return np.full((periods, size), np.nan), np.full(size, np.nan), np.full((size, size), np.nan)
+            jacobian = one @ jacobian
+            h, contact = motion.h, int(motion.contact[0])
+            motions.h[0], motions.contact[0, 0] = h, contact
+            states.append(physical_states(self.oscillator, motions, FIRST)[0])
+        return np.array(states[:-1]), states[-1], jacobian

@@ -1,0 +1,234 @@
+"""Measuring the attractors of a finished atlas on the workers: in parts that the store keeps, and all at the end."""
+
+import hashlib
+import os
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from atlas.errors import InputError
+from atlas.measures.job import (
+    NEEDED,
+    MeasureJob,
+    MeasureReceipt,
+    check_store,
+    measure_and_keep,
+    pieces,
+    prepare,
+    read_measured,
+)
+from atlas.measures.plane import checked_scale, margin_request, margins_of
+from atlas.measures.table import (
+    LINEAR,
+    MARGIN,
+    MEASURES,
+    SHOCKS,
+    Arrays,
+    Stored,
+    empty,
+    of_family,
+    read_measures,
+    summary_of,
+    write_measures,
+)
+from atlas.robustness.norm import checked_weights
+from atlas.service.batches import Labour
+from atlas.service.cluster import leave_if_bootstrapping
+from atlas.service.crew import Crew
+from atlas.service.notebook import reporting
+from atlas.service.options import DEFAULTS, RunFields, RunOptions
+from atlas.service.progress import Progress
+from atlas.service.run import check_client, claimed_place, joined, worker_count
+from atlas.store.archive import refuse_packed
+from atlas.store.groups import STABILITY
+from atlas.store.location import place_of, waiting
+from atlas.store.parts import drop_parts, kept_parts
+from atlas.store.store import Header, read_header
+from atlas.store.tiles import read_tile
+from atlas.task.solving import kernels_of
+from atlas.task.task import forget
+from atlas.text import duration, plural
+from workers import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Request = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class MeasureSummary:
+    """The measures of a store in numbers, and the seconds that it took to compute them now: 0 if the store had them."""
+
+    store: str
+    measures: Mapping[str, Mapping[str, float]]
+    requests: Mapping[str, Request]
+    seconds: float = 0.0
+    processor_seconds: float = 0.0
+    tasks: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``atlas measure --json`` prints."""
+        times = {"seconds": self.seconds, "processor_seconds": self.processor_seconds, "tasks": self.tasks}
+        given = {name: {k: v for k, v in each.items() if k != "content"} for name, each in self.requests.items()}
+        return {"store": self.store, "measures": dict(self.measures), **given, **times}
+
+    def __str__(self) -> str:
+        lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]
+        for name, each in self.measures.items():
+            what = "cell" if MEASURES[name].of_cell else "attractor"
+            ends = f", {each['least']:.4g} to {each['largest']:.4g}, median {each['median']:.4g}"
+            lines.append(f"{name}: {plural(int(each['known']), what)}{ends if 'median' in each else ''}")
+        if self.seconds:
+            lines.append(f"in {duration(self.seconds)}, {duration(self.processor_seconds)} of processor time")
+        return "\n".join(lines)
+
+
+def measure_attractors(
+    store: str | os.PathLike[str],
+    *,
+    shocks: bool = False,
+    margin: bool = False,
+    norm: Mapping[str, float] | None = None,
+    scale: Mapping[str, float] | None = None,
+    client: "Client | None" = None,
+    options: RunOptions = DEFAULTS,
+    **fields: Unpack[RunFields],
+) -> MeasureSummary:
+    """Measure how stable all attractors of a finished atlas are, and keep the measures in its store.
+
+    ``return_time``, ``reactivity`` and ``amplification`` as ``atlas.stability`` has them, in its ``norm``. With
+    ``shocks``, of an atlas of all attractors, ``fatal_shock`` too, which takes seconds to minutes for each attractor.
+    With ``margin`` the distance of each cell to the nearest curve that ``find_curves`` has found, in units of the
+    ``scale`` of each axis, by default its width. What the store has already is not computed again. The work is done on
+    ``client`` or as the options say, like ``run``; the same call resumes work that was stopped. Without ``shocks`` and
+    ``margin`` these are kept if the cells, and the curves, are the same.
+    Raises InputError if the store is not a finished atlas; see also ``run``.
+    """
+    options = options.updated(**fields)
+    leave_if_bootstrapping()
+    check_client(client, options)
+    with reporting(options.on_progress) as report, ExitStack() as stack:
+        options = replace(options, on_progress=report)
+        header = read_header(waiting(place_of(store), options.patience))
+        check_store(header)
+        weights = checked_weights(norm, header.spec.record)
+        of_margin = margin_request(header, checked_scale(header, scale)) if margin else None
+        wanted = _requests(header, shocks, of_margin, weights)
+        stored = _still_true(read_measures(header), wanted)
+        missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
+        if not missing:
+            return MeasureSummary(str(header.place), summary_of(stored.arrays), stored.requests)
+        refuse_packed(header.place)
+        begin, busy, tasks = time.monotonic(), 0.0, 0
+        families = [family for family in missing if family != MARGIN]
+        workers = worker_count(client, options) if families else 0
+        client = joined(client, options, stack) if families else None
+        claim = stack.enter_context(claimed_place(header.place, options))
+        found = Stored(dict(stored.arrays), dict(stored.requests))
+        if MARGIN in missing:
+            found.arrays.update(margins_of(header, wanted[MARGIN]["scale"]))
+        if families:
+            crew = Crew(kernels_of(header.spec), options, claim, stack, workers, client)
+            job = _Measuring(header, options, crew, tuple(weights.items()))
+            found.arrays.update(job.run(families, _digest({name: wanted[name] for name in families})))
+            busy, tasks = job.processor_seconds, job.tasks
+        found.requests.update({family: wanted[family] for family in missing})
+        claim.confirm(header.place)
+        ordered = {name: found.arrays[name] for name in MEASURES if name in found.arrays}
+        write_measures(header, Stored(ordered, found.requests))
+        drop_parts(header, STABILITY)
+        seconds = time.monotonic() - begin
+        return MeasureSummary(str(header.place), summary_of(ordered), found.requests, seconds, busy, tasks)
+
+
+def _requests(header: Header, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
+    """What is asked of each family; ``content`` is a digest of all else that its measures depend on."""
+    if shocks and not header.spec.coexistence:
+        raise InputError(f"{header.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
+    content = _content(header)
+    found: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
+    if shocks:
+        found[SHOCKS] = {"content": content, "norm": dict(norm)}
+    return found if margin is None else found | {MARGIN: margin}
+
+
+def _still_true(stored: Stored, wanted: Mapping[str, Request]) -> Stored:
+    """The stored measures without those of other cells than the store has now."""
+    content = wanted[LINEAR]["content"]
+    kept = {
+        family: request
+        for family, request in stored.requests.items()
+        if family == MARGIN or request.get("content") == content
+    }
+    return Stored({name: each for name, each in stored.arrays.items() if MEASURES[name].family in kept}, kept)
+
+
+def _content(header: Header) -> str:
+    """A digest of what the measures of attractors depend on in the cells of a store."""
+    found = hashlib.sha256(header.digest.encode())
+    for index in sorted(each.index for each in header.tiling.tiles()):
+        for name, values in sorted(read_tile(header, index, NEEDED).items()):
+            found.update(name.encode() + np.ascontiguousarray(values).tobytes())
+    return found.hexdigest()
+
+
+def _digest(requests: Mapping[str, Request]) -> str:
+    return hashlib.sha256(repr((sorted(map(repr, requests.items())), SOLVER_VERSION)).encode()).hexdigest()
+
+
+@dataclass
+class _Measuring:
+    """Attractors being measured in a store that is claimed."""
+
+    header: Header
+    options: RunOptions
+    crew: Crew
+    norm: tuple[tuple[str, float], ...]
+    cells: int = 0
+    done: int = 0
+    tasks: int = 0
+    processor_seconds: float = 0.0
+
+    def run(self, families: list[str], digest: str) -> Arrays:
+        """The measures of some families over all cells; ``digest`` says for which request parts are kept."""
+        header = self.header
+        kept = kept_parts(header, STABILITY, digest)
+        parts = [(family, *piece) for family in families for piece in pieces(header, family)]
+        self.cells = sum(last - first for *_, first, last in parts)
+        self.done = sum(last - first for _, name, _, first, last in parts if name in kept)
+        token, store, patience = self.crew.claim.token, str(header.place), self.options.patience
+        jobs = [
+            MeasureJob((k,), name, family, tile, first, last, self.norm, store, header.run_id, SOLVER_VERSION, patience,
+                       token)
+            for k, (family, name, tile, first, last) in enumerate(parts)
+            if name not in kept
+        ]  # fmt: skip
+        ready = partial(prepare, store, header.run_id, SOLVER_VERSION, patience)
+        labour = Labour(store, measure_and_keep, ready, partial(forget, store, header.run_id, patience))
+        self.crew.do(labour, jobs, self._count, self._progress)
+        many = (header.spec.attractors.keep,) if header.spec.coexistence and header.spec.attractors else ()
+        found: Arrays = {}
+        for family in families:
+            found |= empty(of_family(family), (*header.spec.shape, *many))
+        for _, name, tile, first, last in parts:
+            at = header.tiling.at(tile)
+            cells = np.unravel_index(np.arange(first, last), at.shape)
+            here = tuple(cell + part.start for cell, part in zip(cells, at.slices, strict=True))
+            for measured, values in read_measured(header, name).items():
+                found[measured][here] = values if many else values[:, 0]
+        return found
+
+    def _count(self, receipt: MeasureReceipt) -> None:
+        self.tasks += 1
+        self.done += receipt.cells
+        self.processor_seconds += receipt.processor_seconds
+
+    def _progress(self) -> Progress:
+        stage = f"measuring: {self.done} of {plural(self.cells, 'cell')}"
+        return Progress(stage, cells=self.cells, cells_done=self.done)
