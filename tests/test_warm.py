@@ -87,6 +87,18 @@ def test_of_many_that_need_the_kernels_one_compiles_them(compiled: list[str]) ->
     assert compiled == ["cells"]
 
 
+def test_a_kernel_costs_nothing_until_it_is_called() -> None:
+    """Numba looks at the sources and at the disk for each function that it is to compile, or to load."""
+
+    @jit.kernel
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    assert not {"alone", "part"} & vars(half).keys()
+    assert half(3.0) == 1.5
+    assert "alone" in vars(half) and "part" not in vars(half)
+
+
 @pytest.mark.parametrize("name", ["bouncing-ball", "impact-damper", "chain-3", "chain-8"])
 def test_no_system_has_kernels_of_its_own(name: str) -> None:
     """Of one, two and more coordinates, with rigid modes and loads: none compiles what others have compiled."""
