@@ -43,7 +43,7 @@ largest kernels, that of stretches of periods and that of orbits."""
 AT_A_TIME = 2
 """Pieces that are compiled side by side at most, each by a process of its own."""
 
-SPARED = {CELLS: 15, MODES: 15}
+SPARED = {CELLS: 10, MODES: 10}
 """Seconds that compiling side by side spares, roughly."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
