@@ -1,10 +1,11 @@
 """Processor time of a cell and of a forcing period, of this version of the solver and another one in alternation.
 
 Cells: periodic, free of impacts, free of impacts with a structure of their own (masses, springs or dampers that no
-other cell has). Periods: those of Figs 3, 4 and 5 of Li & Tan (2011) with no, one or all exponents, as the difference
-of two lengths of the same run; and, of this version alone, those of machines of 1, 2, 4 and 8 masses. Planes: a part of
-the packaged one, and one without chaos. Each version runs in processes of its own, one after another, since where
-memory happens to lie makes up to a tenth of a measure; one waits while the other measures; best of all.
+other cell has), and a periodic one at a time. Periods: those of Figs 3, 4 and 5 of Li & Tan (2011) with no, one or all
+exponents, as the difference of two lengths of the same run; and, of this version alone, those of machines of 1, 2, 4
+and 8 masses. Planes: a part of the packaged one, and one without chaos. Each version runs in processes of its own, one
+after another, since where memory happens to lie makes up to a tenth of a measure; one waits while the other measures;
+best of all.
 
 Usage: python -m scripts.bench_cell [--against ROOT] [--light] [--keep]      ROOT: a checkout of the other version
 """
@@ -42,6 +43,8 @@ def cells(kind: str, count: int) -> dict[str, Any]:
     omega = {"omega": np.linspace(3.9, 4.1, count)}
     if kind == "periodic":
         return {**omega, "b": 0.1}
+    if kind == "alone":
+        return {"omega": 4.0, "b": 0.15}
     if kind == "impact-free":
         return {**omega, "b": 5.0}
     if kind == "new structure":
@@ -52,9 +55,10 @@ def cells(kind: str, count: int) -> dict[str, Any]:
     return {"R": np.linspace(0.5, 0.95, side)[None, :], "zeta": np.linspace(0.05, 0.5, side)[:, None], "b": 0.1}
 
 
-KINDS = ("periodic", "impact-free", "new structure", "plane of omega and b", "plane of R and zeta")
+KINDS = ("periodic", "alone", "impact-free", "new structure", "plane of omega and b", "plane of R and zeta")
 DESCRIBED = {
     "periodic": "periodic",
+    "alone": "periodic, one cell at a time",
     "impact-free": "without impact",
     "new structure": "without impact, different masses in each cell",
     "plane of R and zeta": "R from .5 to .95, zeta from .05 to .5: no chaos",
@@ -142,7 +146,7 @@ class Version:
 def cases(light: bool, alone: bool) -> list[dict[str, Any]]:
     """What is measured of two versions, or of this one alone."""
     size = 144 if light else 1024
-    found: list[dict[str, Any]] = [{"kind": kind, "cells": size} for kind in KINDS]
+    found: list[dict[str, Any]] = [{"kind": kind, "cells": 1 if kind == "alone" else size} for kind in KINDS]
     for figure in FIGURES:
         for exponents in EXPONENTS:
             found.append({"figure": figure, "exponents": exponents, "cells": 256, "periods": 20 if light else 500})

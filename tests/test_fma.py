@@ -25,6 +25,15 @@ def test_product_and_sum_are_rounded_once() -> None:
     assert np.count_nonzero(out) > 400
 
 
+def test_a_sum_that_is_zero_has_the_sign_of_the_compiled_one() -> None:
+    signed = np.array([0.0, -0.0, 1.0, -1.0, 1e-200, -1e-200])
+    a, b, c = (grid.ravel() for grid in np.meshgrid(signed, signed, signed))
+    out = np.empty(len(a))
+    sums(a, b, c, out)
+    in_python = np.array([fma(*each) for each in zip(a.tolist(), b.tolist(), c.tolist(), strict=True)])
+    assert in_python.tobytes() == out.tobytes()
+
+
 @kernel
 def cubic(x, out):
     """horner of each."""

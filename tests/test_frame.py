@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from workers.kernel.lanes.frames import normalise_pass, project_pass
-from workers.kernel.lanes.layout import STRIDE, VECTOR_WIDTH, padded_blocks
+from workers.kernel.lanes.frames import normalise_pass, project_pass, transfer_pass
+from workers.kernel.lanes.layout import BLOCK_SIZE, LANE, LANE_SIZE, STRIDE, VECTOR_WIDTH, padded_blocks
+from workers.kernel.lanes.two_blocks import VECTOR, VECTORS, orthonormalise_frames, transfer_frames
 from workers.kernel.tangent import inner, orthonormalise
 from workers.model.oscillator import make_blocks
 
@@ -68,6 +69,40 @@ def test_frames_side_by_side_are_made_orthonormal_as_each_alone(n: int) -> None:
         orthonormalise(make_blocks(np.zeros(n), lam[:, i]), V[i], growth, np.zeros((0, 0)), int(rank[i]))
         assert together[:, :n, :, i] == pytest.approx(V[i], abs=1e-13)
         assert growths[:, i] == pytest.approx(growth, abs=1e-13)
+
+
+def test_whole_frames_of_two_blocks_become_orthonormal_to_the_bits_of_one_vector_at_a_time() -> None:
+    """Of all ranks, the vectors beyond which are zero, some of them negative zeros."""
+    rng, N = np.random.default_rng(6), 2 * VECTOR_WIDTH
+    metric, rank = rng.uniform(0.5, 4.0, VECTOR), rng.integers(0, VECTORS + 1, STRIDE).astype(float)
+    one, growths, partial = rng.normal(size=(VECTORS, VECTOR)), rng.normal(size=(VECTORS, STRIDE)), np.zeros(2 * STRIDE)
+    lanes = one.reshape(VECTORS, 4, STRIDE)
+    lanes *= np.arange(VECTORS)[:, None, None] < rank
+    whole, grown = one.copy(), growths.copy()
+    with np.errstate(all="ignore"):
+        for k in range(VECTORS):
+            normalise_pass(metric, rank, k, one[k], growths[k], partial, N)
+            for later in range(k + 1, VECTORS):
+                project_pass(metric, one[k], one[later], partial, N)
+        orthonormalise_frames(metric, rank, whole.ravel(), grown.ravel(), N)
+    assert whole.tobytes() == one.tobytes()
+    assert grown.tobytes() == growths.tobytes()
+
+
+def test_whole_frames_of_two_blocks_go_through_flights_and_impacts_to_the_bits_of_one_vector_at_a_time() -> None:
+    rng, N = np.random.default_rng(7), 2 * VECTOR_WIDTH
+    a, one, partial = (
+        rng.normal(size=LANE_SIZE + 2 * BLOCK_SIZE),
+        rng.normal(size=(VECTORS, VECTOR)),
+        np.zeros(2 * STRIDE),
+    )
+    a[LANE.flows : LANE.flows + N] = rng.integers(0, 2, N)
+    a[LANE.loss : LANE.loss + N] *= rng.integers(0, 2, N)
+    whole = one.copy()
+    for u in one:
+        transfer_pass(a, u, partial, N)
+    transfer_frames(a, whole.ravel(), N)
+    assert whole.tobytes() == one.tobytes()
 
 
 def test_triangle_and_growth_keep_the_product_of_all_steps() -> None:

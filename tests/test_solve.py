@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 
 from tests import naive
+from workers.cell.course import Course
 from workers.cell.exponents import free_exponents
 from workers.history import trace
+from workers.model import build
+from workers.model.free import Structure, structure_of
+from workers.model.oscillator import Machines
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -330,6 +334,31 @@ def test_a_cell_is_the_same_to_the_bit_alone_in_a_tile_and_shuffled() -> None:
         for variable in result_variables(settings):
             flat = whole[variable.name].reshape(12, *whole[variable.name].shape[2:])
             assert same(flat[k], alone[variable.name]), variable.name
+
+
+def test_the_structure_of_a_machine_is_worked_out_once_for_cells_solved_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forcing frequencies and gaps do not change it, masses do."""
+    worked_out = []
+
+    def counted(machines: Machines) -> Structure:
+        worked_out.append(machines.mass)
+        return structure_of(machines)
+
+    monkeypatch.setattr(build, "structure_of", counted)
+    for mass in (2.03125, 2.0625):
+        for omega, b in ((4.0, 5.0), (4.0, 6.0), (3.0, 5.0)):
+            cell({"mu_m": mass, "omega": omega, "b": b})
+    assert len(worked_out) == 2
+
+
+def test_a_cell_on_an_orbit_goes_through_no_other_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unwanted(course: Course, rows: np.ndarray) -> None:
+        raise AssertionError(rows)
+
+    for stage in ("searching", "averaging", "watching"):
+        monkeypatch.setattr(Course, stage, unwanted)
+    assert cell({"omega": 4.0, "b": 0.15})["regime"] == PERIODIC
+    assert cell({"omega": 4.0, "b": 5.0})["regime"] == NO_IMPACT
 
 
 def test_results_have_the_broadcast_shape_of_the_parameters() -> None:

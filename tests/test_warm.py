@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from atlas.cli.progress import LogReporter
 from atlas.service.progress import prepare_kernels
 from atlas.task import compile as warm
-from atlas.task.child import watched
+from atlas.task.child import watched_together
 from tests.faults import ROOT
 from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
@@ -74,6 +75,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     monkeypatch.setattr(cache, "CACHE", tmp_path)
     monkeypatch.setattr(warm, "warm_up_in_child", slowly)
+    monkeypatch.setattr(warm, "processors", lambda: 1)
     monkeypatch.setattr(warm, "TICK", 0.01)
     return done
 
@@ -87,10 +89,22 @@ def test_of_many_that_need_the_kernels_one_compiles_them(compiled: list[str]) ->
     assert compiled == ["cells"]
 
 
+def test_a_kernel_costs_nothing_until_it_is_called() -> None:
+    """Numba looks at the sources and at the disk for each function that it is to compile, or to load."""
+
+    @jit.kernel
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    assert not {"alone", "part"} & vars(half).keys()
+    assert half(3.0) == 1.5
+    assert "alone" in vars(half) and "part" not in vars(half)
+
+
 @pytest.mark.parametrize("name", ["bouncing-ball", "impact-damper", "chain-3", "chain-8"])
 def test_no_system_has_kernels_of_its_own(name: str) -> None:
     """Of one, two and more coordinates, with rigid modes and loads: none compiles what others have compiled."""
-    solve_tile("two-mass", {}, Settings(exponents="spectrum", survival=0))
+    warm.warm_up()
     before = {kernel: len(kernel.alone.signatures) for kernel in KERNELS}
     solve_tile(name, {}, Settings(exponents="spectrum", survival=0, max_periods=500))
     assert {kernel: len(kernel.alone.signatures) for kernel in KERNELS} == before
@@ -135,6 +149,14 @@ def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str])
     assert warm.warming() == LOADING
 
 
+def test_with_two_processors_the_user_reads_of_a_shorter_compilation(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "processors", lambda: 2)
+    spared = warm.SPARED[warm.CELLS]
+    assert warm.warming() == COMPILING.replace("55", str(55 - spared))
+
+
 def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,16 +170,73 @@ def test_the_child_compiles_what_it_is_given() -> None:
     assert warm.warm_up_in_child((warm.CELLS,))
 
 
+COUNTING = "import json, sys; [print(n, flush=True) for n in range(1, 1 + len(json.loads(sys.argv[1])))]"
+"""A child that counts up to the number of the pieces that it is given, one a line."""
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[list[str]]]:
+    """The pieces that children which count instead of compiling were given, stage by stage."""
+    stages: list[list[list[str]]] = []
+
+    def counting(code: str, arguments: list[str], told: Callable[[int, str], None]) -> list[int]:
+        stages.append([json.loads(each) for each in arguments])
+        return watched_together(COUNTING, arguments, told)
+
+    monkeypatch.setattr(warm, "watched_together", counting)
+    return stages
+
+
 def test_who_waits_for_a_compilation_hears_of_it_every_tick(
-    monkeypatch: pytest.MonkeyPatch,
+    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A child that counts up to 3, one a line."""
-    code = "for done in (1, 2, 3): print(done, flush=True)"
-    monkeypatch.setattr(warm, "watched", lambda _, *arguments, told: watched(code, *arguments, told=told))
+    monkeypatch.setattr(warm, "processors", lambda: 1)
     heard: list[warm.Compilation] = []
-    assert warm.warm_up_in_child((warm.CELLS, warm.ORBITS), heard.append)
-    of = warm.FUNCTIONS[warm.CELLS] + warm.FUNCTIONS[warm.ORBITS]
+    assert warm.warm_up_in_child((warm.CELLS, warm.ATTRACTORS, warm.ORBITS), heard.append)
+    assert asked == [[[warm.CELLS, warm.ATTRACTORS, warm.ORBITS]]]
+    of = sum(warm.FUNCTIONS[part] for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS))
     assert [(each.done, each.of) for each in heard] == [(1, of), (2, of), (3, of)]
+
+
+@pytest.mark.parametrize("cells", [warm.CELLS, warm.MODES])
+def test_with_two_processors_the_largest_kernels_are_compiled_side_by_side(
+    cells: str, asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "processors", lambda: 2)
+    heard: list[warm.Compilation] = []
+    assert warm.warm_up_in_child((cells, warm.ORBITS), heard.append)
+    assert asked == [[[warm.APART]], [[warm.BATCH, cells], [warm.SETTLE, cells]], [[cells, warm.ORBITS]]]
+    assert [each.done for each in heard] == list(range(1, 8))
+
+
+def test_what_does_not_take_the_kernels_of_cells_is_compiled_by_one_process(
+    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "processors", lambda: 2)
+    assert warm.warm_up_in_child((warm.ORBITS,))
+    assert asked == [[[warm.ORBITS]]]
+
+
+def test_children_side_by_side_end_when_one_who_hears_of_them_gives_up() -> None:
+    """Each would count for an hour."""
+    code = "import time\nfor k in range(36000): print(k, flush=True); time.sleep(0.1)"
+
+    def give_up(place: int, line: str) -> None:
+        raise KeyboardInterrupt
+
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        watched_together(code, ["", ""], give_up)
+    assert time.monotonic() - begin < 60.0
+
+
+def test_pieces_are_the_kernels_that_cells_take() -> None:
+    for piece in (warm.APART, warm.BATCH, warm.SETTLE):
+        warm.compile_piece(piece)
+    before = {kernel: list(kernel.alone.signatures) for kernel in (run.run_batch, newton.settle_each)}
+    assert all(len(signatures) >= 1 for signatures in before.values())
+    warm.warm_up()
+    assert {kernel: list(kernel.alone.signatures) for kernel in before} == before
 
 
 def test_who_waits_for_another_process_hears_of_it_too(compiled: list[str]) -> None:

@@ -27,11 +27,6 @@ from atlas.cli.options import (
 from atlas.cli.output import print_cell, print_table, to_json
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
-from atlas.query.cell import SolvedCell, solved_cell
-from atlas.query.open import open_atlas
-from atlas.query.window import select as select_plane
-from atlas.render import LOOK, check_path
-from atlas.render import portrait as draw_portrait
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
@@ -99,6 +94,12 @@ def portrait(
 
     The cell is one of STORE, by --at, solved anew with its settings, or is given by --set.
     """
+    from atlas.query.cell import SolvedCell, solved_cell
+    from atlas.query.open import open_atlas
+    from atlas.query.window import select as select_plane
+    from atlas.render import LOOK, check_path
+    from atlas.render import portrait as draw_portrait
+
     check_path(out)
     check_cell_options(store)
     look = {name: options.pop(name) for name in LOOK if name in options}

@@ -1,30 +1,42 @@
 """The command ``atlas``: its commands put together, and how their errors end.
 
-Heavy imports wait until a command needs them, so that help comes at once.
+Heavy imports wait until a command needs them, so that help comes at once and no command waits for another's imports.
 """
 
 import sys
+from collections.abc import Iterator, Mapping
+from importlib import import_module
 from io import TextIOWrapper
 from typing import Any
 
 import click
 
-from atlas.cli.branch import branch
-from atlas.cli.cell import example, point, portrait, systems
-from atlas.cli.compare import compare
-from atlas.cli.curves import curves
-from atlas.cli.demo import demo
-from atlas.cli.explore import explore
-from atlas.cli.labels import label
-from atlas.cli.measures import measure
 from atlas.cli.options import INTERRUPTED, examples
-from atlas.cli.pictures import figures, render
-from atlas.cli.query import basin_measures, export, extremes, query, regions
-from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
-from atlas.cli.saddles import saddles
-from atlas.cli.stability import stability
-from atlas.cli.store import cite, pack, status, verify
 from atlas.errors import InputError, RunError, one_line
+
+_HOMES = {
+    "demo": "demo", "example": "cell", "plan": "run", "run": "run", "submit": "run", "cancel": "run", "retry": "run",
+    "extend": "run", "basins": "run", "status": "store", "verify": "store", "pack": "store", "cite": "store",
+    "query": "query", "regions": "query", "extremes": "query", "basin-measures": "query", "export": "query",
+    "compare": "compare", "curves": "curves", "label": "labels", "measure": "measures", "render": "pictures",
+    "figures": "pictures", "point": "cell", "stability": "stability", "saddles": "saddles", "portrait": "cell",
+    "branch": "branch", "explore": "explore", "systems": "cell",
+}  # fmt: skip
+"""The commands in the order of their use, each with its module."""
+
+
+class _Commands(Mapping[str, click.Command]):
+    """The commands by name; looking one up imports its module."""
+
+    def __getitem__(self, name: str) -> click.Command:
+        command: click.Command = getattr(import_module(f"atlas.cli.{_HOMES[name]}"), name.replace("-", "_"))
+        return command
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_HOMES)
+
+    def __len__(self) -> int:
+        return len(_HOMES)
 
 
 class _BadInput(click.ClickException):
@@ -82,6 +94,7 @@ class _Group(click.Group):
 @click.group(
     "atlas",
     cls=_Group,
+    commands=_Commands(),
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=examples(
         "atlas example omega-b > plane.toml",
@@ -96,39 +109,3 @@ def main() -> None:
     A SPEC is a TOML file, or the name of an example in the package; a STORE is a folder, a URL or a zip file that holds
     an atlas. Exit codes: 0 done, 1 failed, 2 bad usage or input, 130 interrupted.
     """
-
-
-for command in (
-    demo,
-    example,
-    plan,
-    run,
-    submit,
-    cancel,
-    retry,
-    extend,
-    basins,
-    status,
-    verify,
-    pack,
-    cite,
-    query,
-    regions,
-    extremes,
-    basin_measures,
-    export,
-    compare,
-    curves,
-    label,
-    measure,
-    render,
-    figures,
-    point,
-    stability,
-    saddles,
-    portrait,
-    branch,
-    explore,
-    systems,
-):
-    main.add_command(command)

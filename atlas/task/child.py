@@ -3,7 +3,10 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+from threading import Event
 
 
 def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
@@ -23,6 +26,41 @@ def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
             child.kill()
             raise
         return child.wait()
+
+
+def watched_together(code: str, arguments: Sequence[str], told: Callable[[int, str], None]) -> list[int]:
+    """The exit statuses of code run in child processes side by side, one for each argument.
+
+    Each line that one writes goes to ``told`` with the place of its argument, in this thread. Where that raises, or the
+    wait is interrupted, each child ends at its next line.
+    """
+    lines, given_up = SimpleQueue[tuple[int, str | None]](), Event()
+
+    def heard(place: int, line: str) -> None:
+        if given_up.is_set():
+            raise InterruptedError
+        lines.put((place, line))
+
+    def watch(place: int) -> int:
+        try:
+            return watched(code, arguments[place], told=lambda line: heard(place, line))
+        finally:
+            lines.put((place, None))
+
+    with ThreadPoolExecutor(len(arguments)) as threads:
+        running = [threads.submit(watch, place) for place in range(len(arguments))]
+        try:
+            under_way = len(running)
+            while under_way:
+                place, line = lines.get()
+                if line is None:
+                    under_way -= 1
+                else:
+                    told(place, line)
+        except BaseException:
+            given_up.set()
+            raise
+        return [each.result() for each in running]
 
 
 def python(code: str, *arguments: str, own_session: bool = False) -> subprocess.CompletedProcess[str]:

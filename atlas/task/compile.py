@@ -6,7 +6,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ from typing import Any
 import numpy as np
 from filelock import FileLock, Timeout
 
-from atlas.platform import file_lock
+from atlas.platform import file_lock, processors
 from atlas.store.machine import compiled_for
-from atlas.task.child import watched
-from workers.model.system import DEFAULT, System
+from atlas.task.child import watched_together
+from workers.model.system import DEFAULT, System, find_system
 from workers.settings import Settings
 
 CELLS, ATTRACTORS, ORBITS, MEASURES = "", "attractors", "orbits", "measures"
@@ -34,6 +35,16 @@ FUNCTIONS = {
     CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MEASURES: 116, MODES: 267, MODES_ATTRACTORS: 40, MODES_ORBITS: 40,
 }  # fmt: skip
 """How many functions each part compiles in a process that has compiled nothing else."""
+
+APART, BATCH, SETTLE = "apart", "batch", "settle"
+"""Pieces of the kernels that solve cells: the functions that others call where they lie; then, side by side, the two
+largest kernels, that of stretches of periods and that of orbits."""
+
+AT_A_TIME = 2
+"""Pieces that are compiled side by side at most, each by a process of its own."""
+
+SPARED = {CELLS: 10, MODES: 10}
+"""Seconds that compiling side by side spares, roughly."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
 """A cell of the default system whose initial states all reach one orbit, soon."""
@@ -103,7 +114,8 @@ def warming(*more: str) -> str:
     if not missing:
         return "loading the kernels"
     once = ", once for this version" if _cache() else ""
-    return f"compiling the kernels, about {sum(SECONDS[part] for part in missing)} s{once}"
+    spared = sum(SPARED.get(part, 0) for part in missing) if _cache() and processors() >= AT_A_TIME else 0
+    return f"compiling the kernels, about {sum(SECONDS[part] for part in missing) - spared} s{once}"
 
 
 def compile_once(*more: str, report: Report | None = None) -> None:
@@ -128,14 +140,25 @@ def compile_once(*more: str, report: Report | None = None) -> None:
 
 
 def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bool:
-    """warm_up in a process of its own; whether that came to its end. If not, who needs a kernel compiles it."""
-    begin, of = time.monotonic(), sum(FUNCTIONS[part] for part in parts)
+    """warm_up in a process of its own; whether that came to its end. If not, who needs a kernel compiles it.
 
-    def told(line: str) -> None:
-        if report is not None:
-            report(Compilation(min(int(line), of), of, time.monotonic() - begin))
+    Where two processors are free for it, pieces of the cells' kernels are compiled side by side beforehand.
+    """
+    begin, of, done = time.monotonic(), sum(FUNCTIONS[part] for part in parts), Counter[str]()
+    stages: list[Iterable[tuple[str, ...]]] = [[parts]]
+    cells = [part for part in parts if part in SPARED]
+    if cells and processors() >= AT_A_TIME:
+        stages = [[(APART,)], *([(BATCH, part), (SETTLE, part)] for part in cells), [parts]]
+    for stage in stages:
+        given = [json.dumps(pieces) for pieces in stage]
 
-    return watched("from atlas.task.compile import main; main()", json.dumps(parts), told=told) == 0
+        def told(place: int, line: str, given: list[str] = given) -> None:
+            done[given[place]] = int(line)
+            if report is not None:
+                report(Compilation(min(done.total(), of), of, time.monotonic() - begin))
+
+        ended = watched_together("from atlas.task.compile import main; main()", given, told)
+    return ended == [0]
 
 
 def main() -> None:
@@ -164,7 +187,34 @@ def main() -> None:
     gc.set_threshold(YOUNG_OBJECTS)
     event.register("numba:compile", counter)
     threading.Thread(target=tell, daemon=True).start()
-    warm_up(*json.loads(sys.argv[1]))
+    first, *others = json.loads(sys.argv[1])
+    if first in (APART, BATCH, SETTLE):
+        compile_piece(first, *others)
+    else:
+        warm_up(first, *others)
+
+
+def compile_piece(piece: str, part: str = CELLS) -> None:
+    """Compile a piece of the kernels that solve cells of this part, CELLS or MODES, without solving any."""
+    from workers.cell.stretch import batch_of, run
+    from workers.kernel.apart import load
+    from workers.kernel.motion import motions_at
+    from workers.orbit.newton import no_orbits, settle_each
+
+    load()
+    if piece == APART:
+        return
+    record = System.from_mapping(WITH_MODES) if part == MODES else find_system(DEFAULT)
+    oscillators, _ = record.build_many({p.name: np.array([p.default]) for p in record.parameters})
+    n, none = oscillators.gap_row.shape[1], np.zeros(0, dtype=np.int64)
+    batch = batch_of(oscillators, motions_at(np.zeros((1, n, 2))), 1)
+    if piece == BATCH:
+        run(batch, np.zeros(1, dtype=np.int64))  # of no periods
+    else:
+        periods, near = batch.periods, np.zeros(1)
+        settle_each(
+            oscillators, batch.motions, batch.sections, periods, near, 1, periods, none, no_orbits(1, n), periods
+        )
 
 
 def warm_up(*parts: str) -> None:
@@ -226,7 +276,6 @@ def _follow_an_orbit() -> None:
     from workers.continuation import branch, family_of, orbit_from_state
     from workers.continuation.equations import motion_of
     from workers.continuation.itinerary import many_orbits
-    from workers.model.system import find_system
     from workers.tile import solve_tile
 
     record = find_system(DEFAULT)

@@ -115,7 +115,8 @@ class Course:
         while self.cells.going.any():
             self.begin(ready)
             through = self.cells.run(self.cells.ready)
-            self.look(through)
+            if len(through):
+                self.look(through)
             ready = through[self.cells.going[through]]
 
     def begin(self, ready: Rows) -> None:
@@ -132,6 +133,8 @@ class Course:
         stage, near = self.stage[rows], np.where(cells.flown <= FIRST_STRETCH, NEAR, NEAR_LATER)
         self.warming(rows[stage == WARMING])
         rows = self.end_on_orbits(rows[stage != WARMING], cells.budget(), near)
+        if not len(rows):
+            return
         resting = cells.at_rest(rows) & (self.stage[rows] != SEARCHING)
         self._end_at_rest(rows[resting])
         rows, stage = rows[~resting], self.stage[rows[~resting]]

@@ -21,7 +21,8 @@ def fma(a: float, b: float, c: float) -> float:
     """a b + c of float64 numbers, with one rounding: in kernels one instruction where the processor has it."""
     if not (isfinite(a) and isfinite(b) and isfinite(c)):
         return a * b + c
-    return float(Fraction(a) * Fraction(b) + Fraction(c))
+    exact = Fraction(a) * Fraction(b) + Fraction(c)
+    return float(exact) if exact else a * b + c  # which is zero, too, and has its sign
 
 
 def horner(coefficients: tuple[float, ...], x: float) -> float:

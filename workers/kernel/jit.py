@@ -6,7 +6,7 @@ depend on what was compiled or loaded before it, nor on the processor.
 
 import inspect
 from collections.abc import Callable
-from functools import partial, update_wrapper, wraps
+from functools import cached_property, partial, update_wrapper, wraps
 from typing import Any
 
 from numba import config, njit, types
@@ -33,11 +33,23 @@ class Kernel:
     """
 
     def __init__(self, function: Callable[..., Any], *, within: bool = False, **how: Any) -> None:
-        self.py_func = function
-        self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
-        self.part = njit(**_HOW, **_NO_ENTRY, **_WITHIN[within], **how)(function)
-        self.targetoptions = getattr(self.part, "targetoptions", {})  # where Numba looks whether to inline
+        self.py_func, self._within, self._how = function, within, _HOW | how
         update_wrapper(self, function)
+
+    @cached_property
+    def alone(self) -> Any:
+        """What Python calls. Made at first use: most of the kernels that a process imports it never calls."""
+        return njit(cache=CACHE is not None, **self._how)(self.py_func)
+
+    @cached_property
+    def part(self) -> Any:
+        """What other kernels call; made at first use, which compiles one of them."""
+        return njit(**self._how, **_NO_ENTRY, **_WITHIN[self._within])(self.py_func)
+
+    @property
+    def targetoptions(self) -> Any:
+        """Where Numba looks whether to inline the kernel."""
+        return getattr(self.part, "targetoptions", {})
 
     def __call__(self, *given: Any) -> Any:
         """What the function makes of the arguments, compiled."""

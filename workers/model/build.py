@@ -5,6 +5,8 @@ What one oscillator is made of does not depend on the others, to the bit.
 
 import math
 from collections.abc import Collection
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,9 @@ from numpy.typing import NDArray
 from workers.model.definition import MATRICES
 from workers.model.elements import NO_STOP
 from workers.model.free import (
+    OF_STRUCTURE,
     AtRest,
+    Flow,
     Structure,
     against,
     centred,
@@ -29,8 +33,26 @@ from workers.model.modes import FREE, stacked
 from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Mask, Oscillator, each, taken
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
-OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load", "upper", "lower")
+OF_KIND = (*OF_STRUCTURE, "upper", "lower")
 """The fields that machines of a kind have in common."""
+
+STRUCTURES_KEPT = 64
+"""Structures that are kept for the next cells that are solved alone."""
+
+
+class HeldStructure(NamedTuple):
+    """What the structure of N machines alone decides of their motion at a stop, where x = d y + null q.
+
+    flow of q; null (N, n, n - 1), d (N, n); down, up: see Held, without what rest positions add; pulls (N, n), the
+    acceleration of y that each displacement makes.
+    """
+
+    flow: Flow
+    null: Array
+    d: Array
+    down: Array
+    up: Array
+    pulls: Array
 
 
 @np.errstate(all="ignore")
@@ -44,9 +66,9 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """
     first, kind = _kinds(machines)
     few = taken(machines, first)
-    structure = structure_of(few)
+    structure, held_structure = _structures_of(few)
     at_rest = centred(structure, few)
-    held, against_held = _held(few, structure, at_rest, kind, machines.omega)
+    held, against_held = _held(few, structure, held_structure, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     structure, at_rest = taken(structure, kind), taken(at_rest, kind)
     gap, against_free = free_motion(structure, at_rest, machines.omega)
@@ -118,18 +140,34 @@ def _seen_along(matrix: Array, null: Array) -> Array:
     return np.where(np.abs(found) <= FREE * matrix.shape[1] * terms, 0.0, found)
 
 
-def _held(
-    machines: Machines, structure: Structure, at_rest: AtRest, kind: NDArray[np.int64], omega: Array
-) -> tuple[Held, dict[int, Mask]]:
-    """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons against it.
+def _structures_of(machines: Machines) -> tuple[Structure, HeldStructure]:
+    """The structure of machines in free flight and at a stop. That of one alone is kept for the next one like it."""
+    if len(machines.omega) > 1:
+        return _made(machines)
+    fields = [getattr(machines, name) for name in OF_STRUCTURE]
+    return _kept(tuple(field.shape for field in fields), tuple(field.tobytes() for field in fields))
 
-    y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so that
-    what holds y at either stop is opposite where the stops are equally far.
-    """
+
+@lru_cache(STRUCTURES_KEPT)
+def _kept(shapes: tuple[tuple[int, ...], ...], bits: tuple[bytes, ...]) -> tuple[Structure, HeldStructure]:
+    """The structure of the machine whose fields OF_STRUCTURE have these shapes and bits."""
+    fields = {
+        name: np.frombuffer(given).reshape(shape) for name, given, shape in zip(OF_STRUCTURE, bits, shapes, strict=True)
+    }
+    none = np.zeros(1)
+    return _made(Machines(**fields, omega=none, tau=none, upper=none, lower=none, R=none))
+
+
+def _made(machines: Machines) -> tuple[Structure, HeldStructure]:
+    structure = structure_of(machines)
+    return structure, _held_structure(machines, structure)
+
+
+def _held_structure(machines: Machines, structure: Structure) -> HeldStructure:
+    """The null space of the gap row, the flow in it, and the ways there and back."""
     mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
     N, n = gap_row.shape
     accelerance, free = structure.accelerance, structure.flow.modes
-    d = accelerance / structure.inverse_gap_mass[:, None]
     null = _null_space(gap_row)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     pulls, drags = times(accelerance, stiffness), times(accelerance, damping)
@@ -142,8 +180,34 @@ def _held(
     )
     # from (q, q') to (x, x') and back: q = (N.T M N)^-1 N.T M x
     spread, gather = np.kron(np.eye(2), null), np.kron(np.eye(2), flow.inverse_mass @ across @ mass)
-    down = flow.modes.to_blocks @ gather @ free.to_physical
-    up = free.to_blocks @ spread @ flow.modes.to_physical
+    return HeldStructure(
+        flow=flow,
+        null=null,
+        d=accelerance / structure.inverse_gap_mass[:, None],
+        down=flow.modes.to_blocks @ gather @ free.to_physical,
+        up=free.to_blocks @ spread @ flow.modes.to_physical,
+        pulls=pulls,
+    )
+
+
+def _held(
+    machines: Machines,
+    structure: Structure,
+    held: HeldStructure,
+    at_rest: AtRest,
+    kind: NDArray[np.int64],
+    omega: Array,
+) -> tuple[Held, dict[int, Mask]]:
+    """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons against it.
+
+    y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so that
+    what holds y at either stop is opposite where the stops are equally far.
+    """
+    mass, damping, stiffness = machines.mass, machines.damping, machines.stiffness
+    N, n = machines.gap_row.shape
+    accelerance, free = structure.accelerance, structure.flow.modes
+    flow, null, d, down, up, pulls = held
+    across = np.ascontiguousarray(null.swapaxes(1, 2))
     into, out, pushes = np.zeros((N, 2 * n - 2, 2)), np.zeros((N, 2 * n, 2)), np.zeros((N, 2))
     drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]  # what no rest position balances
     load = times(drift[:, n:], mass) + times(drift[:, :n], damping)  # both are symmetric
@@ -160,8 +224,8 @@ def _held(
     flow, direct = taken(flow, kind), (machines.force @ accelerance[..., None])[kind, :, 0]
     mode, resonant = mode_of(flow, loading, omega, direct)
     ways = np.concatenate([down, into], axis=2), np.concatenate([up, out], axis=2)
-    held = Held(mode, *(field[kind] for field in (*ways, pushes)))
-    return held, against(flow.modes, resonant, flow.modes.rigid > 0)
+    found = Held(mode, *(field[kind] for field in (*ways, pushes)))
+    return found, against(flow.modes, resonant, flow.modes.rigid > 0)
 
 
 def _null_space(row: Array) -> Array:

@@ -88,7 +88,10 @@ def evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
     grid = np.array(entries, dtype=object)
     found = np.empty((named[OMEGA].size, *grid.shape))
     for index, entry in np.ndenumerate(grid):
-        found[:, *index] = entry(named) if isinstance(entry, Expression) else entry
+        if isinstance(entry, Expression):
+            found[:, *index] = entry(named) if entry.constant is None else entry.constant
+        else:
+            found[:, *index] = entry
     return found
 
 

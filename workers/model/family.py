@@ -9,13 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import Structure, centred, finite, free_motion, phase_of, structure_of
+from workers.model.free import OF_STRUCTURE, Structure, centred, finite, free_motion, phase_of, structure_of
 from workers.model.oscillator import Array, Machines, Mode
 from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES
-
-OF_STRUCTURE = frozenset(("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load"))
-"""The fields of machines that decide their structure and their loading."""
 
 
 class _Kept(NamedTuple):
@@ -49,7 +46,7 @@ class FreeMotions:
         if kept:
             values, fields = given, self._changing
             machines = kept.machines._replace(**self.system.definition.fields(kept.fixed | given, fields))
-            structure = kept.structure if OF_STRUCTURE.isdisjoint(fields) else structure_of(machines)
+            structure = kept.structure if fields.isdisjoint(OF_STRUCTURE) else structure_of(machines)
         else:
             fixed = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
             values, fields = fixed | given, frozenset(Machines._fields)
@@ -58,7 +55,7 @@ class FreeMotions:
         at_rest = centred(structure, machines)
         gap, against = free_motion(structure, at_rest, machines.omega)
         known = finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
-        if not OF_STRUCTURE.isdisjoint(fields):
+        if not fields.isdisjoint(OF_STRUCTURE):
             known &= finite(structure)
         reasons = np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
         for reason, holds in against.items():

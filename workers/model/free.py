@@ -14,6 +14,9 @@ from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE,
 UNSEEN = 1e-9
 """Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
 
+OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
+"""The fields of machines that decide their structure and their loading."""
+
 ULPS = 8.0
 """Units in the last place by which entries of a machine may be wrong: what a few operations leave of exact ones."""
 

@@ -318,7 +318,7 @@ def each(record: Any, act: Callable[[Any], Any]) -> Any:
 
 def taken(record: Any, rows: Rows) -> Any:
     """These rows of a record of many, in their order."""
-    return each(record, lambda field: np.take(field, rows, axis=0))
+    return each(record, lambda field: field.take(rows, axis=0))
 
 
 def one_of(oscillators: Any, k: int) -> Any:

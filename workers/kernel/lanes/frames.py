@@ -4,7 +4,7 @@ Loops over the first n lanes, all of them in every round: a lane whose flight go
 costs less than to pick the others out. u are the fields of one vector, see entry.
 Sums over blocks go two blocks at a time: those before the last two add up in ``partial``; the last two finish the sum
 and use it at once, and the others use it after them. Where there are two blocks it is one loop. Blocks are even in
-number: see layout.padded_blocks.
+number: see layout.padded_blocks. Frames of four vectors of two blocks go another way, see two_blocks.py.
 """
 
 import math
@@ -30,6 +30,7 @@ from workers.kernel.lanes.layout import (
     room_for_vectors,
 )
 from workers.kernel.lanes.search import list_lanes, padded
+from workers.kernel.lanes.two_blocks import BLOCKS, VECTORS, orthonormalise_frames, transfer_frames
 from workers.kernel.tangent import MAX_SPREAD, graded_flow, impact_spread, needs_reset, orthonormalise
 from workers.model.oscillator import Array
 
@@ -192,6 +193,12 @@ def spread_pass(a, limit, n):
     return count
 
 
+@inlined
+def is_whole(vectors, blocks):
+    """Whether a frame is one that two_blocks.py takes as a whole."""
+    return vectors == VECTORS and blocks == BLOCKS
+
+
 @inline_always
 def orthonormalise_due(a, count, frames, growths, space, blocks):
     """tangent.orthonormalise of the frames of the first ``count`` of space.lanes."""
@@ -202,20 +209,39 @@ def orthonormalise_due(a, count, frames, growths, space, blocks):
         rank[e] = a[LANE.rank + i]
         for j in range(blocks):
             metric[entry(j, 0, e)] = a[at(j, BLOCK.metric, i)]
-        for k in range(m):
-            growing[k, e] = growths[k, i]
-            for j in range(blocks):
-                U[k, entry(j, 0, e)], U[k, entry(j, 1, e)] = frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)]
     for k in range(m):
-        normalise_pass(metric, rank, k, U[k], growing[k], partial, padded(count))
-        for later in range(k + 1, m):
-            project_pass(metric, U[k], U[later], partial, padded(count))
-    for e in range(count):
-        i = lanes[e]
+        gather_vector(lanes, count, blocks, frames[k], growths[k], U[k], growing[k])
+    if is_whole(m, blocks):
+        orthonormalise_frames(metric, rank, U.ravel(), growing.ravel(), padded(count))
+    else:
         for k in range(m):
-            growths[k, i] = growing[k, e]
-            for j in range(blocks):
-                frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)] = U[k, entry(j, 0, e)], U[k, entry(j, 1, e)]
+            normalise_pass(metric, rank, k, U[k], growing[k], partial, padded(count))
+            for later in range(k + 1, m):
+                project_pass(metric, U[k], U[later], partial, padded(count))
+    for k in range(m):
+        scatter_vector(lanes, count, blocks, U[k], growing[k], frames[k], growths[k])
+
+
+@kernel
+def gather_vector(lanes, count, blocks, u, growth, w, growing):
+    """Copy a vector, and its growth, of the first ``count`` of these lanes to w one after another."""
+    for e in range(count):
+        growing[e] = growth[lanes[e]]
+    for j in range(blocks):
+        for e in range(count):
+            i = lanes[e]
+            w[entry(j, 0, e)], w[entry(j, 1, e)] = u[entry(j, 0, i)], u[entry(j, 1, i)]
+
+
+@kernel
+def scatter_vector(lanes, count, blocks, w, growing, u, growth):
+    """Copy it back."""
+    for e in range(count):
+        growth[lanes[e]] = growing[e]
+    for j in range(blocks):
+        for e in range(count):
+            i = lanes[e]
+            u[entry(j, 0, i)], u[entry(j, 1, i)] = w[entry(j, 0, e)], w[entry(j, 1, e)]
 
 
 @inlined
@@ -289,8 +315,11 @@ def move_frames(a, n, blocks, frames, growths, space):
         for i in space.lanes[:count]:
             if a[LANE.far + i] > 0.0:
                 fly_frame_far(a, i, blocks, frames, growths)
-    for k in range(len(frames)):
-        transfer_pass(a, frames[k], space.partial, n)
+    if is_whole(len(frames), blocks.shape[1]):
+        transfer_frames(a, frames.ravel(), n)
+    else:
+        for k in range(len(frames)):
+            transfer_pass(a, frames[k], space.partial, n)
 
 
 @inlined

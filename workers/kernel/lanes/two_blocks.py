@@ -1,0 +1,125 @@
+"""Frames of four vectors of two blocks, those of two masses: a whole frame at a time, its numbers in registers.
+
+Each function is a loop over lanes, or over gathered frames. It gives the same bits as the passes of frames.py, which
+take one vector at a time. Arrays are flat, with constant offsets, for the reason that layout.py gives.
+"""
+
+import math
+
+from workers.kernel.elementary import log
+from workers.kernel.fma import fma
+from workers.kernel.jit import inlined, kernel
+from workers.kernel.lanes.layout import BLOCK, BLOCK_SIZE, LANE, LANE_SIZE, STRIDE
+
+BLOCKS, VECTORS = 2, 4
+
+VECTOR = 4 * STRIDE
+"""Numbers from one vector of many frames to the next."""
+
+
+@inlined
+def read(U, k, i):
+    """The numbers of vector k of frame i."""
+    e = k * VECTOR + i
+    return U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE]
+
+
+@inlined
+def write(U, k, i, u):
+    """Replace them."""
+    e = k * VECTOR + i
+    U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE] = u
+
+
+@inlined
+def product(p, q, u, w):
+    """``tangent.inner`` of two vectors, where p and q are the blocks' metric."""
+    return fma(u[3], w[3], fma(q * u[2], w[2], fma(u[1], w[1], fma(p * u[0], w[0], 0.0))))
+
+
+@inlined
+def without(p, q, u, w):
+    """The vector w without its part along the unit vector u."""
+    overlap = product(p, q, u, w)
+    return (
+        fma(-overlap, u[0], w[0]), fma(-overlap, u[1], w[1]), fma(-overlap, u[2], w[2]), fma(-overlap, u[3], w[3])
+    )  # fmt: skip
+
+
+@inlined
+def unit(p, q, u, exists):
+    """The unit vector along u, or zero where it does not exist, and the logarithm of its length."""
+    norm = math.sqrt(product(p, q, u, u))
+    inverse = 1.0 / norm if exists else 0.0
+    return (u[0] * inverse, u[1] * inverse, u[2] * inverse, u[3] * inverse), log(norm if exists else 0.0)
+
+
+@kernel
+def orthonormalise_frames(metric, rank, U, growth, count):
+    """tangent.orthonormalise of ``count`` frames at once; see frames.normalise_pass."""
+    for i in range(count):
+        p, q, directions = metric[i], metric[2 * STRIDE + i], rank[i]
+        u, v, w, x = read(U, 0, i), read(U, 1, i), read(U, 2, i), read(U, 3, i)
+        u, grown = unit(p, q, u, directions > 0)
+        growth[i] += grown
+        v, w, x = without(p, q, u, v), without(p, q, u, w), without(p, q, u, x)
+        v, grown = unit(p, q, v, directions > 1)
+        growth[STRIDE + i] += grown
+        w, x = without(p, q, v, w), without(p, q, v, x)
+        w, grown = unit(p, q, w, directions > 2)
+        growth[2 * STRIDE + i] += grown
+        x = without(p, q, w, x)
+        x, grown = unit(p, q, x, directions > 3)
+        growth[3 * STRIDE + i] += grown
+        write(U, 0, i, u)
+        write(U, 1, i, v)
+        write(U, 2, i, w)
+        write(U, 3, i, x)
+
+
+@inlined
+def flown(a, i, flows, u):
+    """The vector u after the flight of lane i, if one has ended."""
+    first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
+    w0 = fma(a[first + BLOCK.f11], u[0], a[first + BLOCK.f12] * u[1])
+    w1 = fma(a[first + BLOCK.f21], u[0], a[first + BLOCK.f22] * u[1])
+    w2 = fma(a[second + BLOCK.f11], u[2], a[second + BLOCK.f12] * u[3])
+    w3 = fma(a[second + BLOCK.f21], u[2], a[second + BLOCK.f22] * u[3])
+    return w0 if flows else u[0], w1 if flows else u[1], w2 if flows else u[2], w3 if flows else u[3]
+
+
+@inlined
+def along(a, i, column0, column1, w):
+    """A row of the gap's guard, of which these are the columns of a block, times the vector w."""
+    first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
+    total = fma(a[first + column1], w[1], fma(a[first + column0], w[0], 0.0))
+    return fma(a[second + column1], w[3], fma(a[second + column0], w[2], total))
+
+
+@inlined
+def kicked(a, i, w):
+    """The vector w after the impact of lane i, as contact.saltation has it; the same where there is none."""
+    first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
+    dy, dv = along(a, i, BLOCK.c0, BLOCK.c1, w), along(a, i, BLOCK.cA0, BLOCK.cA1, w)
+    along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
+    along_Ak = -a[LANE.loss + i] * dy
+    return (
+        fma(along_Ak, a[first + BLOCK.Ak0], fma(along_k, a[first + BLOCK.k0], w[0])),
+        fma(along_Ak, a[first + BLOCK.Ak1], fma(along_k, a[first + BLOCK.k1], w[1])),
+        fma(along_Ak, a[second + BLOCK.Ak0], fma(along_k, a[second + BLOCK.k0], w[2])),
+        fma(along_Ak, a[second + BLOCK.Ak1], fma(along_k, a[second + BLOCK.k1], w[3])),
+    )
+
+
+@kernel
+def transfer_frames(a, frames, n):
+    """frames.transfer_pass of all four vectors of the first n lanes: what a lane holds is read once."""
+    for i in range(n):
+        flows = a[LANE.flows + i] > 0.0
+        u, v, w, x = read(frames, 0, i), read(frames, 1, i), read(frames, 2, i), read(frames, 3, i)
+        u, v = kicked(a, i, flown(a, i, flows, u)), kicked(a, i, flown(a, i, flows, v))
+        w, x = kicked(a, i, flown(a, i, flows, w)), kicked(a, i, flown(a, i, flows, x))
+        write(frames, 0, i, u)
+        write(frames, 1, i, v)
+        write(frames, 2, i, w)
+        write(frames, 3, i, x)
