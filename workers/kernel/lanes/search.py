@@ -19,7 +19,10 @@ LANE_TRIALS = 2
 
 @kernel
 def approach_pass(a, n):
-    """The stop that each mass moves towards: the gap, and the time after which it is certain to have just closed."""
+    """The stop that each mass moves towards: the time after which it is certain to have just met it, or a safe one.
+
+    The gap, and bounds of the longest step that is safe from the stop.
+    """
     for i in range(n):
         upper, lower = a[LANE.upper + i], a[LANE.lower + i]
         ahead = 1.0 if a[LANE.v + i] > 0.0 else -1.0
@@ -29,14 +32,16 @@ def approach_pass(a, n):
         g = ahead * (stop - a[LANE.y + i])
         g = 0.0 if a[LANE.own_stop + i] == ahead else g
         v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
-        tolerance = GAP_ROUNDING * (a[LANE.scale + i] + abs(stop))
-        contact = meets(g, v, push, jerk, a[LANE.bound3 + i], a[LANE.bound4 + i], tolerance, room)
+        M2, M3, M4 = a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i]
+        contact = meets(g, v, push, jerk, M3, M4, GAP_ROUNDING * (a[LANE.scale + i] + abs(stop)), room)
         contact = contact if reach - ahead * stop >= 0.0 else np.inf
+        g = max(g, 0.0)
         a[LANE.side + i] = ahead
-        a[LANE.gap + i] = max(g, 0.0)
+        a[LANE.gap + i] = g
         a[LANE.contact_time + i] = contact
         a[LANE.step + i] = room
         a[LANE.searched + i] = 1.0 if reach - ahead * stop >= 0.0 and contact == np.inf else 0.0
+        a[LANE.safe_time + i], a[LANE.limit + i] = bracket(g, v, push, jerk, M2, M3, M4, room)
 
 
 @kernel
@@ -93,17 +98,6 @@ def gather(a, chosen, count, c):
 
 
 @kernel
-def ahead_pass(a, n):
-    """A step that is safe from the stop ahead, for every lane that is not certain to meet it: a first one."""
-    for i in range(n):
-        ahead, g, H = a[LANE.side + i], a[LANE.gap + i], a[LANE.step + i]
-        v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
-        L, U = bracket(g, v, push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i], H)
-        a[LANE.safe_time + i] = L
-        a[LANE.limit + i] = U
-
-
-@kernel
 def advance_pass(a, n):
     """The longest step found between those bounds."""
     for i in range(n):
@@ -133,7 +127,6 @@ def scatter(a, chosen, count, c):
 def safe_steps(a, n, chosen, c):
     """A step that is safe from both stops, for every lane that is not certain to meet one."""
     approach_pass(a, n)
-    ahead_pass(a, n)
     advance_pass(a, n)
     if retreat_pass(a, n) > 0:
         count = list_lanes(a, LANE.searched, n, chosen)
