@@ -18,7 +18,7 @@ from workers.results import FAILED, UNDETERMINED
 
 ROOT = Path(__file__).parent.parent
 PUBLIC = ["Retry", "RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point"]
-PUBLIC += ["attractors", "plan", "stability", "status", "trace"]
+PUBLIC += ["attractors", "measure_attractors", "plan", "saddles", "stability", "status", "trace"]
 PUBLIC += ["CurveSettings", "branch", "find_curves", "label_attractors", "portrait", "run", "solve_tile", "verify"]
 
 

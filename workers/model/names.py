@@ -9,12 +9,15 @@ _RESULTS = [variable for kind in _KINDS for variable in result_variables(_everyt
 NAMES = frozenset((
     *(name for each in _RESULTS for name in (each.name, f"{each.name}_count", *each.extra)),
     # groups of a store
-    "attractors", "curves", "labels", "machines", "overviews", "tally", "tiles", "zoom",
+    "attractors", "curves", "labels", "machines", "overviews", "parts", "stability", "tally", "tiles", "zoom",
     # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
     "budget", "survival", "component", "point",
     "cells", "largest_positive", "regime_share", "regime_shown", "class", "bound",
     "points", "total_share", "branch", "column", "axis", "corner", "curve", "position", "row_size", "first_end",
     "last_end", "corner_after", "corner_curve", "corner_kind", "corner_position",
+    # stability measures of cells
+    "return_time", "reactivity", "amplification", "amplified_after", "unmeasured", "fatal_shock", "shock_reaches",
+    "shock_tried", "margin", "margin_error", "margin_kind", "margin_curve",
     # columns and entries that stand beside parameters in tables and answers
     "coexisting", "difference", "distance", "event", "extreme", "impacts", "kappa", "kind", "leaving", "multiplier",
     "unstable", "value",
