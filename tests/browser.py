@@ -58,6 +58,12 @@ class Tab:
         )
         return (float(found[0]), float(found[1])) if found else None
 
+    def models(self, kind: str, name: str) -> list[Any]:
+        """A property of all models of a type on the page."""
+        script = """([kind, name]) => [...Bokeh.documents[0]._all_models.values()]
+            .filter((model) => model.type === kind).map((model) => model[name])"""
+        return list(self.page.evaluate(script, [kind, name]))
+
     def text(self) -> str:
         """All that stands on the page."""
         return str(

@@ -183,6 +183,58 @@ def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:
     tab.until(lambda: len({key.level_x for key, _ in running.explorer.known.tiles.of(plane)}) == STAGES + 1, 120.0)
 
 
+def test_a_number_typed_beside_a_slider_moves_it_and_one_out_of_range_is_refused(tab: Tab) -> None:
+    slider = tab.page.locator("input[type=text]:visible").nth(2)  # after the ends of the scale
+    slider.fill("0.7123")
+    slider.press("Enter")
+    tab.until(lambda: "R=0.7123" in tab.address())
+    assert tab.models("Slider", "value")[0] == 0.7123
+    slider.fill("1.5")
+    slider.press("Enter")
+    tab.until(lambda: "R = 1.5: must satisfy 0 <= R <= 1" in tab.text())
+    assert "R=0.7123" in tab.address()
+
+
+def test_other_axes_are_chosen_in_the_page_and_back_leads_to_those_before(tab: Tab) -> None:
+    address = tab.address()
+    tab.page.locator("select").nth(3).select_option(label="R coefficient of restitution")
+    tab.page.wait_for_url("**axes=omega,R**")
+    tab.until(tab.image)
+    assert "coefficient of restitution R" in tab.models("LinearAxis", "axis_label")
+    assert "b=0.4" in tab.address()  # the middle of the view
+    tab.page.go_back()
+    tab.page.wait_for_url(address)
+    tab.until(tab.image)
+
+
+def test_a_cut_is_drawn_over_the_plane_and_shares_the_pointer_with_it(tab: Tab) -> None:
+    left, top, width, height = tab.plot()
+    tab.page.get_by_title("draw a cut").click()
+    tab.page.mouse.move(left + 0.2 * width, top + 0.5 * height)
+    tab.page.mouse.down()
+    tab.page.mouse.move(left + 0.5 * width, top + 0.3 * height, steps=4)
+    tab.page.mouse.move(left + 0.8 * width, top + 0.5 * height, steps=4)
+    tab.page.mouse.up()
+    tab.until(lambda: "257 cells along the cut" in tab.text(), 120.0)
+    x0, y0, x1, y1 = (float(part) for part in arguments(tab)["cut"][0].split(b","))
+    assert abs(x0 - 3.4) < 0.02 and abs(x1 - 4.0) < 0.02 and abs(y0 - y1) < 0.01
+    left, top, width, height = tab.plot()
+    tab.page.mouse.move(left + 0.5 * width, top + 0.1 * height)
+    middle = 0.5 * (x0 + x1)
+    tab.until(lambda: sum(abs((value or 0.0) - middle) < 0.02 for value in tab.models("Span", "location")) == 2)
+    tab.page.get_by_role("button", name="close the cut").click()
+    tab.until(lambda: "cut=" not in tab.address())
+
+
+def test_branches_along_a_cut_are_drawn_on_demand(tab: Tab) -> None:
+    tab.page.get_by_role("button", name="cut across").click()
+    tab.until(lambda: "257 cells along the cut" in tab.text(), 120.0)
+    tab.page.get_by_role("button", name="branches, stable and unstable").click()
+    tab.until(lambda: "branches: " in tab.text(), 240.0)
+    colors = [data["color"] for data in tab.models("ColumnDataSource", "data") if "color" in data]
+    assert colors and any(colors)
+
+
 def test_a_reload_restores_window_kind_and_parameters(running: Exploration, tab: Tab) -> None:
     tab.page.goto(running.url + "?omega=2.0:3.0&b=0.1:0.3&kind=period&R=0.75")
     tab.until(tab.image)

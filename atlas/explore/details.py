@@ -13,8 +13,10 @@ from atlas.errors import InputError
 from atlas.explore.actions import portrait_image
 from atlas.explore.attractors import Attractors, known_attractors
 from atlas.explore.background import Background, Show
+from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
+from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
@@ -28,20 +30,21 @@ ALL = "<h4>all attractors of this cell</h4>"
 class Details:
     """The panels, and what fills them.
 
-    looked_at   gives the plane and the view that the page shows
-    mark        where the page marks the cell clicked, x and y
+    sight   gives the view that the page shows
+    mark    where the page marks the cell clicked, x and y
     """
 
     def __init__(
         self,
         explorer: Explorer,
         background: Background,
-        looked_at: Callable[[], tuple[Plane, Sight | None]],
+        store: Store,
+        sight: Callable[[], Sight | None],
         mark: ColumnDataSource,
     ) -> None:
-        self._explorer, self._subject = explorer, explorer.subject
-        self._background, self._looked_at, self._mark = background, looked_at, mark
-        self._marked: tuple[Plane, float, float] | None = None
+        self._explorer, self._subject, self._store = explorer, explorer.subject, store
+        self._background, self._sight, self._mark = background, sight, mark
+        self._detailed: Point | None = None
         self._pointer: tuple[float, float] | None = None
         self._looking = False
         self._clicks = 0
@@ -80,20 +83,22 @@ class Details:
         self._pointer = None
 
     def click(self, event: Tap) -> None:
-        """Show a cell in detail."""
-        if event.x is None or event.y is None:
-            return
-        self._clicks += 1
-        self._marked = (self._looked_at()[0], event.x, event.y)
-        self.draw_mark()
-        self._clicked.text = f"{CLICKED}solving it"
-        self._background.run(partial(self._detail, (event.x, event.y), self._clicks))
+        """Choose a cell."""
+        if event.x is not None and event.y is not None:
+            self._store.choose(cell=(self._store.now.chosen.plane, event.x, event.y))
 
-    def draw_mark(self) -> None:
-        """Mark the cell clicked where it is one of the plane that the page shows."""
-        shown = self._marked is not None and self._marked[0] == self._looked_at()[0]
-        x, y = self._marked[1:] if self._marked is not None else (0.0, 0.0)
-        self._mark.data = {"x": [x], "y": [y]} if shown else {"x": [], "y": []}
+    def show(self, chosen: Chosen) -> None:
+        """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
+        cell = chosen.cell
+        at = cell[1:] if cell is not None and cell[0] == chosen.plane else None
+        data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
+        if data != self._mark.data:
+            self._mark.data = data
+        if at and cell != self._detailed and self._sight() is not None:
+            self._detailed = cell
+            self._clicks += 1
+            self._clicked.text = f"{CLICKED}solving it"
+            self._background.run(partial(self._detail, at, self._clicks))
 
     def _look_up(self) -> None:
         if self._pointer is not None and not self._looking:
@@ -101,8 +106,8 @@ class Details:
             self._background.run(partial(self._looked_up, self._pointer))
 
     def _cell(self, point: tuple[float, float]) -> Cell | None:
-        plane, sight = self._looked_at()
-        return None if sight is None else self._explorer.known.cell(plane, sight, *point)
+        sight = self._sight()
+        return None if sight is None else self._explorer.known.cell(self._store.now.chosen.plane, sight, *point)
 
     def _looked_up(self, point: tuple[float, float]) -> Show:
         cell = self._cell(point)
@@ -137,16 +142,15 @@ class Details:
             self._clicked.text = f"{CLICKED}not known yet"
             self._attractors.text = self._portrait.text = self._numbers.text = ""
             self._point.visible = self._copy.visible = False
-            self._marked = None
-            self.draw_mark()
+            self._store.choose(cell=None)
 
     def _show(self, cell: Cell, drawn: str, click: int) -> None:
         if click != self._clicks:
             return
         x, y = (cell.parameters[axis.name] for axis in self._subject.spec.axes)
         plane = Plane(tuple((name, cell.parameters[name]) for name, _ in self._subject.plane.parameters))
-        self._marked = (plane, x, y)
-        self.draw_mark()
+        self._detailed = (plane, x, y)
+        self._store.choose(cell=self._detailed)
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)

@@ -67,6 +67,11 @@ PANEL = f"""
 @media {SINGLE} {{ :host(.folded) {{ display: none !important; }} }}
 """
 
+CUT = f"""
+:host {{ flex: none !important; }}
+@media {SINGLE} {{ :host {{ width: 100% !important; }} }}
+"""
+
 LINE = f"""
 :host {{ overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }}
 :host > div {{ overflow: hidden; text-overflow: ellipsis; }}
