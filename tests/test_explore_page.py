@@ -151,8 +151,8 @@ def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Explor
 
     def told() -> str:
         """What the page says, once it says all of a cell; read at once, since it may be about to say something new."""
-        text = " ".join(tab.text().split())
-        return text if "periods_used" in text and " ω " in text else ""
+        text = " ".join(tab.text().partition("cell under the pointer")[2].split())
+        return text if "periods simulated" in text and " ω " in text else ""
 
     text = tab.until(told)
     x, y = (float(text.split(f" {symbol} ")[1].split()[0]) for symbol in ("ω", "b"))
@@ -161,7 +161,7 @@ def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Explor
     found = at(ds, {"omega": x, "b": y})
     assert f"regime {found['regime'].replace('_', ' ')}" in text
     if "cell of the atlas" in text:
-        assert f"periods_used {found['periods_used']}" in text
+        assert f"periods simulated {found['periods_used']}" in text
 
 
 def test_a_click_shows_the_portrait_the_line_that_solves_the_cell_alone_and_its_attractors(tab: Tab) -> None:
@@ -172,6 +172,45 @@ def test_a_click_shows_the_portrait_the_line_that_solves_the_cell_alone_and_its_
     assert line.startswith("atlas point --set ") and "--set omega=" in line
     tab.until(lambda: "initial states" in tab.text() and "being sought" not in tab.text())
     assert "100 % (" in tab.text() or "n-p-q" in tab.text()
+
+
+def test_a_click_shows_the_portraits_of_all_attractors_and_sets_the_machine_in_motion(
+    running: Exploration, browser: Any
+) -> None:
+    """At omega = 4, b = 0.0939 an orbit of period 1 coexists with two mirror images of period 3."""
+    with opened(browser, f"{running.url}?omega=3.9:4.1&b=0.09:0.1", 1440, 900) as tab:
+        tab.until(tab.image)
+        settled(running, tab)
+        click(tab, 0.475, 0.614)
+
+        def portraits() -> int:
+            return max(len(data["xs"]) for data in tab.models("ColumnDataSource", "data") if "color" in data)
+
+        tab.until(lambda: portraits() > 1, 120.0)
+        tab.page.get_by_role("button", name="move the machine").click()
+
+        def state() -> Any:
+            return [data["at"] for data in tab.models("ColumnDataSource", "data") if "at" in data]
+
+        first = state()
+        tab.until(lambda: state() != first)
+        assert tab.complaints == []
+
+
+def test_the_basins_of_a_cell_are_shown_on_a_click(running: Exploration, tab: Tab) -> None:
+    click(tab, 0.6, 0.4)
+    tab.page.get_by_role("button", name="basins of this cell").click()
+    tab.until(lambda: "initial states reach" in tab.text() and "not solved yet" not in tab.text(), 240.0)
+    images = [data["basins"] for data in tab.models("ColumnDataSource", "data") if "basins" in data]
+    assert len(images[0]) == 1
+
+
+def test_a_portrait_is_enlarged_by_a_click(tab: Tab) -> None:
+    click(tab, 0.6, 0.4)
+    portrait = tab.page.locator("img.portrait")
+    before = portrait.bounding_box()
+    portrait.click()
+    tab.until(lambda: portrait.bounding_box()["width"] > before["width"] + 50)
 
 
 def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:

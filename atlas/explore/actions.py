@@ -6,7 +6,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from atlas.cell.orbit import cell_orbit
+from atlas.cell.orbit import CellOrbit, cell_orbit
 from atlas.explore.chosen import Chosen, Range
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
@@ -42,10 +42,14 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 
-def portrait_image(subject: Subject, cell: Cell) -> str:
-    """The portrait of a cell as the address of an image; InputError for a cell without a motion to show."""
+def orbit_of(subject: Subject, cell: Cell) -> CellOrbit:
+    """The motion of a cell, solved as the cell was; InputError for a cell without a motion to show."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
-    orbit = cell_orbit(cell.parameters, subject.system, settings)
+    return cell_orbit(cell.parameters, subject.system, settings)
+
+
+def portrait_image(orbit: CellOrbit) -> str:
+    """The portrait of a motion as the address of an image."""
     data = BytesIO()
     with drawing:
         figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])

@@ -30,7 +30,6 @@ from atlas.explore.style import CUT, TEXT
 from atlas.explore.words import symbol_of, ticks
 from atlas.text import plural
 
-HEIGHT = 330
 STABLE, UNSTABLE = "#004488", "#bb5566"
 
 LINK = """
@@ -88,8 +87,7 @@ class CutPanel:
         close.on_click(lambda: store.choose(cut=None))
         head = row(self._says, self._follow, close, sizing_mode="stretch_width")
         self.panel = column(
-            head, self._section, self._exponents, height=HEIGHT, sizing_mode="stretch_width", visible=False,
-            stylesheets=[CUT],
+            head, self._section, self._exponents, sizing_mode="stretch_width", visible=False, stylesheets=[CUT],
         )  # fmt: skip
         lattices = subject.x, subject.y
         self.buttons = [Button(label=label, sizing_mode="stretch_width") for label in ("cut across", "cut up")]

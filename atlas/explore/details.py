@@ -1,7 +1,7 @@
 """The column on cells: the one under the pointer, and the one clicked, with its portrait and all its attractors."""
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -10,20 +10,29 @@ from bokeh.layouts import row
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, TextInput
 
 from atlas.errors import InputError
-from atlas.explore.actions import portrait_image
+from atlas.explore.actions import orbit_of, portrait_image
 from atlas.explore.attractors import Attractors, known_attractors
 from atlas.explore.background import Background, Show
+from atlas.explore.basins import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
+from atlas.explore.motion import Motion, MotionPanel, motion_of, motions
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
-from atlas.explore.words import attractors_table, cell_line, cell_table, point_line
+from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
 
 POINTED = "<h4>cell under the pointer</h4>"
 CLICKED = "<h4>cell clicked</h4>"
+COPY_TEXT = """
+const box = document.createElement("textarea")
+box.innerHTML = full.text
+navigator.clipboard.writeText(box.value)
+"""
+PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
+ onclick="this.classList.toggle('large')">"""
 ALL = "<h4>all attractors of this cell</h4>"
 
 
@@ -52,6 +61,10 @@ class Details:
         self._pointed = Div(text=POINTED, **style)
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
+        self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
+        self._full = Div(visible=False)
+        self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
+        self._copy_all.js_on_click(CustomJS(args={"full": self._full}, code=COPY_TEXT))
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
         self._copy = Button(label="copy", visible=False, width=70, align="end")
         copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
@@ -61,11 +74,13 @@ class Details:
     def panels(self) -> list[Any]:
         """What it consists of, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
-        return [self._pointed, self._clicked, line, self._attractors, self._portrait, self._numbers]
+        found = [self._attractors, self._motion.panel, self._basins.panel, self._portrait]
+        return [self._pointed, self._clicked, line, *found, self._numbers, self._copy_all, self._full]
 
     def close(self) -> None:
         """Want nothing more."""
         self._explorer.forget(self)
+        self._basins.close()
 
     def refused(self) -> None:
         """Go on after something could not be done."""
@@ -128,11 +143,14 @@ class Details:
         if cell is None:
             return partial(self._show_nothing, click)
         found = known_attractors(self._subject, cell)
-        self._background.show(partial(self._answer, found, click))
+        answer = partial(self._answer, cell.parameters, click)
+        self._background.show(partial(answer, found))
         if found is None and not self._background.closed:
-            self._explorer.ask(self, cell, lambda found: self._background.show(partial(self._answer, found, click)))
+            self._explorer.ask(self, cell, lambda found: self._background.show(partial(answer, found)))
         try:
-            drawn = f'<img class="portrait" src="{portrait_image(self._subject, cell)}">'
+            orbit = orbit_of(self._subject, cell)
+            self._background.show(partial(self._move, motion_of(orbit), click))
+            drawn = PORTRAIT.format(portrait_image(orbit))
         except InputError as error:
             drawn = html.escape(str(error))
         return partial(self._show, cell, drawn, click)
@@ -141,7 +159,9 @@ class Details:
         if click == self._clicks:
             self._clicked.text = f"{CLICKED}not known yet"
             self._attractors.text = self._portrait.text = self._numbers.text = ""
-            self._point.visible = self._copy.visible = False
+            self._point.visible = self._copy.visible = self._copy_all.visible = False
+            self._motion.clear()
+            self._basins.clear()
             self._store.choose(cell=None)
 
     def _show(self, cell: Cell, drawn: str, click: int) -> None:
@@ -154,10 +174,12 @@ class Details:
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)
-        self._copy.visible = True
+        self._copy.visible = self._copy_all.visible = True
+        self._full.text = html.escape(cell_text(cell))
         self._portrait.text = drawn
+        self._basins.offer(cell)
 
-    def _answer(self, found: Attractors | None, click: int) -> None:
+    def _answer(self, parameters: Mapping[str, float], click: int, found: Attractors | None) -> None:
         """Show attractors, or that they are sought."""
         if click != self._clicks:
             return
@@ -166,3 +188,15 @@ class Details:
             self._attractors.text = f'{ALL}<span class="waiting">being sought from {count} initial states</span>'
         else:
             self._attractors.text = ALL + attractors_table(found, self._subject)
+            if len(found.each) > 1:
+                self._background.run(partial(self._portraits, found, parameters, click))
+
+    def _move(self, motion: Motion, click: int) -> None:
+        if click == self._clicks:
+            self._motion.show(motion)
+
+    def _portraits(self, found: Attractors, parameters: Mapping[str, float], click: int) -> Show:
+        """Draw the portraits of all attractors in one phase plane."""
+        states = [each["state"] for each in found.each if "state" in each]
+        drawn = motions(self._subject, parameters, states)
+        return lambda: self._motion.show(drawn[0], drawn) if drawn and click == self._clicks else None

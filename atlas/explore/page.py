@@ -29,10 +29,10 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
 from atlas.explore.plot import label_axes, make_plot
 from atlas.explore.state import State, Store
-from atlas.explore.style import FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
+from atlas.explore.style import CUTTING, FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
 from atlas.explore.words import png_address, progress, title
 
-LEFT, RIGHT = 232, 320
+LEFT, RIGHT = 232, 350
 """Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
 FOLDED = "folded"
 """The class of controls that a page of a single column hides."""
@@ -144,6 +144,9 @@ class Page:
         plane = row(self._plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
         parts = self._title, plane, self._cut.panel, self._line, fold
         middle = column(*parts, sizing_mode="stretch_both", stylesheets=[MIDDLE])
+        widen = f"middle.css_classes = cb_obj.visible ? ['{CUTTING}'] : []"
+        self._cut.panel.js_on_change("visible", CustomJS(args={"middle": middle}, code=widen))
+        middle.css_classes = [CUTTING] if self._cut.panel.visible else []
         right = column(self._made, *self._details.panels, self._address, self._opened, width=RIGHT, **panel)
         # A source without a view is sent along, and heard, as the tag of a model that has one.
         self._address.tags = [self._download]

@@ -4,8 +4,12 @@ A page of at least three columns' width has the plane between its controls and t
 as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
 """
 
+CUT_HEIGHT = "min(330px, 45vh)"
 STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
 """The widths of a page with the plane above all else, and of one with a single column."""
+
+CUTTING = "cutting"
+"""The class of the middle of a page that shows a cut."""
 
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
@@ -28,6 +32,7 @@ MIDDLE = f"""
 @media {STACKED} {{
   :host {{ grid-column: 1 / -1; order: -1; width: auto !important; height: min(84vh, 75vw) !important;
           min-height: 340px; }}
+  :host(.{CUTTING}) {{ height: calc(min(84vh, 75vw) + {CUT_HEIGHT}) !important; }}
 }}
 @media {SINGLE} {{ :host {{ height: auto !important; }} }}
 """
@@ -53,6 +58,8 @@ pre { white-space: pre-wrap; word-break: break-all; background: #f3f5f8; padding
 pre { font-size: 11.5px; }
 table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; word-break: normal; }
 th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a6675; }
+img.portrait { cursor: zoom-in; } img.portrait.large { position: fixed; inset: 2vh 2vw; width: 96vw; height: 96vh;
+  object-fit: contain; background: #fff; z-index: 99; cursor: zoom-out; box-shadow: 0 0 0 100vmax #0008; }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
 
@@ -68,8 +75,8 @@ PANEL = f"""
 """
 
 CUT = f"""
-:host {{ flex: none !important; }}
-@media {SINGLE} {{ :host {{ width: 100% !important; }} }}
+:host {{ flex: none !important; height: {CUT_HEIGHT} !important; }}
+@media {SINGLE} {{ :host {{ width: 100% !important; height: 330px !important; }} }}
 """
 
 LINE = f"""
