@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from urllib.parse import urlencode
 
-from atlas.errors import InputError
+from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import Plane, Subject
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, needs
@@ -17,6 +17,8 @@ CURVES, CHART = "curves", "regions"
 """The overlay and the kind of map that draw what a store keeps."""
 
 Point = tuple[Plane, float, float]
+Pin = tuple[tuple[tuple[str, float], ...], str]
+"""A cell that is kept in sight, by all its parameters in the system's order, and a note."""
 Cut = tuple[float, float, float, float]
 """A line over the plane, from (x, y) to (x, y)."""
 
@@ -28,6 +30,7 @@ class Chosen:
     """A choice. ``variable`` and ``log`` go with kind SCALAR; ends of the scale that are None are chosen for one.
 
     cell   the point that was clicked
+    pins   cells that stay marked
     cut    the line that was drawn
     """
 
@@ -41,12 +44,13 @@ class Chosen:
     vmin: float | None = None
     vmax: float | None = None
     cell: Point | None = None
+    pins: tuple[Pin, ...] = ()
     cut: Cut | None = None
 
     @property
     def picture(self) -> "Chosen":
         """The choice as far as the map shows it."""
-        return replace(self, cell=None, cut=None)
+        return replace(self, cell=None, cut=None, pins=())
 
     def middle(self, subject: Subject) -> tuple[float, float]:
         """The cell that was clicked in its plane, or else the middle of the window."""
@@ -119,6 +123,7 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
         kind=chosen.kind if chosen.kind in kinds(subject) else begun.kind,
         variable=chosen.variable,
         log=chosen.log,
+        pins=chosen.pins,
         overlays=tuple(name for name in chosen.overlays if name in overlays(subject)),
     )
 
@@ -136,7 +141,8 @@ def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chos
             chosen = replace(chosen, plane=subject.moved(chosen.plane, name, _number(name, value)))
         elif name in _OTHERS:
             chosen = _other(subject, chosen, name, value)
-    return chosen
+    pins = tuple(_pin(subject, text.decode()) for text in arguments.get("pin", ()))
+    return replace(chosen, pins=pins)
 
 
 def turned_to(explorer: Explorer, arguments: Mapping[str, list[bytes]]) -> Explorer:
@@ -162,6 +168,9 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
     points = {"cut": chosen.cut, "cell": chosen.cell[1:] if chosen.cell and chosen.cell[0] == chosen.plane else None}
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
+    for values, note in chosen.pins:
+        shown = [f"{name}={value!r}" for name, value in values if value != own.get(name)]
+        pairs.append(("pin", f"{','.join(shown)};{note}"))
     return urlencode(pairs, safe=":,")
 
 
@@ -195,6 +204,17 @@ def _number(name: str, value: str) -> float:
         return float(value)
     except ValueError:
         raise InputError(f"{name}: found {value!r}, must be a number") from None
+
+
+def _pin(subject: Subject, text: str) -> Pin:
+    values, _, note = text.partition(";")
+    given = {name: _number("pin", value) for name, _, value in (pair.partition("=") for pair in values.split(","))}
+    check_names("parameter in pin", given, [parameter.name for parameter in subject.system.parameters])
+    found = dict(subject.plane.parameters) | given
+    missing = [name for name in subject.axes if name not in found]
+    if missing:
+        raise InputError(f"pin: found {text!r}, lacks {missing[0]}")
+    return tuple((p.name, found[p.name]) for p in subject.system.parameters), note
 
 
 def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:

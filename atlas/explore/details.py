@@ -113,6 +113,8 @@ class Details:
             self._detailed = cell
             self._clicks += 1
             self._clicked.text = f"{CLICKED}solving it"
+            self._motion.clear()
+            self._basins.clear()
             self._background.run(partial(self._detail, at, self._clicks))
 
     def _look_up(self) -> None:
@@ -139,9 +141,10 @@ class Details:
     def _detail(self, point: tuple[float, float], click: int) -> Show:
         if click != self._clicks:  # there was another one meanwhile
             return lambda: None
-        cell = self._cell(point)
-        if cell is None:
-            return partial(self._show_nothing, click)
+        sight, plane = self._sight(), self._store.now.chosen.plane
+        if sight is None:
+            return lambda: None
+        cell = self._cell(point) or self._explorer.known.solved(plane, sight, *point)
         found = known_attractors(self._subject, cell)
         answer = partial(self._answer, cell.parameters, click)
         self._background.show(partial(answer, found))
@@ -154,15 +157,6 @@ class Details:
         except InputError as error:
             drawn = html.escape(str(error))
         return partial(self._show, cell, drawn, click)
-
-    def _show_nothing(self, click: int) -> None:
-        if click == self._clicks:
-            self._clicked.text = f"{CLICKED}not known yet"
-            self._attractors.text = self._portrait.text = self._numbers.text = ""
-            self._point.visible = self._copy.visible = self._copy_all.visible = False
-            self._motion.clear()
-            self._basins.clear()
-            self._store.choose(cell=None)
 
     def _show(self, cell: Cell, drawn: str, click: int) -> None:
         if click != self._clicks:

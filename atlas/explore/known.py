@@ -1,4 +1,4 @@
-"""What is known of a subject: cells of the atlas itself, tiles in memory, tiles kept. Nothing is solved here."""
+"""What is known of a subject: cells of the atlas itself, tiles in memory, tiles kept; one cell is solved if asked."""
 
 import time
 from collections.abc import Iterable
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, RunError
 from atlas.explore.compose import atlas_covers, composed, seen_atlas
 from atlas.explore.kept import Keeper
+from atlas.explore.patch import solve_patch
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import STAGES, TILE, Sight, TileKey
@@ -139,6 +140,17 @@ class Known:
             if arrays is not None:
                 return self._cell_of(plane, key, arrays, (i % TILE, j % TILE), (x, y))
         return self._atlas_cell(plane, x, y)
+
+    def solved(self, plane: Plane, sight: Sight, x: float, y: float) -> Cell:
+        """The cell of the view at a point, solved here and now."""
+        j, i = self.subject.x.nearest(sight.level_x, x), self.subject.y.nearest(sight.level_y, y)
+        key, place = TileKey(sight.level_x, sight.level_y, j // TILE, i // TILE), (i % TILE, j % TILE)
+        others = np.ones((TILE, TILE), dtype=bool)
+        others[place] = False
+        arrays = empty_results(self._variables, (TILE, TILE), extra_sizes(self.subject.spec))
+        for name, values in solve_patch(self.subject.patch(plane, key, others)).items():
+            arrays[name][~others] = values
+        return self._cell_of(plane, key, arrays, place, (x, y))
 
     def atlas_done(self) -> NDArray[np.bool_] | None:
         """Which cells (y, x) of the atlas itself are solved; None without an atlas.

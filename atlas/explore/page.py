@@ -27,6 +27,7 @@ from atlas.explore.cutpanel import CutPanel
 from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.pins import Pins
 from atlas.explore.plot import label_axes, make_plot
 from atlas.explore.state import State, Store
 from atlas.explore.style import CUTTING, FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
@@ -37,6 +38,19 @@ LEFT, RIGHT = 232, 350
 FOLDED = "folded"
 """The class of controls that a page of a single column hides."""
 LINE_HEIGHT = 20
+TOKEN = """
+const token = new URLSearchParams(window.location.search).get("token")
+const query = "?" + cb_obj.text + (token ? "&token=" + token : "")
+"""
+HISTORY = """
+const page = window.atlas ??= {rests: false}
+window.history[page.rests ? "pushState" : "replaceState"](null, "", query)
+window.onpopstate = () => window.location.reload()
+page.rests = false
+clearTimeout(page.timer)
+page.timer = setTimeout(() => { page.rests = true }, 1500)
+"""
+"""A view at which somebody rested stays in the browser's history."""
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
@@ -76,6 +90,7 @@ class Page:
         self._plot, self._image, mark = make_plot(self._subject, chosen)
         self._details = Details(explorer, self._background, store, lambda: self._painter.sight, mark)
         self._cut = CutPanel(explorer, self._background, store, self._plot)
+        self._pins = Pins(self._subject, store, self._plot)
         self._make_panels()
         self._wire()
         document.title = f"{self._subject.name}: explorer"
@@ -88,6 +103,7 @@ class Page:
         )
         store.listen(self._changed)
         self._cut.show(store.now)
+        self._pins.show(chosen)
 
     def close(self) -> None:
         """Free what the page holds."""
@@ -127,8 +143,8 @@ class Page:
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
-        self._address.js_on_change("text", CustomJS(code="window.history.replaceState(null, '', '?' + cb_obj.text)"))
-        self._opened.js_on_change("text", CustomJS(code="window.location.assign('?' + cb_obj.text)"))
+        self._address.js_on_change("text", CustomJS(code=TOKEN + HISTORY))
+        self._opened.js_on_change("text", CustomJS(code=TOKEN + "window.location.assign(query)"))
         script = """
             const link = document.createElement("a")
             link.href = cb_obj.data["href"][0]; link.download = cb_obj.data["name"][0]; link.click()
@@ -147,7 +163,9 @@ class Page:
         widen = f"middle.css_classes = cb_obj.visible ? ['{CUTTING}'] : []"
         self._cut.panel.js_on_change("visible", CustomJS(args={"middle": middle}, code=widen))
         middle.css_classes = [CUTTING] if self._cut.panel.visible else []
-        right = column(self._made, *self._details.panels, self._address, self._opened, width=RIGHT, **panel)
+        right = column(
+            self._made, self._pins.panel, *self._details.panels, self._address, self._opened, width=RIGHT, **panel
+        )
         # A source without a view is sent along, and heard, as the tag of a model that has one.
         self._address.tags = [self._download]
         whole = row(left, middle, right, sizing_mode="stretch_both")
@@ -164,6 +182,7 @@ class Page:
         self._controls.show(new)
         self._details.show(chosen)
         self._cut.show(new)
+        self._pins.show(chosen)
         if min(new.size) >= LEAST:
             self._painter.show(chosen, new.size, new.rests)
             self._address.text = to_address(self._home.subject, self._subject, chosen)
