@@ -166,9 +166,7 @@ def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Explor
 
 def test_a_click_shows_the_portrait_the_line_that_solves_the_cell_alone_and_its_attractors(tab: Tab) -> None:
     click(tab, 0.6, 0.4)
-    line = tab.page.evaluate(
-        "() => [...Bokeh.documents[0]._all_models.values()].filter((m) => m.type === 'TextInput')[0].value"
-    )
+    (line,) = filter(None, tab.models("TextInput", "value"))
     assert line.startswith("atlas point --set ") and "--set omega=" in line
     tab.until(lambda: "initial states" in tab.text() and "being sought" not in tab.text())
     assert "100 % (" in tab.text() or "n-p-q" in tab.text()
@@ -327,8 +325,8 @@ def test_a_reload_shows_the_map_also_where_a_line_over_it_cannot_be_drawn(
 def test_the_cell_clicked_is_marked_in_its_plane_alone(tab: Tab) -> None:
     assert tab.mark() is None
     click(tab, 0.6, 0.4)
-    script = "() => [...Bokeh.documents[0]._all_models.values()].filter((m) => m.type === 'TextInput')[0].value"
-    words = dict(word.split("=") for word in tab.page.evaluate(script).split() if word.startswith(("omega=", "b=")))
+    (line,) = filter(None, tab.models("TextInput", "value"))
+    words = dict(word.split("=") for word in line.split() if word.startswith(("omega=", "b=")))
     assert tab.mark() == (float(words["omega"]), float(words["b"]))
     tab.page.locator(".noUi-handle").first.focus()
     tab.page.keyboard.press("ArrowLeft")

@@ -119,6 +119,8 @@ class BasinsPanel:
 
     def offer(self, cell: Cell) -> None:
         """Offer the basins of a cell."""
+        if cell is self._cell:
+            return
         self.clear()
         self._cell = cell
         self._button.visible = True

@@ -20,7 +20,6 @@ from atlas.explore.known import Cell
 from atlas.explore.motion import Motion, MotionPanel, motion_of, motions
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
-from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
 from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
 
@@ -98,9 +97,9 @@ class Details:
         self._pointer = None
 
     def click(self, event: Tap) -> None:
-        """Choose a cell."""
+        """Choose the finest cell that is known at a point, or the point itself."""
         if event.x is not None and event.y is not None:
-            self._store.choose(cell=(self._store.now.chosen.plane, event.x, event.y))
+            self._background.run(partial(self._found, (event.x, event.y)))
 
     def show(self, chosen: Chosen) -> None:
         """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
@@ -126,6 +125,11 @@ class Details:
         sight = self._sight()
         return None if sight is None else self._explorer.known.cell(self._store.now.chosen.plane, sight, *point)
 
+    def _found(self, point: tuple[float, float]) -> Show:
+        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        at = point if cell is None else tuple(cell.parameters[name] for name in self._subject.axes)
+        return lambda: self._store.choose(cell=(plane, *at))
+
     def _looked_up(self, point: tuple[float, float]) -> Show:
         cell = self._cell(point)
         text = POINTED + (cell_table(cell, self._subject) if cell else "not known yet")
@@ -141,15 +145,15 @@ class Details:
     def _detail(self, point: tuple[float, float], click: int) -> Show:
         if click != self._clicks:  # there was another one meanwhile
             return lambda: None
-        sight, plane = self._sight(), self._store.now.chosen.plane
-        if sight is None:
-            return lambda: None
-        cell = self._cell(point) or self._explorer.known.solved(plane, sight, *point)
+        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
+            cell = self._explorer.known.solved(plane, *point)
         found = known_attractors(self._subject, cell)
         answer = partial(self._answer, cell.parameters, click)
         self._background.show(partial(answer, found))
         if found is None and not self._background.closed:
             self._explorer.ask(self, cell, lambda found: self._background.show(partial(answer, found)))
+        self._background.show(partial(self._show, cell, "drawing its portrait", click))
         try:
             orbit = orbit_of(self._subject, cell)
             self._background.show(partial(self._move, motion_of(orbit), click))
@@ -161,10 +165,6 @@ class Details:
     def _show(self, cell: Cell, drawn: str, click: int) -> None:
         if click != self._clicks:
             return
-        x, y = (cell.parameters[axis.name] for axis in self._subject.spec.axes)
-        plane = Plane(tuple((name, cell.parameters[name]) for name, _ in self._subject.plane.parameters))
-        self._detailed = (plane, x, y)
-        self._store.choose(cell=self._detailed)
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)

@@ -21,11 +21,12 @@ from bokeh.models import ColumnDataSource, CustomJS, Div, GlobalInlineStyleSheet
 from atlas.errors import InputError
 from atlas.explore.actions import new_atlas, picture_file
 from atlas.explore.background import Background
-from atlas.explore.chosen import carried, from_address, to_address, turned_to
+from atlas.explore.chosen import Range, carried, from_address, to_address, turned_to
 from atlas.explore.controls import Controls
 from atlas.explore.cutpanel import CutPanel
 from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
+from atlas.explore.keys import hear_keys
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
 from atlas.explore.pins import Pins
 from atlas.explore.plot import label_axes, make_plot
@@ -92,7 +93,11 @@ class Page:
         self._cut = CutPanel(explorer, self._background, store, self._plot)
         self._pins = Pins(self._subject, store, self._plot)
         self._make_panels()
+        logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
+        self._keys = hear_keys(document, self._plot, logs, self._show_window, lambda: store.choose(cut=None))
         self._wire()
+        self._cut.show(store.now)
+        self._pins.show(chosen)
         document.title = f"{self._subject.name}: explorer"
         document.add_root(self._layout())
         document.add_periodic_callback(self._say_progress, 500)
@@ -102,8 +107,6 @@ class Page:
             lambda why: self._background.show(partial(self._unpainted, why)),
         )
         store.listen(self._changed)
-        self._cut.show(store.now)
-        self._pins.show(chosen)
 
     def close(self) -> None:
         """Free what the page holds."""
@@ -167,7 +170,7 @@ class Page:
             self._made, self._pins.panel, *self._details.panels, self._address, self._opened, width=RIGHT, **panel
         )
         # A source without a view is sent along, and heard, as the tag of a model that has one.
-        self._address.tags = [self._download]
+        self._address.tags = [self._download, self._keys]
         whole = row(left, middle, right, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
         return whole
@@ -205,8 +208,11 @@ class Page:
     def _moved(self, event: RangesUpdate) -> None:
         ends = (event.x0, event.x1, event.y0, event.y1)
         left, right, low, high = (float("nan") if end is None else float(end) for end in ends)
-        if left < right and low < high and np.isfinite([left, right, low, high]).all():
-            self._store.choose(x=(left, right), y=(low, high))
+        self._show_window((left, right), (low, high))
+
+    def _show_window(self, x: Range, y: Range) -> None:
+        if x[0] < x[1] and y[0] < y[1] and np.isfinite([*x, *y]).all():
+            self._store.choose(x=x, y=y)
 
     def _rescale(self) -> None:
         """Choose the ends of the scale by what is in view."""
@@ -224,7 +230,8 @@ class Page:
         (left, right), (low, high) = painted.x, painted.y
         self._image.data = {"image": [pixels], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
         above = int(np.argmax(np.any(painted.key[..., :3] != 255, axis=(1, 2))))  # rows of white
-        self._key.text = f'<img style="--above: {above}px" src="{png_address(painted.key[above:])}">'
+        source = png_address(painted.key[above:])
+        self._key.text = f'<img alt="colour bar and legend" style="--above: {above}px" src="{source}">'
         self._store.set(ends=painted.ends, lacking=painted.lacking)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
@@ -246,7 +253,7 @@ class Page:
         text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble])
         if trouble:
             text = f'<span class="trouble">{html.escape(trouble)}</span> &middot; {text}'
-        self._line.text = text
+        self._line.text = f'<span role="status">{text}</span>'
 
     def _notes(self) -> list[str]:
         subject, chosen = self._subject, self._store.now.chosen

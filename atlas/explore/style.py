@@ -1,4 +1,4 @@
-"""The looks of the page, as CSS.
+"""The looks of the page, as CSS. In dark mode all is inverted, and the map with its colours once more.
 
 A page of at least three columns' width has the plane between its controls and the details of cells. On a narrower one,
 as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
@@ -14,6 +14,7 @@ CUTTING = "cutting"
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
 body > div {{ height: 100%; }}
+@media (prefers-color-scheme: dark) {{ html {{ filter: invert(1); background: #fff; }} }}
 @media {STACKED} {{
   html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
   body > div {{ height: auto; }}
@@ -60,10 +61,12 @@ table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; 
 th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a6675; }
 img.portrait { cursor: zoom-in; } img.portrait.large { position: fixed; inset: 2vh 2vw; width: 96vw; height: 96vh;
   object-fit: contain; background: #fff; z-index: 99; cursor: zoom-out; box-shadow: 0 0 0 100vmax #0008; }
+@media (prefers-color-scheme: dark) { img { filter: invert(1); } }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
 
 PLOT = f"""
+@media (prefers-color-scheme: dark) {{ :host {{ filter: invert(1); }} }}
 .bk-Canvas:hover {{ --outline-width: 0px; }}
 @media {SINGLE} {{ :host {{ flex: none !important; width: 100% !important; height: 100vw !important; }} }}
 """
