@@ -205,20 +205,21 @@ class AtlasAccessor:
         keep: bool = True,
         folder: Path | None = None,
         port: int = 0,
+        host: str = "127.0.0.1",
     ) -> "Exploration":
         """A page on this atlas to look anywhere in it, at any depth; a notebook shows it in place, ``stop()`` ends it.
 
         Cells are solved on a Dask ``client`` of yours, on the cluster of a ``scheduler``, or on ``workers`` processes
         of this machine, by default one a processor; ``tolerance`` is that of their exponents, by default 0.05. With
         ``keep`` they stay in the store. Specs of new atlases are written into ``folder``, by default the working
-        directory. ``port`` is that of the page, by default any free one.
+        directory. ``port`` is that of the page, by default any free one; on another ``host`` its address has a token.
         """
         from atlas.explore.session import explore_dataset
         from atlas.explore.subject import TOLERANCE
 
         return explore_dataset(
             self._ds, client=client, scheduler=scheduler, workers=workers, tolerance=tolerance or TOLERANCE, keep=keep,
-            folder=folder, port=port,
+            folder=folder, port=port, host=host,
         )  # fmt: skip
 
     def page(self, path: str | Path) -> Path:

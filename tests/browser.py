@@ -58,6 +58,12 @@ class Tab:
         )
         return (float(found[0]), float(found[1])) if found else None
 
+    def models(self, kind: str, name: str) -> list[Any]:
+        """A property of all models of a type on the page."""
+        script = """([kind, name]) => [...Bokeh.documents[0]._all_models.values()]
+            .filter((model) => model.type === kind).map((model) => model[name])"""
+        return list(self.page.evaluate(script, [kind, name]))
+
     def text(self) -> str:
         """All that stands on the page."""
         return str(
@@ -109,11 +115,24 @@ class Tab:
         """What a condition gives, once it is true; fails after so many seconds."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            found = condition()
-            if found:
-                return found
+            with suppress_navigation():
+                found = condition()
+                if found:
+                    return found
             self.page.wait_for_timeout(50)  # what happens in the browser is heard meanwhile
         raise AssertionError(f"not within {seconds:g} s; the page says: {self.text()[-600:]}")
+
+
+@contextmanager
+def suppress_navigation() -> Iterator[None]:
+    """Let pass that a page was left while something was read from it."""
+    from playwright.sync_api import Error
+
+    try:
+        yield
+    except Error as error:
+        if "navigation" not in str(error):
+            raise
 
 
 @contextmanager

@@ -151,8 +151,8 @@ def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Explor
 
     def told() -> str:
         """What the page says, once it says all of a cell; read at once, since it may be about to say something new."""
-        text = " ".join(tab.text().split())
-        return text if "periods_used" in text and " ω " in text else ""
+        text = " ".join(tab.text().partition("cell under the pointer")[2].split())
+        return text if "periods simulated" in text and " ω " in text else ""
 
     text = tab.until(told)
     x, y = (float(text.split(f" {symbol} ")[1].split()[0]) for symbol in ("ω", "b"))
@@ -161,17 +161,54 @@ def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Explor
     found = at(ds, {"omega": x, "b": y})
     assert f"regime {found['regime'].replace('_', ' ')}" in text
     if "cell of the atlas" in text:
-        assert f"periods_used {found['periods_used']}" in text
+        assert f"periods simulated {found['periods_used']}" in text
 
 
 def test_a_click_shows_the_portrait_the_line_that_solves_the_cell_alone_and_its_attractors(tab: Tab) -> None:
     click(tab, 0.6, 0.4)
-    line = tab.page.evaluate(
-        "() => [...Bokeh.documents[0]._all_models.values()].filter((m) => m.type === 'TextInput')[0].value"
-    )
+    (line,) = filter(None, tab.models("TextInput", "value"))
     assert line.startswith("atlas point --set ") and "--set omega=" in line
     tab.until(lambda: "initial states" in tab.text() and "being sought" not in tab.text())
     assert "100 % (" in tab.text() or "n-p-q" in tab.text()
+
+
+def test_a_click_shows_the_portraits_of_all_attractors_and_sets_the_machine_in_motion(
+    running: Exploration, browser: Any
+) -> None:
+    """At omega = 4, b = 0.0939 an orbit of period 1 coexists with two mirror images of period 3."""
+    with opened(browser, f"{running.url}?omega=3.9:4.1&b=0.09:0.1", 1440, 900) as tab:
+        tab.until(tab.image)
+        settled(running, tab)
+        click(tab, 0.475, 0.614)
+
+        def portraits() -> int:
+            return max(len(data["xs"]) for data in tab.models("ColumnDataSource", "data") if "color" in data)
+
+        tab.until(lambda: portraits() > 1, 120.0)
+        tab.page.get_by_role("button", name="move the machine").click()
+
+        def state() -> Any:
+            return [data["at"] for data in tab.models("ColumnDataSource", "data") if "at" in data]
+
+        first = state()
+        tab.until(lambda: state() != first)
+        assert tab.complaints == []
+
+
+def test_the_basins_of_a_cell_are_shown_on_a_click(running: Exploration, tab: Tab) -> None:
+    click(tab, 0.6, 0.4)
+    tab.page.get_by_role("button", name="basins of this cell").click()
+    tab.until(lambda: "initial states reach" in tab.text() and "not solved yet" not in tab.text(), 240.0)
+    images = [data["basins"] for data in tab.models("ColumnDataSource", "data") if "basins" in data]
+    assert len(images[0]) == 1
+
+
+def test_a_portrait_is_enlarged_by_a_click(tab: Tab) -> None:
+    click(tab, 0.6, 0.4)
+    portrait = tab.page.locator("img.portrait")
+    before = portrait.bounding_box()
+    portrait.click()
+    tab.until(lambda: portrait.bounding_box()["width"] > before["width"] + 50)
 
 
 def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:
@@ -181,6 +218,58 @@ def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:
     tab.until(lambda: "another plane than the atlas's" in tab.text())
     plane = from_address(running.explorer.subject, arguments(tab)).plane
     tab.until(lambda: len({key.level_x for key, _ in running.explorer.known.tiles.of(plane)}) == STAGES + 1, 120.0)
+
+
+def test_a_number_typed_beside_a_slider_moves_it_and_one_out_of_range_is_refused(tab: Tab) -> None:
+    slider = tab.page.locator("input[type=text]:visible").nth(2)  # after the ends of the scale
+    slider.fill("0.7123")
+    slider.press("Enter")
+    tab.until(lambda: "R=0.7123" in tab.address())
+    assert tab.models("Slider", "value")[0] == 0.7123
+    slider.fill("1.5")
+    slider.press("Enter")
+    tab.until(lambda: "R = 1.5: must satisfy 0 <= R <= 1" in tab.text())
+    assert "R=0.7123" in tab.address()
+
+
+def test_other_axes_are_chosen_in_the_page_and_back_leads_to_those_before(tab: Tab) -> None:
+    address = tab.address()
+    tab.page.locator("select").nth(3).select_option(label="R coefficient of restitution")
+    tab.page.wait_for_url("**axes=omega,R**")
+    tab.until(tab.image)
+    assert "coefficient of restitution R" in tab.models("LinearAxis", "axis_label")
+    assert "b=0.4" in tab.address()  # the middle of the view
+    tab.page.go_back()
+    tab.page.wait_for_url(address)
+    tab.until(tab.image)
+
+
+def test_a_cut_is_drawn_over_the_plane_and_shares_the_pointer_with_it(tab: Tab) -> None:
+    left, top, width, height = tab.plot()
+    tab.page.get_by_title("draw a cut").click()
+    tab.page.mouse.move(left + 0.2 * width, top + 0.5 * height)
+    tab.page.mouse.down()
+    tab.page.mouse.move(left + 0.5 * width, top + 0.3 * height, steps=4)
+    tab.page.mouse.move(left + 0.8 * width, top + 0.5 * height, steps=4)
+    tab.page.mouse.up()
+    tab.until(lambda: "257 cells along the cut" in tab.text(), 120.0)
+    x0, y0, x1, y1 = (float(part) for part in arguments(tab)["cut"][0].split(b","))
+    assert abs(x0 - 3.4) < 0.02 and abs(x1 - 4.0) < 0.02 and abs(y0 - y1) < 0.01
+    left, top, width, height = tab.plot()
+    tab.page.mouse.move(left + 0.5 * width, top + 0.1 * height)
+    middle = 0.5 * (x0 + x1)
+    tab.until(lambda: sum(abs((value or 0.0) - middle) < 0.02 for value in tab.models("Span", "location")) == 2)
+    tab.page.get_by_role("button", name="close the cut").click()
+    tab.until(lambda: "cut=" not in tab.address())
+
+
+def test_branches_along_a_cut_are_drawn_on_demand(tab: Tab) -> None:
+    tab.page.get_by_role("button", name="cut across").click()
+    tab.until(lambda: "257 cells along the cut" in tab.text(), 120.0)
+    tab.page.get_by_role("button", name="branches, stable and unstable").click()
+    tab.until(lambda: "branches: " in tab.text(), 240.0)
+    colors = [data["color"] for data in tab.models("ColumnDataSource", "data") if "color" in data]
+    assert colors and any(colors)
 
 
 def test_a_reload_restores_window_kind_and_parameters(running: Exploration, tab: Tab) -> None:
@@ -236,8 +325,8 @@ def test_a_reload_shows_the_map_also_where_a_line_over_it_cannot_be_drawn(
 def test_the_cell_clicked_is_marked_in_its_plane_alone(tab: Tab) -> None:
     assert tab.mark() is None
     click(tab, 0.6, 0.4)
-    script = "() => [...Bokeh.documents[0]._all_models.values()].filter((m) => m.type === 'TextInput')[0].value"
-    words = dict(word.split("=") for word in tab.page.evaluate(script).split() if word.startswith(("omega=", "b=")))
+    (line,) = filter(None, tab.models("TextInput", "value"))
+    words = dict(word.split("=") for word in line.split() if word.startswith(("omega=", "b=")))
     assert tab.mark() == (float(words["omega"]), float(words["b"]))
     tab.page.locator(".noUi-handle").first.focus()
     tab.page.keyboard.press("ArrowLeft")

@@ -74,6 +74,59 @@ def test_the_servers_own_address_is_served(server: PageServer, name: str) -> Non
     assert answer(server, "/static/js/bokeh.min.js", Host=host)[0] == 200
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[PageServer]:
+    """A server for those who have its token."""
+    made = PageServer(fill, token="a-secret")
+    yield made
+    made.stop()
+
+
+@pytest.mark.parametrize("host", ["hub.example", "127.0.0.1:{port}"])
+def test_with_a_token_a_page_is_served_to_any_host_that_a_proxy_names(shared: PageServer, host: str) -> None:
+    host = host.format(port=shared.port)
+    assert answer(shared, "/?token=a-secret", Host=host, Origin=f"https://{host}")[0] == 200
+    for query in ("", "?token=", "?token=another", "?token=a-secret&token=x", "?kind=a-secret"):
+        status, body = answer(shared, f"/{query}", Host=host)
+        assert status == 403 and b"secret" not in body
+    for path in ("/autoload.js?bokeh-autoload-element=x", "/metadata"):
+        assert answer(shared, path, Host=host)[0] == 403
+
+
+def test_a_websocket_goes_to_sessions_that_a_page_with_the_token_signed_alone(shared: PageServer) -> None:
+    from bokeh.util.token import generate_jwt_token, generate_session_id
+    from tornado.httpclient import HTTPRequest
+    from tornado.websocket import websocket_connect
+
+    async def heard(token: str) -> object:
+        headers = {"Host": "hub.example", "Origin": "https://hub.example"}
+        request = HTTPRequest(f"ws://127.0.0.1:{shared.port}/ws", headers=headers)
+        connection = await websocket_connect(request, subprotocols=["bokeh", token])
+        first = found = await asyncio.wait_for(connection.read_message(), 10.0)
+        connection.close()
+        while found is not None:
+            found = await asyncio.wait_for(connection.read_message(), 10.0)
+        return first
+
+    forged = generate_jwt_token(generate_session_id(signed=False), signed=False)
+    assert asyncio.run(heard(forged)) is None  # closed without a word
+    _, body = answer(shared, "/?token=a-secret", Host="hub.example")
+    signed = body.split(b'"token":"')[1].split(b'"')[0].decode()
+    assert asyncio.run(heard(signed)) is not None
+
+
+def test_a_page_behind_the_token_finds_its_scripts_in_its_own_folder(shared: PageServer) -> None:
+    _, body = answer(shared, "/?token=a-secret", Host="hub.example")
+    assert b'src="./static/js/bokeh' in body and b'src="/static' not in body
+
+
+def test_another_host_gets_a_token_of_its_own_and_this_machine_none(server: PageServer) -> None:
+    assert server.token == ""
+    made = PageServer(fill, host="0.0.0.0")
+    made.stop()
+    assert len(made.token) > 16 and "127.0.0.1" not in made.url
+
+
 @pytest.mark.parametrize("query", ["omega=%ff", "%fe=1&kind=%c3"])
 def test_an_address_that_is_no_text_gets_400(server: PageServer, query: str) -> None:
     assert answer(server, f"/?{query}", Host=f"127.0.0.1:{server.port}")[0] == 400

@@ -87,6 +87,17 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
 
 
+def test_a_cell_that_is_solved_alone_is_that_of_its_tile_to_the_bit(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight, plane = view_of(explorer.subject), explorer.subject.plane
+        solved(explorer, sight)
+        found = explorer.known.cell(plane, sight, 2.4012345, 0.21)
+        assert found is not None
+        alone = explorer.known.solved(plane, found.parameters["omega"], found.parameters["b"])
+    assert alone.parameters == found.parameters
+    assert str(alone.results | {"distance": 0}) == str(found.results | {"distance": 0})  # some are not a number
+
+
 @pytest.mark.slow
 def test_tiles_come_coarse_first_and_none_twice(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:

@@ -200,7 +200,10 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
     given = {"omega": [b"2.5:2.75"], "b": [b"0.2:0.21"], "kind": [b"scalar"], "variable": [b"peak_to_peak"],
              "log": [b"1"], "overlay": [b"grazing,isolines"], "vmin": [b"0.1"], "R": [b"0.75"]}  # fmt: skip
     chosen = from_address(subject, given)
-    again = {name: [text.encode() for text in texts] for name, texts in parse_qs(to_address(subject, chosen)).items()}
+    again = {
+        name: [text.encode() for text in texts]
+        for name, texts in parse_qs(to_address(subject, subject, chosen)).items()
+    }
     assert from_address(subject, again) == chosen
     assert chosen.plane == subject.plane.moved("R", 0.75)
 

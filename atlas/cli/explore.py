@@ -61,6 +61,9 @@ GB = 10**9
     help="GB to keep at most; then the oldest go.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page; default: any free one.")
+@click.option(
+    "--host", default="127.0.0.1", show_default=True, help="Of the page; on any other its address has a token."
+)
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
 @click.pass_context
 def explore(
@@ -75,6 +78,7 @@ def explore(
     keep: bool,
     limit: float,
     port: int,
+    host: str,
     browser: bool,
 ) -> None:
     """Look anywhere in the plane of STORE, or of SPEC, at any depth, in the browser.
@@ -107,12 +111,15 @@ def explore(
                 keep=keep,
                 most_bytes=round(limit * GB),
                 port=port,
+                host=host,
                 timing=timing_of(ctx),
             )
             try:
                 if running.explorer.keeper.header is not None:
                     say(f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none")
                 click.echo(running.url)
+                if running.place != running.url:
+                    say(f"by the proxy of JupyterHub: {running.place}")
                 if browser:
                     webbrowser.open(running.url)
                 while True:

@@ -6,10 +6,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from atlas.cell.orbit import cell_orbit
+from atlas.cell.orbit import CellOrbit, cell_orbit
 from atlas.explore.chosen import Chosen, Range
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
+from atlas.explore.pins import pins_text
 from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
@@ -42,10 +43,14 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 
-def portrait_image(subject: Subject, cell: Cell) -> str:
-    """The portrait of a cell as the address of an image; InputError for a cell without a motion to show."""
+def orbit_of(subject: Subject, cell: Cell) -> CellOrbit:
+    """The motion of a cell, solved as the cell was; InputError for a cell without a motion to show."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
-    orbit = cell_orbit(cell.parameters, subject.system, settings)
+    return cell_orbit(cell.parameters, subject.system, settings)
+
+
+def portrait_image(orbit: CellOrbit) -> str:
+    """The portrait of a motion as the address of an image."""
     data = BytesIO()
     with drawing:
         figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
@@ -66,7 +71,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     """Write the spec of a window with so many cells across into a folder, beside what is there already.
 
     Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
-    does. OSError where it cannot be written.
+    does. Pins follow as comments. OSError where it cannot be written.
     """
     shape = (x[1] - x[0], y[1] - y[0]), (chosen.x[1] - chosen.x[0], chosen.y[1] - chosen.y[0])
     up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))
@@ -77,7 +82,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     parameters, settings = dict(chosen.plane.parameters), subject.spec.settings
     spec = Spec(subject.system, axes, parameters, settings, attractors=subject.attractors)
     attractors = None if spec.attractors is None else resolved_attractors(spec.attractors)
-    text = spec_toml(subject.system, parameters, axes, settings, attractors)
+    text = spec_toml(subject.system, parameters, axes, settings, attractors) + pins_text(chosen.pins)
     for number in range(1, 1000):
         file = folder / f"{Path(subject.name).stem}-{number}.toml"
         try:

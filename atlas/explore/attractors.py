@@ -8,22 +8,14 @@ import numpy as np
 
 from atlas.cell.attractors import in_words
 from atlas.explore.known import Cell
-from atlas.explore.patch import Patch
+from atlas.explore.patch import Patch, solve_patch
+from atlas.explore.patches import Task
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.query.queries import at
 from workers.results import ATTRACTOR
 
 Told = Callable[["Attractors"], None]
-
-
-@dataclass(frozen=True)
-class Question:
-    """A cell whose attractors somebody asks for."""
-
-    plane: Plane
-    x: float
-    y: float
 
 
 @dataclass(frozen=True)
@@ -65,11 +57,11 @@ class Asked:
         self._subject = subject
         self._waiting: dict[Hashable, tuple[Question, Told]] = {}
 
-    def ask(self, who: Hashable, cell: Cell, told: Told) -> Question:
+    def ask(self, who: Hashable, cell: Cell, told: Told) -> "Question":
         """Note that somebody wants the attractors of a cell, and nothing else any more."""
         x, y = (cell.parameters[axis.name] for axis in self._subject.spec.axes)
         names = dict(self._subject.plane.parameters)
-        question = Question(Plane.of({name: cell.parameters[name] for name in names}), x, y)
+        question = Question(self, Plane.of({name: cell.parameters[name] for name in names}), x, y)
         self._waiting[who] = question, told
         return question
 
@@ -77,31 +69,54 @@ class Asked:
         """Note that somebody wants nothing any more."""
         self._waiting.pop(who, None)
 
-    def patch(self, question: Question) -> Patch:
+    def patch(self, question: "Question") -> Patch:
         """What it takes to answer."""
         subject = self._subject
         (x, y) = (axis.name for axis in subject.spec.axes)
         sides = (x, (question.x,)), (y, (question.y,))
         return Patch(subject.system, dict(question.plane.parameters), subject.settings, *sides, starts=subject.starts)
 
-    def answer(self, question: Question, arrays: Arrays) -> None:
+    def answer(self, question: "Question", arrays: Arrays) -> None:
         """Tell those who wait for it."""
         variables = self._subject.system.variables(self._subject.settings, attractors=True)
         cell = {variable.name: arrays[variable.name][0] for variable in variables}
         many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
         kept = min(int(cell["attractors"]), self._subject.starts.keep)
         listed = [in_words({name: np.asarray(cell[name][k]).tolist() for name in many}) for k in range(kept)]
-        self._tell(question, _answer(listed, {name: cell[name] for name in cell.keys() - set(many)}, stored=False))
+        self.tell(question, _answer(listed, {name: cell[name] for name in cell.keys() - set(many)}, stored=False))
 
-    def fail(self, question: Question, why: str) -> None:
-        """Tell those who wait for it that there is no answer."""
-        self._tell(question, Attractors(trouble=why))
-
-    def _tell(self, question: Question, found: Attractors) -> None:
+    def tell(self, question: "Question", found: Attractors) -> None:
+        """Tell those who wait for an answer this one."""
         for who, (asked, told) in list(self._waiting.items()):
             if asked == question:
                 self._waiting.pop(who, None)
                 told(found)
+
+
+@dataclass(frozen=True)
+class Question:
+    """A cell whose attractors somebody asks for: a job of the cluster."""
+
+    asked: Asked
+    plane: Plane
+    x: float
+    y: float
+
+    def make(self) -> Task | None:
+        """See ``Job``."""
+        return solve_patch, self.asked.patch(self)
+
+    def solved(self, argument: Patch, found: Arrays) -> int:
+        """See ``Job``."""
+        self.asked.answer(self, found)
+        return 1
+
+    def failed(self, why: str) -> None:
+        """See ``Job``."""
+        self.asked.tell(self, Attractors(trouble=why))
+
+    def dropped(self) -> None:
+        """See ``Job``: nothing is held for it."""
 
 
 def _answer(each: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> Attractors:

@@ -1,5 +1,6 @@
 """Work that takes a while, away from the thread of a page's document; what it finds is shown in that thread."""
 
+import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -41,6 +42,9 @@ class Background:
                 act = work()
             except (InputError, RunError, OSError) as error:
                 act = partial(self._refuse, str(error))
+            except Exception as error:  # a mistake of ours must not leave the page without a word for good
+                logging.getLogger(__name__).exception("the page could not do something")
+                act = partial(self._refuse, f"this could not be done: {type(error).__name__}: {error}")
             self.show(act)
 
         with self._lock:

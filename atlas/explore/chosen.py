@@ -1,10 +1,12 @@
 """What a page shows of its subject, as its controls and its address say: window, plane, kind, overlays, scale."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from urllib.parse import urlencode
 
-from atlas.errors import InputError
+from atlas.errors import InputError, check_names
+from atlas.explore.explorer import Explorer
 from atlas.explore.subject import Plane, Subject
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, needs
 from workers.results import LARGEST, REGIME
@@ -14,12 +16,23 @@ Range = tuple[float, float]
 CURVES, CHART = "curves", "regions"
 """The overlay and the kind of map that draw what a store keeps."""
 
-_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax")
+Point = tuple[Plane, float, float]
+Pin = tuple[tuple[tuple[str, float], ...], str]
+"""A cell that is kept in sight, by all its parameters in the system's order, and a note."""
+Cut = tuple[float, float, float, float]
+"""A line over the plane, from (x, y) to (x, y)."""
+
+_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut")
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A choice. ``variable`` and ``log`` go with kind SCALAR; ends of the scale that are None are chosen for one."""
+    """A choice. ``variable`` and ``log`` go with kind SCALAR; ends of the scale that are None are chosen for one.
+
+    cell   the point that was clicked
+    pins   cells that stay marked
+    cut    the line that was drawn
+    """
 
     x: Range
     y: Range
@@ -30,6 +43,22 @@ class Chosen:
     overlays: tuple[str, ...] = ()
     vmin: float | None = None
     vmax: float | None = None
+    cell: Point | None = None
+    pins: tuple[Pin, ...] = ()
+    cut: Cut | None = None
+
+    @property
+    def picture(self) -> "Chosen":
+        """The choice as far as the map shows it."""
+        return replace(self, cell=None, cut=None, pins=())
+
+    def middle(self, subject: Subject) -> tuple[float, float]:
+        """The cell that was clicked in its plane, or else the middle of the window."""
+        if self.cell is not None and self.cell[0] == self.plane:
+            return self.cell[1:]
+        ends = (subject.x.log, *self.x), (subject.y.log, *self.y)
+        x, y = (math.sqrt(low * high) if log else 0.5 * (low + high) for log, low, high in ends)
+        return x, y
 
     @property
     def names(self) -> list[str]:
@@ -85,11 +114,25 @@ def beginning(subject: Subject) -> Chosen:
     return Chosen(x, y, subject.plane, kinds(subject)[0], variables(subject)[0])
 
 
+def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Chosen:
+    """The whole plane of another subject at these values, drawn as what was chosen as far as it has that."""
+    begun = beginning(subject)
+    return replace(
+        begun,
+        plane=Plane(tuple((name, values[name]) for name, _ in begun.plane.parameters)),
+        kind=chosen.kind if chosen.kind in kinds(subject) else begun.kind,
+        variable=chosen.variable,
+        log=chosen.log,
+        pins=chosen.pins,
+        overlays=tuple(name for name in chosen.overlays if name in overlays(subject)),
+    )
+
+
 def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chosen:
-    """What an address asks for; InputError, which names the argument, for what it cannot."""
+    """What an address asks for of a subject; InputError, which names the argument, for what it cannot."""
     chosen, given = beginning(subject), {name: values[-1].decode() for name, values in arguments.items()}
-    x, y = (axis.name for axis in subject.spec.axes)
-    for name, value in given.items():
+    x, y = subject.axes
+    for name, value in sorted(given.items(), key=lambda pair: pair[0] == "cell"):  # which lies in the plane of the rest
         if name == x:
             chosen = replace(chosen, x=_range(name, value, subject.x.log))
         elif name == y:
@@ -98,19 +141,36 @@ def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chos
             chosen = replace(chosen, plane=subject.moved(chosen.plane, name, _number(name, value)))
         elif name in _OTHERS:
             chosen = _other(subject, chosen, name, value)
-    return chosen
+    pins = tuple(_pin(subject, text.decode()) for text in arguments.get("pin", ()))
+    return replace(chosen, pins=pins)
 
 
-def to_address(subject: Subject, chosen: Chosen) -> str:
-    """The query of an address that asks for it."""
-    x, y = (axis.name for axis in subject.spec.axes)
-    pairs = [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y)), ("kind", chosen.kind)]
+def turned_to(explorer: Explorer, arguments: Mapping[str, list[bytes]]) -> Explorer:
+    """The explorer of the axes and of the layer that an address asks for; InputError where there is none."""
+    given = {name: values[-1].decode() for name, values in arguments.items()}
+    axes = tuple(given["axes"].split(",")) if "axes" in given else explorer.subject.axes
+    if len(axes) != 2:
+        raise InputError(f"axes: found {given['axes']!r}, must be two parameters, ACROSS,UP")
+    return explorer.turned((axes[0], axes[1]), _number("layer", given["layer"]) if "layer" in given else None)
+
+
+def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
+    """The query of an address that asks for it, where an address without a query asks for ``home``."""
+    x, y = subject.axes
+    pairs = [("axes", f"{x},{y}")] if subject.axes != home.axes else []
+    pairs += [("layer", repr(subject.layer_value))] if subject.layer_value != home.layer_value else []
+    pairs += [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y)), ("kind", chosen.kind)]
     if chosen.kind == SCALAR:
         pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
     pairs += [("overlay", ",".join(chosen.overlays))] if chosen.overlays else []
     pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
     own = dict(subject.plane.parameters)
     pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
+    points = {"cut": chosen.cut, "cell": chosen.cell[1:] if chosen.cell and chosen.cell[0] == chosen.plane else None}
+    pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
+    for values, note in chosen.pins:
+        shown = [f"{name}={value!r}" for name, value in values if value != own.get(name)]
+        pairs.append(("pin", f"{','.join(shown)};{note}"))
     return urlencode(pairs, safe=":,")
 
 
@@ -129,6 +189,12 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         return replace(chosen, overlays=wanted)
     if name == "log":
         return replace(chosen, log=value == "1")
+    if name == "cell":
+        x, y = _numbers(name, value, 2)
+        return replace(chosen, cell=(chosen.plane, x, y))
+    if name == "cut":
+        x, y, to_x, to_y = _numbers(name, value, 4)
+        return replace(chosen, cut=(x, y, to_x, to_y))
     end = _number(name, value)
     return replace(chosen, vmin=end) if name == "vmin" else replace(chosen, vmax=end)
 
@@ -138,6 +204,24 @@ def _number(name: str, value: str) -> float:
         return float(value)
     except ValueError:
         raise InputError(f"{name}: found {value!r}, must be a number") from None
+
+
+def _pin(subject: Subject, text: str) -> Pin:
+    values, _, note = text.partition(";")
+    given = {name: _number("pin", value) for name, _, value in (pair.partition("=") for pair in values.split(","))}
+    check_names("parameter in pin", given, [parameter.name for parameter in subject.system.parameters])
+    found = dict(subject.plane.parameters) | given
+    missing = [name for name in subject.axes if name not in found]
+    if missing:
+        raise InputError(f"pin: found {text!r}, lacks {missing[0]}")
+    return tuple((p.name, found[p.name]) for p in subject.system.parameters), note
+
+
+def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:
+    numbers = tuple(_number(name, part) for part in value.split(","))
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{name}: found {value!r}, must be {count} finite numbers, separated by commas")
+    return numbers
 
 
 def _range(name: str, value: str, log: bool) -> Range:

@@ -1,54 +1,39 @@
-"""The controls of a page: what is shown, its scale, a slider for each parameter, files, a new atlas."""
+"""The controls of a page: what is shown, its scale, its axes, a slider and a number for each parameter, files."""
 
+import html
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from bokeh.models import (
-    Button,
-    CheckboxGroup,
-    Div,
-    NumericInput,
-    Select,
-    Slider,
-    Spinner,
-    Toggle,
-)
+from bokeh.layouts import row
+from bokeh.models import Button, CheckboxGroup, Div, NumericInput, Select, Slider, Spinner, Toggle
 
-from atlas.explore.chosen import Chosen, kinds, overlays, variables
+from atlas.errors import InputError
+from atlas.explore.chosen import kinds, overlays, variables
+from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
-from atlas.explore.subject import Subject
-from atlas.explore.words import symbol_of
+from atlas.explore.subject import STEPS, Subject, slider_range
+from atlas.explore.words import plain, symbol_of
 from atlas.render import SCALAR
-from workers.model.parameter import Parameter
 
-STEPS = 200
-"""Steps of a slider from end to end."""
 CELLS = 400
 """Cells across a new atlas, unless asked otherwise."""
+TYPED = 76
+"""Pixels of a number beside a slider."""
 
 
-@dataclass
 class Controls:
-    """The widgets of a page; values are those that are chosen."""
+    """The widgets of a page: they show the state, and change it. ``go`` opens another choice of axes or layer."""
 
-    subject: Subject
-    chosen: Chosen
-    sliders: dict[str, Slider] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        chosen, scalar = self.chosen, self.chosen.kind == SCALAR
+    def __init__(self, subject: Subject, store: Store, go: Callable[..., None]) -> None:
+        self.subject, self._store = subject, store
+        chosen = store.now.chosen
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
-        self.kind = Select(title="map", options=kinds(self.subject), value=chosen.kind, **wide)
-        self.variable = Select(
-            title="variable",
-            options=variables(self.subject),
-            value=chosen.variable,
-            visible=scalar,
-            **wide,
-        )
-        self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], visible=scalar, **wide)
-        lines = overlays(self.subject)
+        lines = overlays(subject)
+        self.kind = Select(title="map", options=kinds(subject), value=chosen.kind, **wide)
+        self.variable = Select(title="variable", options=variables(subject), value=chosen.variable, **wide)
+        self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
         self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
         self.vmin = NumericInput(title="scale from", value=chosen.vmin, mode="float", placeholder="auto", **wide)
         self.vmax = NumericInput(title="to", value=chosen.vmax, mode="float", placeholder="auto", **wide)
@@ -57,57 +42,125 @@ class Controls:
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
         self.make = Button(label="make this an atlas", **wide)
+        self.axes = self._axes(go)
         values = dict(chosen.plane.parameters)
-        self.sliders = {name: _slider(self.subject, name, value) for name, value in values.items()}
-
-    def sliders_of(self, states: bool) -> list[Slider]:
-        """The sliders of initial states, or of all other parameters."""
-        names = self.subject.system.states
-        return [slider for name, slider in self.sliders.items() if (name in names) == states]
-
-    def heading(self, text: str) -> Div:
-        """A heading above some of them."""
-        return Div(text=f"<h4>{text}</h4>", stylesheets=[TEXT], margin=(0, 5, 0, 5))
-
-    def read(self) -> dict[str, Any]:
-        """What the controls say, as fields of a choice."""
-        return {
-            "kind": self.kind.value,
-            "variable": self.variable.value,
-            "log": bool(self.log.active),
-            "overlays": tuple(self.overlays.labels[i] for i in sorted(self.overlays.active)),
-            "vmin": self.vmin.value,
-            "vmax": self.vmax.value,
+        self.sliders = {name: _slider(subject, name, value) for name, value in values.items()}
+        self.typed = {
+            name: NumericInput(value=value, mode="float", width=TYPED, align="center", format="0[.]00000", name=name)
+            for name, value in values.items()
         }
+        self._wire()
+        self.show(store.now)
+
+    def columns(self, cuts: list[Button]) -> list[Any]:
+        """The controls, from the top, with the buttons that cut."""
+        states = self._sliders(states=True)
+        return [
+            self.kind, self.variable, self.log, row(self.vmin, self.vmax, sizing_mode="stretch_width"), self.rescale,
+            _heading("lines over it"), self.overlays,
+            _heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"),
+            _heading("axes"), *self.axes,
+            _heading("parameters"), *self._sliders(states=False), self.keep,
+            _heading("save the picture"), row(*self.files.values(), sizing_mode="stretch_width"),
+            _heading("a new atlas of the view, or of a box"), self.cells, self.make,
+            *([_heading("initial state"), *states] if states else []),
+        ]  # fmt: skip
+
+    def show(self, state: State) -> None:
+        """Have the widgets show the state."""
+        chosen, own = state.chosen, self.subject.plane
+        self.variable.visible = self.log.visible = chosen.kind == SCALAR
+        self.vmin.value, self.vmax.value = chosen.vmin, chosen.vmax
+        for name, value in chosen.plane.parameters:
+            slider = self.sliders[name]
+            if not slider.start <= value <= slider.end:
+                slider.update(start=min(slider.start, value), end=max(slider.end, value))
+            slider.value = self.typed[name].value = value
+        moved = chosen.plane != own
+        if moved != self.keep.visible:
+            self.keep.update(visible=moved and self.subject.header is not None, active=False)
+
+    def _wire(self) -> None:
+        """Have each widget change the part of the state that it shows."""
+        labels = self.overlays.labels
+        reads: list[tuple[Any, str, Callable[[Any], dict[str, Any]]]] = [
+            (self.kind, "value", lambda value: {"kind": value}),
+            (self.variable, "value", lambda value: {"variable": value}),
+            (self.log, "active", lambda value: {"log": bool(value)}),
+            (self.overlays, "active", lambda value: {"overlays": tuple(labels[i] for i in sorted(value))}),
+            (self.vmin, "value", lambda value: {"vmin": value}),
+            (self.vmax, "value", lambda value: {"vmax": value}),
+        ]
+        for widget, attribute, read in reads:
+            widget.on_change(attribute, lambda _, old, new, read=read: self._store.choose(**read(new)))
+        for name in self.sliders:
+            self.sliders[name].on_change("value", partial(self._moved, name, False))
+            self.typed[name].on_change("value", partial(self._moved, name, True))
+
+    def _moved(self, name: str, rests: bool, attribute: str, old: Any, new: Any) -> None:
+        """Move to the plane of a slider, or of a number that was typed."""
+        plane = self._store.now.chosen.plane
+        if new is None or float(new) == dict(plane.parameters)[name]:
+            return
+        try:
+            self._store.choose(rests, plane=self.subject.moved(plane, name, float(new)))
+        except InputError as error:
+            self._store.set(trouble=str(error))
+            self.typed[name].value = dict(plane.parameters)[name]
+
+    def _axes(self, go: Callable[..., None]) -> list[Any]:
+        """What chooses the axes, and the layer of a stack."""
+        subject, third, made = self.subject, self.subject.third, []
+        system = subject.system
+        options = [(p.name, f"{symbol_of(system, p.name)} {p.meaning.split(':')[0]}") for p in system.parameters]
+        for k, title in enumerate(("across", "up")):
+            select = Select(title=title, options=options, value=subject.axes[k], sizing_mode="stretch_width")
+            select.on_change("value", lambda _, old, new, k=k: go(axes=_with(subject.axes, k, new)))
+            made.append(select)
+        if third is not None:
+            layers = [(repr(value), f"{value:g}") for value in third.values]
+            select = Select(title=f"layer of the stack, {symbol_of(subject.system, third.name)}", options=layers,
+                            value=repr(subject.layer_value), sizing_mode="stretch_width")  # fmt: skip
+            select.on_change("value", lambda _, old, new: go(layer=float(new)))
+            made.append(select)
+        return made
+
+    def _sliders(self, states: bool) -> list[Any]:
+        """The sliders of initial states, or of all other parameters."""
+        names = [name for name in self.sliders if (name in self.subject.system.states) == states]
+        made: list[Any] = []
+        for name in names:
+            parameter = self.subject.system.parameter(name)
+            label = f"{parameter.meaning.split(':')[0]}, {plain(parameter.symbol or name)}"
+            line = row(self.sliders[name], self.typed[name], sizing_mode="stretch_width")
+            made += [Div(text=html.escape(label), margin=(4, 5, -6, 5)), line]
+        return made
+
+
+def _with(axes: tuple[str, str], place: int, name: str) -> tuple[str, str]:
+    """The axes with another one at a place; one that is there already changes places."""
+    other = axes[place] if axes[1 - place] == name else axes[1 - place]
+    return (name, other) if place == 0 else (other, name)
+
+
+def _heading(text: str) -> Div:
+    return Div(text=f"<h4>{text}</h4>", stylesheets=[TEXT], margin=(0, 5, 0, 5))
 
 
 def _slider(subject: Subject, name: str, value: float) -> Slider:
-    parameter = subject.system.parameter(name)
-    low, high = slider_range(parameter, value)
+    low, high = slider_range(subject.system.parameter(name), value)
     step = (high - low) / STEPS
     decimals = max(0, 2 - math.floor(math.log10(step * STEPS)))
     return Slider(
-        title=f"{parameter.meaning.split(':')[0]}, {symbol_of(subject.system, name)}",
+        title="",
         start=low,
         end=high,
         value=value,
         step=step,
+        show_value=False,
         format="0[.]" + "0" * (decimals + 1),
         sizing_mode="stretch_width",
         bar_color="#6aa7d6",
+        align="center",
         name=name,
     )
-
-
-def slider_range(parameter: Parameter, value: float) -> tuple[float, float]:
-    """Where a slider begins and ends: the valid range where it is finite, else some way around default and value.
-
-    An end that the range leaves out is not reached.
-    """
-    reach = max(abs(value), abs(parameter.default), 0.5)
-    low = parameter.low if math.isfinite(parameter.low) else min(value, parameter.default) - reach
-    high = parameter.high if math.isfinite(parameter.high) else max(value, parameter.default) + reach
-    inset = (high - low) / STEPS
-    low += inset if parameter.low_open and low == parameter.low else 0.0
-    high -= inset if parameter.high_open and high == parameter.high else 0.0
-    return min(low, value), max(high, value)

@@ -1,7 +1,7 @@
 """The column on cells: the one under the pointer, and the one clicked, with its portrait and all its attractors."""
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -10,38 +10,49 @@ from bokeh.layouts import row
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, TextInput
 
 from atlas.errors import InputError
-from atlas.explore.actions import portrait_image
+from atlas.explore.actions import orbit_of, portrait_image
 from atlas.explore.attractors import Attractors, known_attractors
 from atlas.explore.background import Background, Show
+from atlas.explore.basins import BasinsPanel
+from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
+from atlas.explore.motion import Motion, MotionPanel, motion_of, motions
+from atlas.explore.state import Store
 from atlas.explore.style import TEXT
-from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
-from atlas.explore.words import attractors_table, cell_line, cell_table, point_line
+from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
 
 POINTED = "<h4>cell under the pointer</h4>"
 CLICKED = "<h4>cell clicked</h4>"
+COPY_TEXT = """
+const box = document.createElement("textarea")
+box.innerHTML = full.text
+navigator.clipboard.writeText(box.value)
+"""
+PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
+ onclick="this.classList.toggle('large')">"""
 ALL = "<h4>all attractors of this cell</h4>"
 
 
 class Details:
     """The panels, and what fills them.
 
-    looked_at   gives the plane and the view that the page shows
-    mark        where the page marks the cell clicked, x and y
+    sight   gives the view that the page shows
+    mark    where the page marks the cell clicked, x and y
     """
 
     def __init__(
         self,
         explorer: Explorer,
         background: Background,
-        looked_at: Callable[[], tuple[Plane, Sight | None]],
+        store: Store,
+        sight: Callable[[], Sight | None],
         mark: ColumnDataSource,
     ) -> None:
-        self._explorer, self._subject = explorer, explorer.subject
-        self._background, self._looked_at, self._mark = background, looked_at, mark
-        self._marked: tuple[Plane, float, float] | None = None
+        self._explorer, self._subject, self._store = explorer, explorer.subject, store
+        self._background, self._sight, self._mark = background, sight, mark
+        self._detailed: Point | None = None
         self._pointer: tuple[float, float] | None = None
         self._looking = False
         self._clicks = 0
@@ -49,6 +60,10 @@ class Details:
         self._pointed = Div(text=POINTED, **style)
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
+        self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
+        self._full = Div(visible=False)
+        self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
+        self._copy_all.js_on_click(CustomJS(args={"full": self._full}, code=COPY_TEXT))
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
         self._copy = Button(label="copy", visible=False, width=70, align="end")
         copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
@@ -58,11 +73,13 @@ class Details:
     def panels(self) -> list[Any]:
         """What it consists of, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
-        return [self._pointed, self._clicked, line, self._attractors, self._portrait, self._numbers]
+        found = [self._attractors, self._motion.panel, self._basins.panel, self._portrait]
+        return [self._pointed, self._clicked, line, *found, self._numbers, self._copy_all, self._full]
 
     def close(self) -> None:
         """Want nothing more."""
         self._explorer.forget(self)
+        self._basins.close()
 
     def refused(self) -> None:
         """Go on after something could not be done."""
@@ -80,20 +97,24 @@ class Details:
         self._pointer = None
 
     def click(self, event: Tap) -> None:
-        """Show a cell in detail."""
-        if event.x is None or event.y is None:
-            return
-        self._clicks += 1
-        self._marked = (self._looked_at()[0], event.x, event.y)
-        self.draw_mark()
-        self._clicked.text = f"{CLICKED}solving it"
-        self._background.run(partial(self._detail, (event.x, event.y), self._clicks))
+        """Choose the finest cell that is known at a point, or the point itself."""
+        if event.x is not None and event.y is not None:
+            self._background.run(partial(self._found, (event.x, event.y)))
 
-    def draw_mark(self) -> None:
-        """Mark the cell clicked where it is one of the plane that the page shows."""
-        shown = self._marked is not None and self._marked[0] == self._looked_at()[0]
-        x, y = self._marked[1:] if self._marked is not None else (0.0, 0.0)
-        self._mark.data = {"x": [x], "y": [y]} if shown else {"x": [], "y": []}
+    def show(self, chosen: Chosen) -> None:
+        """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
+        cell = chosen.cell
+        at = cell[1:] if cell is not None and cell[0] == chosen.plane else None
+        data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
+        if data != self._mark.data:
+            self._mark.data = data
+        if at and cell != self._detailed and self._sight() is not None:
+            self._detailed = cell
+            self._clicks += 1
+            self._clicked.text = f"{CLICKED}solving it"
+            self._motion.clear()
+            self._basins.clear()
+            self._background.run(partial(self._detail, at, self._clicks))
 
     def _look_up(self) -> None:
         if self._pointer is not None and not self._looking:
@@ -101,8 +122,13 @@ class Details:
             self._background.run(partial(self._looked_up, self._pointer))
 
     def _cell(self, point: tuple[float, float]) -> Cell | None:
-        plane, sight = self._looked_at()
-        return None if sight is None else self._explorer.known.cell(plane, sight, *point)
+        sight = self._sight()
+        return None if sight is None else self._explorer.known.cell(self._store.now.chosen.plane, sight, *point)
+
+    def _found(self, point: tuple[float, float]) -> Show:
+        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        at = point if cell is None else tuple(cell.parameters[name] for name in self._subject.axes)
+        return lambda: self._store.choose(cell=(plane, *at))
 
     def _looked_up(self, point: tuple[float, float]) -> Show:
         cell = self._cell(point)
@@ -119,41 +145,35 @@ class Details:
     def _detail(self, point: tuple[float, float], click: int) -> Show:
         if click != self._clicks:  # there was another one meanwhile
             return lambda: None
-        cell = self._cell(point)
-        if cell is None:
-            return partial(self._show_nothing, click)
+        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
+            cell = self._explorer.known.solved(plane, *point)
         found = known_attractors(self._subject, cell)
-        self._background.show(partial(self._answer, found, click))
+        answer = partial(self._answer, cell.parameters, click)
+        self._background.show(partial(answer, found))
         if found is None and not self._background.closed:
-            self._explorer.ask(self, cell, lambda found: self._background.show(partial(self._answer, found, click)))
+            self._explorer.ask(self, cell, lambda found: self._background.show(partial(answer, found)))
+        self._background.show(partial(self._show, cell, "drawing its portrait", click))
         try:
-            drawn = f'<img class="portrait" src="{portrait_image(self._subject, cell)}">'
+            orbit = orbit_of(self._subject, cell)
+            self._background.show(partial(self._move, motion_of(orbit), click))
+            drawn = PORTRAIT.format(portrait_image(orbit))
         except InputError as error:
             drawn = html.escape(str(error))
         return partial(self._show, cell, drawn, click)
 
-    def _show_nothing(self, click: int) -> None:
-        if click == self._clicks:
-            self._clicked.text = f"{CLICKED}not known yet"
-            self._attractors.text = self._portrait.text = self._numbers.text = ""
-            self._point.visible = self._copy.visible = False
-            self._marked = None
-            self.draw_mark()
-
     def _show(self, cell: Cell, drawn: str, click: int) -> None:
         if click != self._clicks:
             return
-        x, y = (cell.parameters[axis.name] for axis in self._subject.spec.axes)
-        plane = Plane(tuple((name, cell.parameters[name]) for name, _ in self._subject.plane.parameters))
-        self._marked = (plane, x, y)
-        self.draw_mark()
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)
-        self._copy.visible = True
+        self._copy.visible = self._copy_all.visible = True
+        self._full.text = html.escape(cell_text(cell))
         self._portrait.text = drawn
+        self._basins.offer(cell)
 
-    def _answer(self, found: Attractors | None, click: int) -> None:
+    def _answer(self, parameters: Mapping[str, float], click: int, found: Attractors | None) -> None:
         """Show attractors, or that they are sought."""
         if click != self._clicks:
             return
@@ -162,3 +182,15 @@ class Details:
             self._attractors.text = f'{ALL}<span class="waiting">being sought from {count} initial states</span>'
         else:
             self._attractors.text = ALL + attractors_table(found, self._subject)
+            if len(found.each) > 1:
+                self._background.run(partial(self._portraits, found, parameters, click))
+
+    def _move(self, motion: Motion, click: int) -> None:
+        if click == self._clicks:
+            self._motion.show(motion)
+
+    def _portraits(self, found: Attractors, parameters: Mapping[str, float], click: int) -> Show:
+        """Draw the portraits of all attractors in one phase plane."""
+        states = [each["state"] for each in found.each if "state" in each]
+        drawn = motions(self._subject, parameters, states)
+        return lambda: self._motion.show(drawn[0], drawn) if drawn and click == self._clicks else None

@@ -3,17 +3,19 @@
 import threading
 from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atlas.explore.attractors import Asked, Attractors, Question
+from atlas.explore.attractors import Asked, Attractors
 from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.known import Cell, Known
-from atlas.explore.patch import Patch
-from atlas.explore.patches import Events, Patches
+from atlas.explore.patch import Patch, solve_patch
+from atlas.explore.patches import Patches, Task
 from atlas.explore.subject import Plane, Subject
-from atlas.explore.tiles import Arrays
+from atlas.explore.tiles import MOST_BYTES as MOST_TILES
+from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.timing import TIMING, Timing
 from atlas.store.schema import extra_sizes
@@ -22,7 +24,8 @@ from workers.results import empty_results
 if TYPE_CHECKING:
     from distributed import Client
 
-Item = tuple[Plane, TileKey]
+MOST_OTHERS = 4
+"""Other axes and layers whose cells are remembered; of more, those that no page shows are forgotten."""
 
 
 class Explorer:
@@ -35,25 +38,50 @@ class Explorer:
     def __init__(
         self,
         subject: Subject,
-        connect: Callable[[], "AbstractContextManager[Client]"],
+        connect: "Callable[[], AbstractContextManager[Client]] | Patches",
         keep: bool = True,
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
     ) -> None:
-        self.subject, self.failures = subject, dict[Item, str]()
-        self._parents: dict[Item, Arrays] = {}
+        self.subject, self.failures = subject, dict[tuple[Plane, TileKey], str]()
+        self._keeping = keep, most_bytes
+        self._parents: dict[TileJob, Arrays] = {}
         self._kept_planes = {subject.plane}
         self._listeners: dict[Hashable, Callable[[Plane, TileKey], None]] = {}
         self._asked = Asked(subject)
         self._lock = threading.Lock()
+        self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
         self.keeper = Keeper(subject, most_bytes, keep)
         self.known = Known(subject, self.keeper)
-        self.patches = Patches(connect, Events(self._make, self._take, self._fail, self._drop), timing)
+        if isinstance(connect, Patches):  # one of several: all of them together must fit in memory
+            self.known.tiles = Tiles(MOST_TILES // MOST_OTHERS)
+            self.patches = connect
+        else:
+            self.patches = Patches(connect, timing)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
-        self.keeper.stop()
+        for each in (*self._others.values(), self):
+            each.keeper.stop()
+
+    def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
+        """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
+
+        InputError for axes that are no two parameters, and for a layer that the stack does not have.
+        """
+        if axes == self.subject.axes and layer in (None, self.subject.layer_value):
+            return self
+        subject = self.subject.turned(axes, layer)
+        with self._lock:
+            idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
+            gone = [self._others.pop(key) for key in idle[: max(0, len(self._others) - MOST_OTHERS)]]
+            if (axes, layer) not in self._others:
+                self._others[axes, layer] = Explorer(subject, self.patches, *self._keeping)
+            found = self._others[axes, layer]
+        for each in gone:
+            each.keeper.stop()
+        return found
 
     def listen(self, who: Hashable, told: Callable[[Plane, TileKey], None] | None) -> None:
         """Have a page told, in another thread, of every tile that is solved; None for a page that is gone."""
@@ -82,7 +110,7 @@ class Explorer:
     def want(self, who: Hashable, plane: Plane, sight: Sight, stages: range) -> int:
         """Have what is not known of the view solved, at these stages in this order, and return how many tiles."""
         wanted = [
-            (plane, key)
+            TileJob(self, plane, key)
             for stage in stages
             for key in sight.tiles(stage)
             if (plane, key) not in self.failures and not self.known.has(plane, key)
@@ -99,27 +127,21 @@ class Explorer:
         self._asked.forget(who)
         self.patches.want(who, ())
 
-    def _make(self, item: Hashable) -> Patch | None:
+    def make_tile(self, job: "TileJob") -> Patch | None:
         """The patch of a tile, less the cells that the tile above has; None where it is known meanwhile."""
-        if isinstance(item, Question):
-            return self._asked.patch(item)
-        plane, key = _tile(item)
-        if self.known.whole(plane, key) is not None:
+        if self.known.whole(job.plane, job.key) is not None:
             return None
-        parent = self.known.parent(plane, key)
+        parent = self.known.parent(job.plane, job.key)
         solved = np.zeros((TILE, TILE), dtype=bool)
         if parent is not None:
             solved[::2, ::2] = True
-            self._parents[plane, key] = parent
-        return self.subject.patch(plane, key, solved)
+            self._parents[job] = parent
+        return self.subject.patch(job.plane, job.key, solved)
 
-    def _take(self, item: Hashable, patch: Patch, found: Arrays) -> None:
+    def take_tile(self, job: "TileJob", patch: Patch, found: Arrays) -> None:
         """Put a solved tile together, keep it, and tell the pages."""
-        if isinstance(item, Question):
-            self._asked.answer(item, found)
-            return
-        plane, key = _tile(item)
-        mask, parent = patch.mask, self._parents.pop((plane, key), None)
+        plane, key = job.plane, job.key
+        mask, parent = patch.mask, self._parents.pop(job, None)
         arrays = empty_results(
             self.subject.system.variables(self.subject.settings), (TILE, TILE), extra_sizes(self.subject.spec)
         )
@@ -137,21 +159,34 @@ class Explorer:
             self.keeper.room()
             self.keeper.offer(plane, key, arrays)
 
-    def _fail(self, item: Hashable, why: str) -> None:
-        if isinstance(item, Question):
-            self._asked.fail(item, why)
-            return
-        self._drop(item)
-        self.failures[_tile(item)] = why
-
-    def _drop(self, item: Hashable) -> None:
+    def drop_tile(self, job: "TileJob") -> None:
         """Let go of what was kept for a tile that is not solved after all."""
-        if not isinstance(item, Question):
-            self._parents.pop(_tile(item), None)
+        self._parents.pop(job, None)
 
 
-def _tile(item: Hashable) -> Item:
-    """What is asked of the cluster and is no question: a tile of a plane."""
-    assert isinstance(item, tuple)
-    plane, key = item
-    return plane, key
+@dataclass(frozen=True)
+class TileJob:
+    """A tile of a plane to be solved for an explorer."""
+
+    explorer: Explorer
+    plane: Plane
+    key: TileKey
+
+    def make(self) -> Task | None:
+        """See ``Job``."""
+        patch = self.explorer.make_tile(self)
+        return None if patch is None else (solve_patch, patch)
+
+    def solved(self, argument: Patch, found: Arrays) -> int:
+        """See ``Job``."""
+        self.explorer.take_tile(self, argument, found)
+        return int(argument.mask.sum())
+
+    def failed(self, why: str) -> None:
+        """See ``Job``."""
+        self.dropped()
+        self.explorer.failures[self.plane, self.key] = why
+
+    def dropped(self) -> None:
+        """See ``Job``."""
+        self.explorer.drop_tile(self)

@@ -1,4 +1,4 @@
-"""What is known of a subject: cells of the atlas itself, tiles in memory, tiles kept. Nothing is solved here."""
+"""What is known of a subject: cells of the atlas itself, tiles in memory, tiles kept; one cell is solved if asked."""
 
 import time
 from collections.abc import Iterable
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, RunError
 from atlas.explore.compose import atlas_covers, composed, seen_atlas
 from atlas.explore.kept import Keeper
+from atlas.explore.patch import Patch, solve_patch
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import STAGES, TILE, Sight, TileKey
@@ -137,8 +138,17 @@ class Known:
             key = TileKey(level_x, level_y, j // TILE, i // TILE)
             arrays = self.whole(plane, key)
             if arrays is not None:
-                return self._cell_of(plane, key, arrays, (i % TILE, j % TILE), (x, y))
+                across = float(self.subject.x.values(level_x, np.array([j]))[0])
+                up = float(self.subject.y.values(level_y, np.array([i]))[0])
+                return self._cell_of(plane, arrays, (i % TILE, j % TILE), (across, up), (x, y))
         return self._atlas_cell(plane, x, y)
+
+    def solved(self, plane: Plane, x: float, y: float) -> Cell:
+        """The cell at exactly this point, solved here and now."""
+        subject, (across, up) = self.subject, self.subject.axes
+        patch = Patch(subject.system, dict(plane.parameters), subject.settings, (across, (x,)), (up, (y,)))
+        found = solve_patch(patch)
+        return self._cell_of(plane, found, (0,), (x, y), (x, y))
 
     def atlas_done(self) -> NDArray[np.bool_] | None:
         """Which cells (y, x) of the atlas itself are solved; None without an atlas.
@@ -179,11 +189,10 @@ class Known:
         return Cell(dict(plane.parameters) | {name: found[name] for name in names}, found, of_atlas=True)
 
     def _cell_of(
-        self, plane: Plane, key: TileKey, arrays: Arrays, place: tuple[int, int], point: tuple[float, float]
+        self, plane: Plane, arrays: Arrays, place: tuple[int, ...], at: tuple[float, float], point: tuple[float, float]
     ) -> Cell:
-        subject = self.subject
-        x = float(subject.x.values(key.level_x, key.index_x()[place[1] : place[1] + 1])[0])
-        y = float(subject.y.values(key.level_y, key.index_y()[place[0] : place[0] + 1])[0])
+        """The cell at a place of arrays, which lies at ``at``, as the one nearest to a point."""
+        subject, (x, y) = self.subject, at
         names = [axis.name for axis in subject.spec.axes]
         found: dict[str, Any] = dict(zip(names, (x, y), strict=True))
         found["distance"] = dict(zip(names, (abs(x - point[0]), abs(y - point[1])), strict=True))

@@ -16,33 +16,42 @@ import numpy as np
 from bokeh.document import Document
 from bokeh.events import MouseLeave, MouseMove, RangesUpdate, SelectionGeometry, Tap
 from bokeh.layouts import column, row
-from bokeh.models import (
-    ColumnDataSource,
-    CustomJS,
-    Div,
-    GlobalInlineStyleSheet,
-    InlineStyleSheet,
-    Toggle,
-)
+from bokeh.models import ColumnDataSource, CustomJS, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
 
 from atlas.errors import InputError
 from atlas.explore.actions import new_atlas, picture_file
 from atlas.explore.background import Background
-from atlas.explore.chosen import Chosen, from_address, to_address
+from atlas.explore.chosen import Range, carried, from_address, to_address, turned_to
 from atlas.explore.controls import Controls
+from atlas.explore.cutpanel import CutPanel
 from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
+from atlas.explore.keys import hear_keys
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.pins import Pins
 from atlas.explore.plot import label_axes, make_plot
-from atlas.explore.style import FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
+from atlas.explore.state import State, Store
+from atlas.explore.style import CUTTING, FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
 from atlas.explore.words import png_address, progress, title
-from atlas.render import SCALAR
 
-LEFT, RIGHT = 232, 320
+LEFT, RIGHT = 232, 350
 """Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
 FOLDED = "folded"
 """The class of controls that a page of a single column hides."""
 LINE_HEIGHT = 20
+TOKEN = """
+const token = new URLSearchParams(window.location.search).get("token")
+const query = "?" + cb_obj.text + (token ? "&token=" + token : "")
+"""
+HISTORY = """
+const page = window.atlas ??= {rests: false}
+window.history[page.rests ? "pushState" : "replaceState"](null, "", query)
+window.onpopstate = () => window.location.reload()
+page.rests = false
+clearTimeout(page.timer)
+page.timer = setTimeout(() => { page.rests = true }, 1500)
+"""
+"""A view at which somebody rested stays in the browser's history."""
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
@@ -51,17 +60,17 @@ def fill(document: Document, explorer: Explorer, folder: Path, pages: "set[Page]
     """Make a page of a document, one of ``pages`` while it lasts; specs of new atlases are written into the folder."""
     context = document.session_context
     arguments = context.request.arguments if context is not None and context.request is not None else {}
-    trouble = ""
+    home, trouble = explorer, ""
     try:
+        explorer = turned_to(explorer, arguments)
         chosen = from_address(explorer.subject, arguments)
     except InputError as error:
         chosen, trouble = from_address(explorer.subject, {}), str(error)
     try:
-        page = Page(document, explorer, chosen, folder)
+        page = Page(document, explorer, Store(State(chosen, trouble=trouble)), folder, home)
     except Exception:
         logging.getLogger(__name__).exception("a page could not be made")
         raise
-    page.trouble = trouble
     pages.add(page)
 
     def end(_: Any) -> None:
@@ -72,21 +81,23 @@ def fill(document: Document, explorer: Explorer, folder: Path, pages: "set[Page]
 
 
 class Page:
-    """One page, of one browser's tab."""
+    """One page, of one browser's tab. What it shows follows from the state that ``store`` holds."""
 
-    def __init__(self, document: Document, explorer: Explorer, chosen: Chosen, folder: Path) -> None:
-        self._document, self._explorer, self._subject = document, explorer, explorer.subject
-        self._chosen, self._folder = chosen, folder
-        self._rests, self.trouble = True, ""
-        self._box: tuple[tuple[float, float], tuple[float, float]] | None = None
-        self._ends: tuple[float | None, float | None] = (None, None)
-        self._controls = Controls(self._subject, chosen)
+    def __init__(self, document: Document, explorer: Explorer, store: Store, folder: Path, home: Explorer) -> None:
+        self._explorer, self._subject, self._store = explorer, explorer.subject, store
+        self._folder, self._home, chosen = folder, home, store.now.chosen
         self._background = Background(document, self._refused)
-        self._sizes: dict[str, int] = {}
+        self._controls = Controls(self._subject, store, self._go)
         self._plot, self._image, mark = make_plot(self._subject, chosen)
-        self._details = Details(explorer, self._background, lambda: (self._chosen.plane, self._painter.sight), mark)
+        self._details = Details(explorer, self._background, store, lambda: self._painter.sight, mark)
+        self._cut = CutPanel(explorer, self._background, store, self._plot)
+        self._pins = Pins(self._subject, store, self._plot)
         self._make_panels()
+        logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
+        self._keys = hear_keys(document, self._plot, logs, self._show_window, lambda: store.choose(cut=None))
         self._wire()
+        self._cut.show(store.now)
+        self._pins.show(chosen)
         document.title = f"{self._subject.name}: explorer"
         document.add_root(self._layout())
         document.add_periodic_callback(self._say_progress, 500)
@@ -95,11 +106,13 @@ class Page:
             lambda painted: self._background.show(partial(self._show, painted)),
             lambda why: self._background.show(partial(self._unpainted, why)),
         )
+        store.listen(self._changed)
 
     def close(self) -> None:
         """Free what the page holds."""
         self._background.close()
         self._details.close()
+        self._cut.close()
         self._painter.close()
 
     def wait(self) -> None:
@@ -111,41 +124,30 @@ class Page:
         style: dict[str, Any] = {"stylesheets": [TEXT]}
         # Of fixed height, whatever they say: else the plane would change its size with every word.
         line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
-        self._title = Div(text=title(self._subject, self._chosen.plane), **line)
+        self._title = Div(text=title(self._subject, self._store.now.chosen.plane), **line)
         self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
         self._line = Div(**line)
         self._made = Div(sizing_mode="stretch_width", visible=False, **style)
-        self._address = Div(visible=False)
+        self._address, self._opened = Div(visible=False), Div(visible=False)
         self._download = ColumnDataSource({"name": [], "href": []})
 
     def _wire(self) -> None:
         """Connect events with what they lead to."""
-        plot, controls = self._plot, self._controls
+        plot, controls, store = self._plot, self._controls, self._store
         plot.on_event(RangesUpdate, self._moved)
         plot.on_event(MouseMove, self._details.point)
         plot.on_event(MouseLeave, lambda _: self._details.leave())
         plot.on_event(Tap, self._details.click)
         plot.on_event(SelectionGeometry, self._boxed)
-        plot.on_change("inner_width", self._resized)
-        plot.on_change("inner_height", self._resized)
-        for widget, name in (
-            (controls.kind, "value"),
-            (controls.variable, "value"),
-            (controls.log, "active"),
-            (controls.overlays, "active"),
-            (controls.vmin, "value"),
-            (controls.vmax, "value"),
-        ):
-            widget.on_change(name, _heard(self._chose))
-        for name, slider in controls.sliders.items():
-            slider.on_change("value", partial(self._slid, name))
+        for k, attribute in enumerate(("inner_width", "inner_height")):
+            plot.on_change(attribute, partial(self._resized, k))
         controls.rescale.on_click(self._rescale)
-        controls.keep.on_click(lambda on: self._explorer.keep_plane(self._chosen.plane) if on else None)
+        controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane) if on else None)
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
-        script = "window.history.replaceState(null, '', '?' + cb_obj.text)"
-        self._address.js_on_change("text", CustomJS(code=script))
+        self._address.js_on_change("text", CustomJS(code=TOKEN + HISTORY))
+        self._opened.js_on_change("text", CustomJS(code=TOKEN + "window.location.assign(query)"))
         script = """
             const link = document.createElement("a")
             link.href = cb_obj.data["href"][0]; link.download = cb_obj.data["name"][0]; link.click()
@@ -153,75 +155,74 @@ class Page:
         self._download.js_on_change("data", CustomJS(code=script))
 
     def _layout(self) -> Any:
-        controls, panel = (
-            self._controls,
-            {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"},
-        )
-        states = controls.sliders_of(states=True)
-        left = column(
-            controls.kind, controls.variable, controls.log,
-            row(controls.vmin, controls.vmax, sizing_mode="stretch_width"), controls.rescale,
-            controls.heading("lines over it"), controls.overlays,
-            controls.heading("parameters"), *controls.sliders_of(states=False), controls.keep,
-            controls.heading("save the picture"), row(*controls.files.values(), sizing_mode="stretch_width"),
-            controls.heading("a new atlas of the view, or of a box"), controls.cells, controls.make,
-            *([controls.heading("initial state"), *states] if states else []),
-            width=LEFT, css_classes=[FOLDED], **panel,
-        )  # fmt: skip
+        panel: dict[str, Any] = {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"}
+        left = column(*self._controls.columns(self._cut.buttons), width=LEFT, css_classes=[FOLDED], **panel)
         fold = Toggle(label="controls", sizing_mode="stretch_width", stylesheets=[FOLD])
         unfolding = CustomJS(args={"left": left}, code=f"left.css_classes = cb_obj.active ? [] : ['{FOLDED}']")
         fold.js_on_change("active", unfolding)
         plane = row(self._plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
-        middle = column(
-            self._title, plane, self._line, fold, sizing_mode="stretch_both", stylesheets=[MIDDLE]
-        )  # fmt: skip
-        right = column(self._made, *self._details.panels, self._address, width=RIGHT, **panel)
+        parts = self._title, plane, self._cut.panel, self._line, fold
+        middle = column(*parts, sizing_mode="stretch_both", stylesheets=[MIDDLE])
+        widen = f"middle.css_classes = cb_obj.visible ? ['{CUTTING}'] : []"
+        self._cut.panel.js_on_change("visible", CustomJS(args={"middle": middle}, code=widen))
+        middle.css_classes = [CUTTING] if self._cut.panel.visible else []
+        right = column(
+            self._made, self._pins.panel, *self._details.panels, self._address, self._opened, width=RIGHT, **panel
+        )
         # A source without a view is sent along, and heard, as the tag of a model that has one.
-        self._address.tags = [self._download]
+        self._address.tags = [self._download, self._keys]
         whole = row(left, middle, right, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
         return whole
 
-    def _update(self) -> None:
-        """Have what is chosen shown, and say it in the address."""
-        size = (self._sizes.get("inner_width", 0), self._sizes.get("inner_height", 0))
-        if min(size) < LEAST:  # the browser has not laid it out yet
-            return
-        self._painter.show(self._chosen, size, self._rests)
-        self._address.text = to_address(self._subject, self._chosen)
+    def _changed(self, old: State, new: State) -> None:
+        """Show what the state says now."""
+        before, chosen = old.chosen, new.chosen
+        if (chosen.x, chosen.y) != (before.x, before.y):
+            label_axes(self._plot, self._subject, chosen)
+        if chosen.plane != before.plane:
+            self._title.text = title(self._subject, chosen.plane)
+        self._controls.show(new)
+        self._details.show(chosen)
+        self._cut.show(new)
+        self._pins.show(chosen)
+        if min(new.size) >= LEAST:
+            self._painter.show(chosen, new.size, new.rests)
+            self._address.text = to_address(self._home.subject, self._subject, chosen)
 
-    def _resized(self, attr: str, old: Any, new: Any) -> None:
-        self._sizes[attr] = int(new or 0)
-        self._update()
+    def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
+        """Open the page of other axes or of another layer, with what is in the middle of the view, or clicked, kept."""
+        subject, chosen = self._subject, self._store.now.chosen
+        turned = self._home.turned(axes or subject.axes, subject.layer_value if layer is None else layer).subject
+        values = dict(zip(subject.axes, chosen.middle(subject), strict=True)) | dict(chosen.plane.parameters)
+        if layer is not None and turned.third is not None:
+            values[turned.third.name] = layer
+        there = carried(turned, chosen, values)
+        there = there if axes else replace(there, x=chosen.x, y=chosen.y)
+        self._opened.text = to_address(self._home.subject, turned, there)
+
+    def _resized(self, place: int, attribute: str, old: Any, new: Any) -> None:
+        width, height = self._store.now.size
+        self._store.set(size=(int(new or 0), height) if place == 0 else (width, int(new or 0)))
 
     def _moved(self, event: RangesUpdate) -> None:
         ends = (event.x0, event.x1, event.y0, event.y1)
         left, right, low, high = (float("nan") if end is None else float(end) for end in ends)
-        if not (left < right and low < high and np.isfinite([left, right, low, high]).all()):
-            return
-        self._chosen, self._rests = replace(self._chosen, x=(left, right), y=(low, high)), True
-        label_axes(self._plot, self._subject, self._chosen)
-        self._update()
+        self._show_window((left, right), (low, high))
 
-    def _chose(self) -> None:
-        controls = self._controls
-        controls.variable.visible = controls.log.visible = controls.kind.value == SCALAR
-        self._chosen, self._rests, self.trouble = replace(self._chosen, **controls.read()), True, ""
-        self._update()
-
-    def _slid(self, name: str, attribute: str, old: Any, new: Any) -> None:
-        plane = self._subject.moved(self._chosen.plane, name, float(new))
-        self._chosen, self._rests = replace(self._chosen, plane=plane), False
-        self._title.text = title(self._subject, plane)
-        self._details.draw_mark()
-        self._controls.keep.update(
-            visible=plane != self._subject.plane and self._subject.header is not None, active=False
-        )
-        self._update()
+    def _show_window(self, x: Range, y: Range) -> None:
+        if x[0] < x[1] and y[0] < y[1] and np.isfinite([*x, *y]).all():
+            self._store.choose(x=x, y=y)
 
     def _rescale(self) -> None:
-        self._controls.vmin.value = self._controls.vmax.value = None
-        self._painter.rescale()
+        """Choose the ends of the scale by what is in view."""
+        chosen = self._store.now.chosen
+
+        def work() -> Callable[[], None]:
+            low, high = self._painter.fitted(chosen) or (None, None)
+            return lambda: self._store.choose(vmin=low, vmax=high)
+
+        self._background.run(work)
 
     def _show(self, painted: Painted) -> None:
         """Put a picture on the page."""
@@ -229,31 +230,33 @@ class Page:
         (left, right), (low, high) = painted.x, painted.y
         self._image.data = {"image": [pixels], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
         above = int(np.argmax(np.any(painted.key[..., :3] != 255, axis=(1, 2))))  # rows of white
-        self._key.text = f'<img style="--above: {above}px" src="{png_address(painted.key[above:])}">'
-        self._ends = painted.ends
-        self.trouble = painted.lacking
+        source = png_address(painted.key[above:])
+        self._key.text = f'<img alt="colour bar and legend" style="--above: {above}px" src="{source}">'
+        self._store.set(ends=painted.ends, lacking=painted.lacking)
+        self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
     def _unpainted(self, why: str) -> None:
         """Show no picture, least of all one of something else, and say why."""
         self._image.data = {name: [] for name in self._image.data}
         self._key.text = ""
-        self._refused(why)
+        self._store.set(lacking=why)
+        self._details.refused()
 
     def _refused(self, why: str) -> None:
-        self.trouble = why
+        self._store.set(trouble=why)
         self._details.refused()
 
     def _say_progress(self) -> None:
-        explorer = self._explorer
+        explorer, now = self._explorer, self._store.now
+        trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
         left = explorer.patches.left(self._painter)
         text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble])
-        if self.trouble:
-            text = f'<span class="trouble">{html.escape(self.trouble)}</span> &middot; {text}'
-        if text != self._line.text:
-            self._line.text = text
+        if trouble:
+            text = f'<span class="trouble">{html.escape(trouble)}</span> &middot; {text}'
+        self._line.text = f'<span role="status">{text}</span>'
 
     def _notes(self) -> list[str]:
-        subject, chosen = self._subject, self._chosen
+        subject, chosen = self._subject, self._store.now.chosen
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
         if self._explorer.keeper.header is not None and chosen.plane == subject.plane:
             notes.append(f"kept in {subject.name}")
@@ -271,13 +274,13 @@ class Page:
     def _boxed(self, event: SelectionGeometry) -> None:
         box: Any = event.geometry or {}
         if event.final and box.get("type") == "rect":
-            self._box = (box["x0"], box["x1"]), (box["y0"], box["y1"])
+            self._store.set(box=((box["x0"], box["x1"]), (box["y0"], box["y1"])))
 
     def _save(self, suffix: str) -> None:
         sight = self._painter.sight
         if sight is None:
             return
-        chosen, ends = self._chosen, self._ends
+        chosen, ends = self._store.now.chosen, self._store.now.ends
 
         def work() -> Callable[[], None]:
             name, href = picture_file(self._explorer, chosen, sight, suffix, ends)
@@ -286,8 +289,8 @@ class Page:
         self._background.run(work)
 
     def _make(self) -> None:
-        chosen, cells = self._chosen, int(self._controls.cells.value or 2)
-        x, y = self._box or (chosen.x, chosen.y)
+        chosen, cells = self._store.now.chosen, int(self._controls.cells.value or 2)
+        x, y = self._store.now.box or (chosen.x, chosen.y)
         self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
 
         def work() -> Callable[[], None]:
@@ -298,12 +301,3 @@ class Page:
             return lambda: self._made.update(text=shown)
 
         self._background.run(work)
-
-
-def _heard(act: Callable[[], None]) -> Callable[[str, Any, Any], None]:
-    """A function as Bokeh calls it when a property has changed."""
-
-    def callback(attr: str, old: Any, new: Any) -> None:
-        act()
-
-    return callback

@@ -1,6 +1,6 @@
 """What a page shows, made in a thread of the page's own: looked up, drawn, wanted, drawn again as tiles come in.
 
-A generation counts what was chosen: of an older one nothing is delivered any more.
+Each step has a time at which it is due; what is chosen meanwhile replaces the steps that are not taken yet.
 """
 
 import logging
@@ -42,6 +42,8 @@ SETTLED = 0.01
 """Share of pending cells from which on a picture can say how far a scale should reach."""
 KEY_WIDTH = 165
 
+Step = Callable[[], None]
+
 
 @dataclass(frozen=True)
 class Painted:
@@ -69,12 +71,12 @@ class Painter:
 
     def __init__(self, explorer: Explorer, deliver: Callable[[Painted], None], refuse: Callable[[str], None]) -> None:
         self._explorer, self._deliver, self._refuse = explorer, deliver, refuse
-        self._wake, self._closed = threading.Event(), False
-        self._asked: tuple[Chosen, tuple[int, int], bool] | None = None
-        self._changed, self._fresh, self._stale = 0.0, False, False
-        self._held: dict[tuple[str, str, bool], Range] = {}
-        self._rescaling = self._working = False
-        self.generation = self.looked = 0
+        self._wake, self._lock, self._closed = threading.Event(), threading.Lock(), False
+        self._asked: tuple[Chosen, tuple[int, int]] | None = None
+        self._due: dict[Step, float] = {}
+        self._at_work: Step | None = None
+        self._scales: dict[tuple[str, str, bool], Range] = {}
+        self.looked = 0
         self.sight: Sight | None = None
         self._thread = threading.Thread(target=self._run, name="atlas-painter", daemon=True)
         explorer.listen(self, self._told)
@@ -82,24 +84,25 @@ class Painter:
 
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool = True) -> None:
         """Show this on so many pixels. While a slider moves, nothing ``rests``: at first the first stage is solved."""
-        if (chosen, size, rests) == self._asked:
-            return
-        self._asked, self._changed, self._fresh = (chosen, size, rests), time.monotonic(), True
-        self.generation += 1
+        asked, now = (chosen.picture, size), time.monotonic()
+        with self._lock:
+            if asked != self._asked:
+                self._asked = asked
+                self._due = {self._look: now + REST} | ({} if rests else {self._solve: now + STAY})
         self._wake.set()
 
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not looked up, solved and drawn yet."""
-        return self._fresh or self._stale or self._working or self._explorer.patches.left(self) > 0
+        return bool(self._due) or self._at_work is not None or self._explorer.patches.left(self) > 0
 
-    def rescale(self) -> None:
-        """Choose the ends of the scale anew, by what is in view."""
-        if self._asked:
-            self._held.pop(self._asked[0].scale, None)
-            self._rescaling = True
-            self._stale = True
-            self._wake.set()
+    def fitted(self, chosen: Chosen) -> Range | None:
+        """The ends of the scale that suit what is in view; None for a picture without one scale."""
+        sight = self.sight
+        if sight is None:
+            return None
+        ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
+        return _drawn(ds, replace(chosen, overlays=()), WHOLE, None, None).ends
 
     def close(self) -> None:
         """Paint no more, and want nothing more."""
@@ -113,26 +116,30 @@ class Painter:
 
     def _told(self, plane: Plane, key: TileKey) -> None:
         if self._asked and plane == self._asked[0].plane and self.sight is not None and _concerns(self.sight, key):
-            self._stale = True
+            with self._lock:
+                self._due.setdefault(self._paint, 0.0)
             self._wake.set()
+
+    def _next(self) -> Step | None:
+        """The step whose time has come; a picture waits while a view is about to be looked up."""
+        with self._lock:
+            steps = [step for step in self._due if step != self._paint or self._look not in self._due]
+            step = min(steps, key=self._due.__getitem__, default=None)
+            if step is None or self._due[step] > time.monotonic():
+                return None
+            del self._due[step]
+            self._at_work = step
+            return step
 
     def _run(self) -> None:
         while not self._closed:
-            self._wake.wait(REST)
-            self._wake.clear()
-            if self._asked is None or self._closed:
+            step = self._next()
+            if step is None:
+                self._wake.wait(REST / 3)
+                self._wake.clear()
                 continue
             try:
-                self._working = True
-                if self._fresh and time.monotonic() - self._changed >= REST:
-                    self._fresh = False
-                    self._look(*self._asked)
-                elif not self._fresh and not self._asked[2] and time.monotonic() - self._changed >= STAY:
-                    self._asked = (*self._asked[:2], True)
-                    self._look(*self._asked)
-                elif self._stale and not self._fresh:
-                    self._stale = False
-                    self._paint()
+                step()
             except (InputError, RunError) as error:
                 self._refuse(str(error))
             except OSError as error:
@@ -141,25 +148,34 @@ class Painter:
                 logging.getLogger(__name__).exception("a picture could not be made")
                 self._refuse(f"this picture could not be made: {type(error).__name__}: {error}")
             finally:
-                self._working = False
+                self._at_work = None
         self._explorer.listen(self, None)
 
-    def _look(self, chosen: Chosen, size: tuple[int, int], rests: bool) -> None:
-        """Find out what is known of a view, show it, and have the rest solved."""
+    def _look(self) -> None:
+        """Find out what is known of a view, show it, and have the rest solved: its first stage while a slider moves."""
+        self._find(range(STAGES, STAGES - 1 if self._solve in self._due else -1, -1))
+
+    def _solve(self) -> None:
+        """Have all of a view solved, now that the slider rests."""
+        self._find(range(STAGES, -1, -1))
+
+    def _find(self, stages: range) -> None:
+        asked = self._asked
+        if asked is None:
+            return
+        (chosen, size), explorer = asked, self._explorer
         self.looked += 1
-        explorer, subject = self._explorer, self._explorer.subject
-        self.sight = sight = Sight.of(View(chosen.x, chosen.y, *size), subject.x, subject.y)
+        self.sight = sight = Sight.of(View(chosen.x, chosen.y, *size), explorer.subject.x, explorer.subject.y)
         explorer.patches.want(self, ())
         explorer.known.look(chosen.plane, sight, chosen.names)
-        stages = range(STAGES, -1 if rests else STAGES - 1, -1)
         explorer.want(self, chosen.plane, sight, stages)
         self._paint()
 
     def _paint(self) -> None:
-        asked, sight, generation = self._asked, self.sight, self.generation
+        asked, sight = self._asked, self.sight
         if asked is None or sight is None:
             return
-        (chosen, size, _), begin = asked, time.monotonic()
+        (chosen, size), begin = asked, time.monotonic()
         ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
         x, y = _edges(self._explorer.subject.x, sight, "x"), _edges(self._explorer.subject.y, sight, "y")
         pixels = (
@@ -170,9 +186,9 @@ class Painter:
         made, lacking = self._drawn(ds, chosen, pixels, low, high)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
         if made.ends is not None and pending <= SETTLED:
-            self._held.setdefault(chosen.scale, made.ends)
+            self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
-        if generation == self.generation:
+        if asked == self._asked:
             self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high), lacking))
         self._wait(max(PAUSE, seconds / SHARE) - seconds)
 
@@ -194,10 +210,9 @@ class Painter:
 
     def _ends(self, chosen: Chosen) -> tuple[float | None, float | None]:
         """The ends of the scale: those asked for, those held, those of the whole plane; None for the picture's own."""
-        if chosen.scale not in self._held and not self._rescaling:
-            self._held |= self._whole(chosen)
-        self._rescaling = False
-        low, high = self._held.get(chosen.scale, (None, None))
+        if chosen.scale not in self._scales:
+            self._scales |= self._whole(chosen)
+        low, high = self._scales.get(chosen.scale, (None, None))
         return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
 
     def _whole(self, chosen: Chosen) -> dict[tuple[str, str, bool], Range]:
@@ -216,7 +231,7 @@ class Painter:
     def _wait(self, seconds: float) -> None:
         """Let others have the processor, unless something else is to be shown."""
         end = time.monotonic() + seconds
-        while not (self._closed or self._fresh) and time.monotonic() < end:
+        while not (self._closed or self._look in self._due) and time.monotonic() < end:
             time.sleep(0.02)
 
 

@@ -1,7 +1,7 @@
-"""Patches out to a cluster and their cells back, in the order in which they are wanted at this moment.
+"""Jobs out to a cluster and their results back, in the order in which they are wanted at this moment.
 
 What is no longer wanted is dropped: here at once, on the cluster where it has not begun. Dask cannot interrupt what
-has; its cells come back all the same, and are handed on.
+has; its results come back all the same, and are handed on.
 """
 
 import threading
@@ -11,12 +11,9 @@ from collections.abc import Callable, Hashable, Iterable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
-
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, Protocol
 
 from atlas.errors import InputError, RunError
-from atlas.explore.patch import Patch, solve_patch
 from atlas.service.cluster import LOST, loss_reported, worker_threads
 from atlas.service.timing import TIMING, Timing
 
@@ -24,15 +21,15 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ATTEMPTS = 3
-"""How often a patch that raises, or whose workers die, is tried."""
+"""How often a job that raises, or whose workers die, is tried."""
 SPARE = 1
-"""Patches under way beyond one for each thread: the next begins as soon as one ends, and little is to be dropped."""
+"""Jobs under way beyond one for each thread: the next begins as soon as one ends, and little is to be dropped."""
 RATE_SECONDS = 10.0
 """The rate is taken over this number of last seconds."""
 
 _LOST = LOST.partition(";")[0]  # what follows is advice for a run
 
-Arrays = dict[str, NDArray[Any]]
+Task = tuple[Callable[[Any], Any], Any]
 
 
 @dataclass(frozen=True)
@@ -49,44 +46,42 @@ class State:
     rate: float = 0.0
 
 
-@dataclass(frozen=True)
-class Events:
-    """The callbacks, called from a thread of this service.
+class Job(Hashable, Protocol):
+    """Something that a worker does for those who want it; its methods are called from a thread of this service."""
 
-    make      the patch of a key, just before it is sent; None if it is known meanwhile
-    solved    the cells of a patch
-    failed    a patch that was tried ATTEMPTS times, and what it raised
-    dropped   a patch that was sent and failed: ``make`` is called for it again if it is still wanted
-    """
+    def make(self) -> Task | None:
+        """The function and its argument, just before they are sent; None if the result is known meanwhile."""
 
-    make: Callable[[Hashable], Patch | None]
-    solved: Callable[[Hashable, Patch, Arrays], None]
-    failed: Callable[[Hashable, str], None]
-    dropped: Callable[[Hashable], None]
+    def solved(self, argument: Any, found: Any) -> int:
+        """Take the result, and return how many cells it has."""
+
+    def failed(self, why: str) -> None:
+        """Take note that the job was tried ATTEMPTS times, and what it raised."""
+
+    def dropped(self) -> None:
+        """Let go of what was made: ``make`` is called again if the job is still wanted."""
 
 
 class Patches:
-    """Solves patches on the cluster that ``connect`` leads to; connects again whenever that is lost."""
+    """Has jobs done on the cluster that ``connect`` leads to; connects again whenever that is lost."""
 
-    def __init__(
-        self, connect: Callable[[], "AbstractContextManager[Client]"], events: Events, timing: Timing = TIMING
-    ) -> None:
-        self._connect, self._events, self._timing = connect, events, timing
+    def __init__(self, connect: Callable[[], "AbstractContextManager[Client]"], timing: Timing = TIMING) -> None:
+        self._connect, self._timing = connect, timing
         self._lock, self._stopped = threading.Lock(), threading.Event()
-        self._wanted: dict[Hashable, deque[Hashable]] = {}
+        self._wanted: dict[Hashable, deque[Job]] = {}
         self._turn: deque[Hashable] = deque()
-        self._ended: SimpleQueue[Future[Arrays] | None] = SimpleQueue()
-        self._running: dict[Future[Arrays], tuple[Hashable, Patch]] = {}
-        self._under_way: set[Hashable] = set()
-        self._tries: dict[Hashable, int] = {}
+        self._ended: SimpleQueue[Future[Any] | None] = SimpleQueue()
+        self._running: dict[Future[Any], tuple[Job, Any]] = {}
+        self._under_way: set[Job] = set()
+        self._tries: dict[Job, int] = {}
         self._solved: deque[tuple[float, int]] = deque()
         self._state = State()
         self._thread = threading.Thread(target=self._serve, name="atlas-patches", daemon=True)
         self._thread.start()
 
-    def want(self, who: Hashable, keys: Iterable[Hashable]) -> None:
-        """From now on these patches are wanted, in this order; an empty list cancels all."""
-        wanted = deque(keys)
+    def want(self, who: Hashable, jobs: Iterable[Job]) -> None:
+        """From now on these jobs are wanted, in this order; an empty list cancels all."""
+        wanted = deque(jobs)
         with self._lock:
             if wanted:
                 self._wanted[who] = wanted
@@ -99,7 +94,7 @@ class Patches:
         self._ended.put(None)  # wakes the thread
 
     def left(self, who: Hashable) -> int:
-        """Patches that somebody still waits for."""
+        """Jobs that somebody still waits for."""
         with self._lock:
             return len(self._wanted.get(who, ()))
 
@@ -128,11 +123,11 @@ class Patches:
                 self._say(f"{str(error).replace(LOST, _LOST)}; trying again")
             finally:
                 with self._lock:
-                    lost = [key for key, _ in self._running.values()]
+                    lost = [job for job, _ in self._running.values()]
                     self._running.clear()
                     self._under_way.clear()
-                for key in lost:
-                    self._events.dropped(key)
+                for job in lost:
+                    job.dropped()
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
@@ -169,8 +164,8 @@ class Patches:
     def _drop(self, client: "Client") -> None:
         """Cancel what nobody wants any more and no worker has."""
         with self._lock:
-            wanted = {key for keys in self._wanted.values() for key in keys}
-            stale = [future for future, (key, _) in self._running.items() if key not in wanted]
+            wanted = {job for jobs in self._wanted.values() for job in jobs}
+            stale = [future for future, (job, _) in self._running.items() if job not in wanted]
         if not stale:
             return
         with suppress(OSError):
@@ -178,68 +173,68 @@ class Patches:
             idle = [future for future in stale if future.key not in begun and not future.done()]
             client.cancel(idle)
             for future in idle:
-                self._events.dropped(self._forget(future))
+                self._forget(future).dropped()
 
-    def _next(self) -> Hashable | None:
-        """The next patch to send: of all who want some in turn, the first that is not under way."""
+    def _next(self) -> Job | None:
+        """The next job to send: of all who want some in turn, the first that is not under way."""
         with self._lock:
             for _ in range(len(self._turn)):
                 who = self._turn[0]
                 self._turn.rotate(-1)
-                for key in self._wanted.get(who, ()):
-                    if key not in self._under_way:
-                        self._under_way.add(key)
-                        return key
+                for job in self._wanted.get(who, ()):
+                    if job not in self._under_way:
+                        self._under_way.add(job)
+                        return job
         return None
 
     def _submit(self, client: "Client") -> bool:
-        key = self._next()
-        if key is None:
+        job = self._next()
+        if job is None:
             return False
-        patch = self._events.make(key)
-        if patch is None:
-            self._done_with(key)
+        task = job.make()
+        if task is None:
+            self._done_with(job)
             return True
-        future = client.submit(solve_patch, patch, pure=False)
+        future = client.submit(*task, pure=False)
         with self._lock:
-            self._running[future] = (key, patch)
+            self._running[future] = (job, task[1])
         future.add_done_callback(self._ended.put)
         return True
 
-    def _finish(self, future: "Future[Arrays]") -> None:
-        key, patch = self._running[future]
+    def _finish(self, future: "Future[Any]") -> None:
+        job, argument = self._running[future]
         if future.status == "finished":
-            arrays = future.result()
+            found = future.result()
             self._forget(future)
+            cells = job.solved(argument, found)
             with self._lock:
-                self._solved.append((time.monotonic(), int(patch.mask.sum())))
-            self._events.solved(key, patch, arrays)
-            self._done_with(key)  # not before it is known: who asks meanwhile would have it solved again
+                self._solved.append((time.monotonic(), cells))
+            self._done_with(job)  # not before it is known: who asks meanwhile would have it solved again
             return
         if future.status != "error":
             raise RunError(LOST)
         error = future.exception()
         self._forget(future)
-        self._tries[key] = self._tries.get(key, 0) + 1
-        if self._tries[key] >= ATTEMPTS:
-            self._tries.pop(key)
-            self._done_with(key)
-            self._events.failed(key, " ".join(f"{type(error).__name__}: {error}".split()))
+        self._tries[job] = self._tries.get(job, 0) + 1
+        if self._tries[job] >= ATTEMPTS:
+            self._tries.pop(job)
+            self._done_with(job)
+            job.failed(" ".join(f"{type(error).__name__}: {error}".split()))
         else:
-            self._events.dropped(key)
+            job.dropped()
 
-    def _forget(self, future: "Future[Arrays]") -> Hashable:
-        """Count a patch as no longer sent, and return its key."""
+    def _forget(self, future: "Future[Any]") -> Job:
+        """Count a job as no longer sent, and return it."""
         with self._lock:
-            key, _ = self._running.pop(future)
-            self._under_way.discard(key)
+            job, _ = self._running.pop(future)
+            self._under_way.discard(job)
         future.release()
-        return key
+        return job
 
-    def _done_with(self, key: Hashable) -> None:
-        """Nobody has to wait for a patch any more."""
+    def _done_with(self, job: Job) -> None:
+        """Nobody has to wait for a job any more."""
         with self._lock:
-            self._under_way.discard(key)
-            for keys in self._wanted.values():
+            self._under_way.discard(job)
+            for jobs in self._wanted.values():
                 with suppress(ValueError):
-                    keys.remove(key)
+                    jobs.remove(job)

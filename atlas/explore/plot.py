@@ -42,8 +42,7 @@ def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSourc
     plot.toolbar.logo = None
     plot.grid.visible = False
     for axis in (plot.xaxis[0], plot.yaxis[0]):
-        axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
-        axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
+        quiet_axis(axis)
     image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
     plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image")
     mark = ColumnDataSource({"x": [], "y": []})
@@ -52,6 +51,12 @@ def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSourc
         plot.scatter(x="x", y="y", source=mark, marker="circle", size=15, **ring)
     label_axes(plot, subject, chosen)
     return plot, image, mark
+
+
+def quiet_axis(axis: Any) -> None:
+    """Give an axis the type of the page, and ticks that ``label_axes`` can count from a round number."""
+    axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
+    axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
 
 
 def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:

@@ -1,12 +1,18 @@
-"""The server of the page: on this machine's loopback alone, in a thread of its own.
+"""The server of the page, in a thread of its own: on this machine's loopback, or for those who have its token.
 
 Any web page that the user has open can send requests here, and by a name of its own that resolves to this machine it
 may read the answers. So whatever is served, page, scripts or websocket, goes only to requests that name this server's
 own address as the host and, where they say which page they come from, as their origin.
+
+Where others are to reach it, on another address or through a proxy, no host tells who may. Then a page goes only to
+requests with the server's token, and a websocket only to sessions that such a page signed.
 """
 
 import asyncio
+import hmac
 import logging
+import secrets
+import socket
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -20,6 +26,8 @@ if TYPE_CHECKING:
 
 
 HOST = "127.0.0.1"
+EVERY = ("0.0.0.0", "::", "")
+"""Addresses of a machine that stand for all of its addresses."""
 FORGOTTEN = 4000
 """Milliseconds after which a page without a connection is gone for good."""
 
@@ -27,11 +35,14 @@ FORGOTTEN = 4000
 class PageServer:
     """Serves documents that ``make`` fills, one for each page that is opened, until ``stop``.
 
-    ``port`` 0 is any free one. InputError where the port is taken.
+    ``port`` 0 is any free one; ``token`` opens the pages to all who have it. InputError where the port is taken.
     """
 
-    def __init__(self, make: "Callable[[Document], None]", port: int = 0) -> None:
-        self._make, self._asked = make, port
+    def __init__(
+        self, make: "Callable[[Document], None]", port: int = 0, host: str = HOST, token: str | None = None
+    ) -> None:
+        self._make, self._asked, self._host = make, port, host
+        self.token = token or ("" if host == HOST else secrets.token_urlsafe(16))
         self._ready, self._error = threading.Event(), ""
         self._stop: Callable[[], None] = lambda: None
         self.port = 0
@@ -43,8 +54,8 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """The page's address."""
-        return f"http://{HOST}:{self.port}/"
+        """The page's address, without its token."""
+        return f"http://{socket.getfqdn() if self._host in EVERY else self._host}:{self.port}/"
 
     def stop(self) -> None:
         """Close all pages and end."""
@@ -63,13 +74,13 @@ class PageServer:
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
         try:
-            sockets = bind_sockets(self._asked, HOST)
+            sockets = bind_sockets(self._asked, self._host)
         except OSError as error:
-            self._error = f"port {self._asked}: cannot be used: {error.strerror or error}"
+            self._error = f"host {self._host}, port {self._asked}: cannot be used: {error.strerror or error}"
             self._ready.set()
             return
         self.port = int(sockets[0].getsockname()[1])
-        pages = _guarded_pages(self._make, [f"{HOST}:{self.port}", f"localhost:{self.port}"])
+        pages = _guarded_pages(self._make, [f"{HOST}:{self.port}", f"localhost:{self.port}"], self.token)
         http = HTTPServer(pages)
         http.add_sockets(sockets)
         server = BaseServer(loop, pages, http)
@@ -82,10 +93,19 @@ class PageServer:
         loop.close(all_fds=False)
 
 
-def refusal(request: "HTTPServerRequest", hosts: list[str]) -> int | None:
-    """The HTTP status with which a request is refused, None for one that is served, by the hosts that are served."""
+def refusal(request: "HTTPServerRequest", hosts: list[str], token: str = "") -> int | None:
+    """The HTTP status with which a request is refused, None for one that is served.
+
+    Without a token it is decided by the hosts that are served. With one, Bokeh's own scripts are for all, and its
+    websocket checks what a page has signed.
+    """
     origin = request.headers.get("Origin")
-    if request.host.lower() not in hosts or (origin is not None and urlsplit(origin).netloc.lower() not in hosts):
+    if token:
+        given = request.query_arguments.get("token", [b""])[-1]
+        for_all = request.path.startswith("/static/") or request.path in ("/ws", "/favicon.ico")
+        if not for_all and not hmac.compare_digest(given, token.encode()):
+            return 403
+    elif request.host.lower() not in hosts or (origin is not None and urlsplit(origin).netloc.lower() not in hosts):
         return 403
     try:
         for value in (each for values in request.query_arguments.values() for each in values):
@@ -95,7 +115,7 @@ def refusal(request: "HTTPServerRequest", hosts: list[str]) -> int | None:
     return None
 
 
-def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str]) -> "Any":
+def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str], token: str) -> "Any":
     """The application that serves pages, to requests that are not refused."""
     from bokeh.application import Application as Pages
     from bokeh.application.handlers.function import FunctionHandler
@@ -104,14 +124,19 @@ def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str]) -> "Any
 
     class Guarded(BokehTornado):
         def find_handler(self, request: "HTTPServerRequest", **kwargs: Any) -> Any:
-            status = refusal(request, hosts)
+            status = refusal(request, hosts, token)
             if status is not None:
                 return self.get_handler_delegate(request, ErrorHandler, {"status_code": status})
             return super().find_handler(request, **kwargs)
 
+        def resources(self, absolute_url: Any = None) -> Any:
+            return super().resources("./")  # beside the page, also where a proxy puts it into a folder
+
     return Guarded(
         {"/": Pages(FunctionHandler(make))},
-        extra_websocket_origins=hosts,
+        extra_websocket_origins=["*"] if token else hosts,
+        sign_sessions=bool(token),
+        secret_key=secrets.token_bytes(32) if token else None,
         unused_session_lifetime_milliseconds=FORGOTTEN,
         check_unused_sessions_milliseconds=FORGOTTEN // 4,
         keep_alive_milliseconds=10_000,

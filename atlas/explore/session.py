@@ -1,5 +1,7 @@
 """A running explorer: its cluster, its pages, and how all of it ends."""
 
+import os
+import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
@@ -10,6 +12,7 @@ from urllib.parse import urlencode
 from atlas.errors import InputError
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import MOST_BYTES
+from atlas.explore.server import HOST, PageServer
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
 from atlas.query.window import Window, axis_names, axis_values
@@ -24,18 +27,26 @@ if TYPE_CHECKING:
     from atlas.explore.page import Page
 
 
+HUB = "JUPYTERHUB_SERVICE_PREFIX"
+"""What JupyterHub says, in the environment, of where it serves this user's server."""
+
+
 class Exploration:
     """Pages on a subject, served until ``stop``. A notebook shows the first of them."""
 
-    def __init__(self, explorer: Explorer, folder: Path, port: int = 0, query: str = "") -> None:
+    def __init__(self, explorer: Explorer, folder: Path, port: int = 0, query: str = "", host: str = HOST) -> None:
         from atlas.explore.page import fill
         from atlas.explore.painter import warm
-        from atlas.explore.server import PageServer
 
-        self.explorer, self._query = explorer, query
+        self.explorer = explorer
+        self._proxy = os.environ.get(HUB, "").rstrip("/")
         self._pages: set[Page] = set()
         warm(explorer)
-        self._server = PageServer(partial(fill, explorer=explorer, folder=folder, pages=self._pages), port)
+        token = secrets.token_urlsafe(16) if self._proxy else None
+        make = partial(fill, explorer=explorer, folder=folder, pages=self._pages)
+        self._server = PageServer(make, port, host, token)
+        parts = [query, f"token={self._server.token}" if self._server.token else ""]
+        self._query = "&".join(filter(None, parts))
 
     @property
     def url(self) -> str:
@@ -51,8 +62,15 @@ class Exploration:
         for page in self._pages:
             page.wait()
 
+    @property
+    def place(self) -> str:
+        """The address of a new page as a notebook of JupyterHub reaches it, by the hub's proxy; elsewhere ``url``."""
+        if not self._proxy:
+            return self.url
+        return f"{self._proxy}/proxy/{self._server.port}/?{self._query}"
+
     def _repr_html_(self) -> str:
-        return f'<iframe src="{self.url}" width="100%" height="720" style="border: 0"></iframe>'
+        return f'<iframe src="{self.place}" width="100%" height="720" style="border: 0"></iframe>'
 
 
 def explore(
@@ -67,6 +85,7 @@ def explore(
     most_bytes: int = MOST_BYTES,
     folder: Path | None = None,
     port: int = 0,
+    host: str = HOST,
     window: Window | None = None,
     timing: Timing = TIMING,
 ) -> Exploration:
@@ -75,7 +94,7 @@ def explore(
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, or on worker processes of this
     machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. With ``keep``, what is solved lies
     in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into ``folder``, by default the
-    working directory.
+    working directory. Pages on another ``host`` than this machine's loopback go to addresses with their token alone.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
     try:
@@ -89,7 +108,7 @@ def explore(
     explorer = Explorer(subject, connect, keep, most_bytes, timing)
     query = urlencode([(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()], safe=":")
     try:
-        return Exploration(explorer, folder or Path.cwd(), port, query)
+        return Exploration(explorer, folder or Path.cwd(), port, query, host)
     except BaseException:
         explorer.stop()
         raise

@@ -1,15 +1,20 @@
-"""The looks of the page, as CSS.
+"""The looks of the page, as CSS. In dark mode all is inverted, and the map with its colours once more.
 
 A page of at least three columns' width has the plane between its controls and the details of cells. On a narrower one,
 as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
 """
 
+CUT_HEIGHT = "min(330px, 45vh)"
 STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
 """The widths of a page with the plane above all else, and of one with a single column."""
+
+CUTTING = "cutting"
+"""The class of the middle of a page that shows a cut."""
 
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
 body > div {{ height: 100%; }}
+@media (prefers-color-scheme: dark) {{ html {{ filter: invert(1); background: #fff; }} }}
 @media {STACKED} {{
   html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
   body > div {{ height: auto; }}
@@ -28,6 +33,7 @@ MIDDLE = f"""
 @media {STACKED} {{
   :host {{ grid-column: 1 / -1; order: -1; width: auto !important; height: min(84vh, 75vw) !important;
           min-height: 340px; }}
+  :host(.{CUTTING}) {{ height: calc(min(84vh, 75vw) + {CUT_HEIGHT}) !important; }}
 }}
 @media {SINGLE} {{ :host {{ height: auto !important; }} }}
 """
@@ -53,10 +59,14 @@ pre { white-space: pre-wrap; word-break: break-all; background: #f3f5f8; padding
 pre { font-size: 11.5px; }
 table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; word-break: normal; }
 th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a6675; }
+img.portrait { cursor: zoom-in; } img.portrait.large { position: fixed; inset: 2vh 2vw; width: 96vw; height: 96vh;
+  object-fit: contain; background: #fff; z-index: 99; cursor: zoom-out; box-shadow: 0 0 0 100vmax #0008; }
+@media (prefers-color-scheme: dark) { img { filter: invert(1); } }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
 
 PLOT = f"""
+@media (prefers-color-scheme: dark) {{ :host {{ filter: invert(1); }} }}
 .bk-Canvas:hover {{ --outline-width: 0px; }}
 @media {SINGLE} {{ :host {{ flex: none !important; width: 100% !important; height: 100vw !important; }} }}
 """
@@ -65,6 +75,11 @@ PANEL = f"""
 :host {{ overflow-y: auto; overflow-x: hidden; padding: 0 6px; box-sizing: border-box; }}
 @media {STACKED} {{ :host {{ overflow: visible; width: auto !important; height: auto !important; }} }}
 @media {SINGLE} {{ :host(.folded) {{ display: none !important; }} }}
+"""
+
+CUT = f"""
+:host {{ flex: none !important; height: {CUT_HEIGHT} !important; }}
+@media {SINGLE} {{ :host {{ width: 100% !important; height: 330px !important; }} }}
 """
 
 LINE = f"""

@@ -1,27 +1,29 @@
 """What is explored: a plane of a store or of a spec, the settings of exploring, and other planes beside it."""
 
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atlas.errors import InputError
+from atlas.errors import InputError, check_names
 from atlas.explore.lattice import Lattice
 from atlas.explore.patch import Patch, packed
 from atlas.explore.view import TileKey
 from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
-from atlas.spec.axis import admitted
+from atlas.spec.axis import Axis, admitted
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import is_url, place_of
 from atlas.store.store import Header, read_header
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
+from workers.model.parameter import Parameter
 from workers.model.system import System, identity
 
 if TYPE_CHECKING:
@@ -33,6 +35,10 @@ SURVIVAL = 2000
 """Forcing periods for which exploring watches chaos."""
 STARTS = Starts(keep=16)
 """From which initial states the attractors of a cell are sought, unless the spec says."""
+STEPS = 200
+"""Steps of a slider from end to end."""
+POINTS = 401
+"""Points of level zero of an axis that the spec does not have."""
 
 
 def exploring(settings: Settings, tolerance: float = TOLERANCE, survival: int = SURVIVAL) -> Settings:
@@ -71,6 +77,7 @@ class Subject:
     attractors from which initial states the spec seeks all attractors of a cell; None where it does not
     every      that plane with all attractors of its cells, where the store has them; ``ds`` has the motion from each
                cell's own initial state
+    third      the axis of a stack that is no axis of its planes; ``of_layer`` gives the subject of one of its values
     """
 
     spec: Spec
@@ -80,6 +87,8 @@ class Subject:
     layer: int = 0
     attractors: Starts | None = None
     every: "xr.Dataset | None" = None
+    third: Axis | None = None
+    of_layer: "Callable[[float], Subject] | None" = None
 
     @property
     def starts(self) -> Starts:
@@ -105,6 +114,40 @@ class Subject:
     def y(self) -> Lattice:
         """The points of the vertical axis."""
         return Lattice(self.spec.axes[1])
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """The names of the horizontal and the vertical axis."""
+        x, y = (axis.name for axis in self.spec.axes)
+        return x, y
+
+    @property
+    def layer_value(self) -> float | None:
+        """Where on the third axis of a stack it lies; None without one."""
+        return None if self.third is None else self.third.values[self.layer]
+
+    def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Subject":
+        """The same machine over other axes, through the middle of those it has now; or another layer of a stack.
+
+        Over other axes nothing is stored. InputError for axes that are no two parameters, and for an unknown layer.
+        """
+        if layer is not None and layer != self.layer_value:
+            if self.third is None or self.of_layer is None or layer not in self.third.values:
+                known = "none" if self.third is None else ", ".join(f"{v:g}" for v in self.third.values)
+                raise InputError(f"layer: found {layer:g}; possible: {known}")
+            return self.of_layer(layer).turned(axes)
+        if axes == self.axes:
+            return self
+        check_names("axis", axes, [parameter.name for parameter in self.system.parameters])
+        if axes[0] == axes[1]:
+            raise InputError(f"axes: found {axes[0]} twice, must be two parameters")
+        own = {axis.name: axis for axis in self.spec.axes}
+        middle = {name: axis.values[len(axis) // 2] for name, axis in own.items()}
+        values = middle | self.spec.parameters
+        made = {name: own.get(name) or own_axis(self.system.parameter(name), values[name]) for name in axes}
+        fixed = {name: value for name, value in values.items() if name not in axes}
+        spec = Spec(self.system, made, fixed, self.spec.settings)
+        return replace(self, spec=spec, stored=None, ds=None, every=None)
 
     @cached_property
     def plane(self) -> Plane:
@@ -179,6 +222,11 @@ def _subject(
     if spec.basins:
         raise InputError("explore shows one motion a cell, found basins; take [attractors] out of the spec")
     layer, settings, attractors = 0, exploring(spec.settings, tolerance), spec.attractors
+    third, whole = None, (spec, header, ds)
+
+    def of_layer(value: float) -> Subject:
+        return _subject(*whole, {whole[0].axes[-1].name: value}, tolerance)
+
     if len(spec.axes) == MOST_AXES:
         third = spec.axes[-1]
         value = chosen.get(third.name, third.values[0])
@@ -192,6 +240,26 @@ def _subject(
     elif chosen:
         raise InputError(f"--select picks a plane of a stack, found a plane of {', '.join(spec.dims)}")
     if attractors is None:
-        return Subject(spec, settings, header, ds, layer)
+        return Subject(spec, settings, header, ds, layer, third=third, of_layer=of_layer)
     alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
-    return Subject(alone, settings, header, None if ds is None else own(ds), layer, attractors, ds)
+    leading = None if ds is None else own(ds)
+    return Subject(alone, settings, header, leading, layer, attractors, ds, third, of_layer)
+
+
+def own_axis(parameter: Parameter, value: float) -> Axis:
+    """An axis for a parameter that the spec has at one value: as far as its slider reaches, evenly spaced."""
+    return Axis(parameter.name, tuple(np.linspace(*slider_range(parameter, value), POINTS).tolist()))
+
+
+def slider_range(parameter: Parameter, value: float) -> tuple[float, float]:
+    """Where a slider begins and ends: the valid range where it is finite, else some way around default and value.
+
+    An end that the range leaves out is not reached.
+    """
+    reach = max(abs(value), abs(parameter.default), 0.5)
+    low = parameter.low if math.isfinite(parameter.low) else min(value, parameter.default) - reach
+    high = parameter.high if math.isfinite(parameter.high) else max(value, parameter.default) + reach
+    inset = (high - low) / STEPS
+    low += inset if parameter.low_open and low == parameter.low else 0.0
+    high -= inset if parameter.high_open and high == parameter.high else 0.0
+    return min(low, value), max(high, value)

@@ -2,6 +2,7 @@
 
 import base64
 import html
+import json
 import math
 import shlex
 from collections.abc import Iterable, Mapping
@@ -17,6 +18,7 @@ from atlas.explore.attractors import Attractors
 from atlas.explore.known import Cell
 from atlas.explore.patches import State
 from atlas.explore.subject import Plane, Subject
+from atlas.render.classes import PALETTE
 from atlas.spec.system import impacts_of
 from atlas.text import plain, plural
 from workers.model.system import System
@@ -43,9 +45,9 @@ def title(subject: Subject, plane: Plane) -> str:
     return f"<b>{html.escape(subject.name)}</b> &ensp; {', &ensp;'.join(shown)}"
 
 
-def number(value: float) -> str:
-    """A number as text shows it: six digits, a proper minus, powers of ten."""
-    mantissa, _, power = f"{value:.6g}".partition("e")
+def number(value: float, digits: int = 6) -> str:
+    """A number as text shows it: so many digits, a proper minus, powers of ten."""
+    mantissa, _, power = f"{value:.{digits}g}".partition("e")
     text = mantissa.replace("-", "−")
     return f"{text}·10{str(int(power)).translate(_ABOVE)}" if power else text
 
@@ -83,24 +85,52 @@ def cell_line(cell: Cell, subject: Subject) -> str:
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
+NAMES = {
+    LARGEST.name: "largest exponent", "impacts_upper": "impacts above", "impacts_lower": "impacts below",
+    "impacts_per_period": "impacts per period", "sticks": "rests on a stop", "stuck_fraction": "share of time at rest",
+    "min_impact_speed": "slowest impact", "mean_impact_speed": "mean impact speed",
+    "max_impact_speed": "fastest impact",
+    "impact_energy": "energy lost per period", "peak_to_peak": "peak to peak", "periods_used": "periods simulated",
+    "survived": "periods seen chaotic", "kaplan_yorke": "Kaplan–Yorke dimension", "sum_law_defect": "defect of the sum",
+}  # fmt: skip
+"""Variables in words that fit beside their numbers; others are named by themselves, less the underscores."""
+
+
 def cell_table(cell: Cell, subject: Subject) -> str:
-    """All that is known of a cell, as an HTML table."""
-    units = {variable.name: variable.units for variable in subject.system.variables(subject.spec.settings)}
+    """All that is known of a cell, as an HTML table; the pointer over a number shows all its digits."""
     names = [axis.name for axis in subject.spec.axes]
-    rows = [(symbol_of(subject.system, name), repr(cell.results[name])) for name in names]
-    rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " ")))
+    rows = [(symbol_of(subject.system, name), number(cell.results[name]), repr(cell.results[name])) for name in names]
+    rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " "), ""))
     if REASON.name in cell.results:
-        rows.append((REASON.name, str(cell.results[REASON.name])))
+        rows.append((REASON.name, str(cell.results[REASON.name]), ""))
     if LARGEST.name in cell.results:
         value, error = cell.results[LARGEST.name], cell.results[ERROR.name]
-        rows.append((LARGEST.name, f"{number(value)} ± {number(error)}"))
-    told = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
+        rows.append((NAMES[LARGEST.name], with_error(value, error), f"{value!r} ± {error!r}"))
+    shown = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
     for name, value in cell.results.items():
-        if name not in told:
-            rows.append((name, _value(value, units.get(name, "1"))))
+        if name not in shown and not (isinstance(value, float) and math.isnan(value)):
+            rows.append((NAMES.get(name, name.replace("_", " ")), _value(value), repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
-    body = "".join(f"<tr><td>{html.escape(left)}</td><td>{html.escape(right)}</td></tr>" for left, right in rows)
+    body = "".join(
+        f'<tr><td>{html.escape(left)}</td><td title="{html.escape(full)}">{html.escape(right)}</td></tr>'
+        for left, right, full in rows
+    )
     return f"<table><caption>{of}</caption>{body}</table>"
+
+
+def cell_text(cell: Cell) -> str:
+    """All that is known of a cell as JSON, in full precision; what is no number is null."""
+    values = cell.parameters | cell.results
+    return json.dumps({name: None if value != value else value for name, value in values.items()}, indent=1)
+
+
+def with_error(value: float, error: float) -> str:
+    """A number and its error: two digits of the error, and of the number as many as that leaves, 4 to 6."""
+    if not (math.isfinite(value) and math.isfinite(error)):
+        return f"{number(value)} ± {number(error)}"
+    size = math.floor(math.log10(abs(value))) if value else 0
+    digits = size - math.floor(math.log10(error)) + 2 if error > 0 else 6
+    return f"{number(value, min(max(digits, 4), 6))} ± {number(error, 2)}"
 
 
 def attractors_table(found: Attractors, subject: Subject) -> str:
@@ -110,9 +140,11 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
     if not found.each:
         return f"none of {plural(found.starts, 'initial state')} is decided"
     exponents = subject.settings.exponents != "none"
-    heads = ["", "regime", "n-p-q", *([LARGEST.name] if exponents else []), "share, 95 %"]
+    heads = ["", "", "regime", "n-p-q", *([LARGEST.name] if exponents else []), "share, 95 %"]
     rows = [
-        _cells("td", _attractor(each, k == found.own, exponents, subject.system)) for k, each in enumerate(found.each)
+        f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
+        + _cells("td", _attractor(each, k == found.own, exponents, subject.system)).removeprefix("<tr>")
+        for k, each in enumerate(found.each)
     ]
     notes = [
         f"of {plural(found.starts, 'initial state')}",
@@ -139,10 +171,10 @@ def _cells(tag: str, texts: Iterable[str]) -> str:
     return f"<tr>{''.join(f'<{tag}>{html.escape(text)}</{tag}>' for text in texts)}</tr>"
 
 
-def _value(value: Any, units: str) -> str:
+def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return number(float(value)) if isinstance(value, float) else str(value)
+    return number(float(value), 5) if isinstance(value, float) else str(value)
 
 
 def point_line(cell: Cell, subject: Subject) -> str:

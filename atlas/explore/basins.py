@@ -1,0 +1,183 @@
+"""The basins of a cell that was clicked: which attractor each initial state of a plane of them reaches."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from bokeh.layouts import column
+from bokeh.models import Button, ColumnDataSource, Div
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from atlas.explore.background import Background
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Cell
+from atlas.explore.patches import Task
+from atlas.explore.plot import quiet_axis
+from atlas.explore.style import TEXT
+from atlas.explore.subject import Subject
+from atlas.explore.words import symbol_of
+from atlas.render.classes import BASINS
+from atlas.task.compile import ATTRACTORS, compile_once, kernels_for
+from atlas.text import plural
+from workers import Settings
+from workers.attractors.starts import Starts, boxes
+from workers.model.system import System
+from workers.results import LABEL
+
+SIDE = 96
+"""Initial states along each axis."""
+UNSOLVED = -9
+"""The label of an initial state that is not solved yet."""
+BAND = 8
+"""Rows of them that a worker solves at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A plane of initial states of one machine: a displacement across and its velocity up, (SIDE,) values of each."""
+
+    system: System
+    parameters: Mapping[str, float]
+    settings: Settings
+    starts: Starts
+    x: tuple[str, NDArray[np.float64]]
+    y: tuple[str, NDArray[np.float64]]
+
+    @classmethod
+    def of_cell(cls, subject: Subject, parameters: Mapping[str, float]) -> "Grid":
+        """The plane of the displacement that a stop limits, as far as initial states are sought there by default."""
+        system, starts = subject.system, subject.starts
+        oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})
+        low, high = boxes(starts, oscillators, system.states)
+        n = len(system.states) // 2
+        k = int(np.flatnonzero(oscillators.gap_row[0])[0])
+        sides = [(system.states[i], np.linspace(low[0, i], high[0, i], SIDE + 2)[1:-1]) for i in (k, n + k)]
+        return cls(system, parameters, subject.settings, starts, *sides)
+
+
+@dataclass(frozen=True, eq=False)
+class BasinJob:
+    """Some rows of a plane of initial states to be solved for somebody, who is told in another thread."""
+
+    grid: Grid
+    rows: slice
+    told: Callable[[Grid, slice, NDArray[np.int32]], None]
+    refused: Callable[[str], None]
+
+    def make(self) -> Task | None:
+        """See ``Job``."""
+        return solve_rows, (self.grid, self.rows)
+
+    def solved(self, argument: Any, found: NDArray[np.int32]) -> int:
+        """See ``Job``."""
+        self.told(self.grid, self.rows, found)
+        return found.size
+
+    def failed(self, why: str) -> None:
+        """See ``Job``."""
+        self.refused(why)
+
+    def dropped(self) -> None:
+        """See ``Job``: nothing is held for it."""
+
+
+def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:
+    """Labels (rows, SIDE) of the attractors that initial states reach; negative where none of the table is known."""
+    from workers.attractors.basins import solve_basins
+
+    grid, rows = given
+    compile_once(*kernels_for(grid.system, ATTRACTORS))
+    (x, across), (y, up) = grid.x, grid.y
+    states = {x: across[None, :], y: up[rows, None]}
+    return solve_basins(grid.system, {**grid.parameters, **states}, grid.settings, grid.starts)[LABEL.name]
+
+
+class BasinsPanel:
+    """The button that asks for basins, and the plane of initial states that shows them."""
+
+    def __init__(self, explorer: Explorer, background: Background) -> None:
+        self._explorer, self._background = explorer, background
+        self._cell: Cell | None = None
+        self._labels = np.zeros((0, 0), dtype=np.int32)
+        self._button = Button(label="basins of this cell", visible=False, sizing_mode="stretch_width")
+        self._button.on_click(self._ask)
+        self._says = Div(stylesheets=[TEXT], visible=False)
+        self._image = ColumnDataSource({"basins": [], "x0": [], "y0": [], "w": [], "h": []})
+        self._start = ColumnDataSource({"start_x": [], "start_y": []})
+        self._plot = figure(height=260, sizing_mode="stretch_width", toolbar_location=None, tools="", visible=False)
+        self._plot.image_rgba(image="basins", x="x0", y="y0", dw="w", dh="h", source=self._image)
+        look: dict[str, Any] = {"marker": "circle", "fill_color": "white", "line_color": "black"}
+        self._plot.scatter(x="start_x", y="start_y", source=self._start, size=8, **look)
+        self._plot.x_range.range_padding = self._plot.y_range.range_padding = 0
+        self._plot.grid.visible = False
+        for axis in (self._plot.xaxis[0], self._plot.yaxis[0]):
+            quiet_axis(axis)
+        self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
+
+    def offer(self, cell: Cell) -> None:
+        """Offer the basins of a cell."""
+        if cell is self._cell:
+            return
+        self.clear()
+        self._cell = cell
+        self._button.visible = True
+
+    def clear(self) -> None:
+        """Offer nothing, and want nothing more."""
+        self._cell = None
+        self._button.visible = self._says.visible = self._plot.visible = False
+        self.close()
+
+    def close(self) -> None:
+        """Want nothing more."""
+        self._explorer.patches.want(self, ())
+
+    def _ask(self) -> None:
+        cell, system = self._cell, self._explorer.subject.system
+        if cell is None:
+            return
+        grid = Grid.of_cell(self._explorer.subject, cell.parameters)
+        self._labels = np.full((SIDE, SIDE), UNSOLVED, dtype=np.int32)
+        self._plot.xaxis[0].axis_label, self._plot.yaxis[0].axis_label = (
+            symbol_of(system, name) for name in (grid.x[0], grid.y[0])
+        )
+        own = [cell.parameters[name] for name in (grid.x[0], grid.y[0])]
+        self._start.data = {"start_x": own[:1], "start_y": own[1:]}
+        self._says.update(text="solving initial states", visible=True)
+        self._plot.visible, self._button.visible = True, False
+        rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
+        jobs = [BasinJob(grid, each, partial(self._told, cell), self._refuse) for each in rows]
+        self._explorer.patches.want(self, jobs)
+
+    def _told(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
+        self._background.show(partial(self._take, cell, grid, rows, labels))
+
+    def _refuse(self, why: str) -> None:
+        self._background.show(lambda: self._says.update(text=f"basins: {why}"))
+
+    def _take(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
+        if cell is not self._cell:
+            return
+        self._labels[rows] = labels
+        (begin, end), (low, high) = ((side[0], side[-1]) for side in (grid.x[1], grid.y[1]))
+        size = {"x0": [begin], "y0": [low], "w": [end - begin], "h": [high - low]}
+        self._image.data = {"basins": [painted(self._labels)], **size}
+        count = np.unique(self._labels[self._labels >= 0]).size
+        left = np.count_nonzero(self._labels == UNSOLVED)
+        more = f"; {left} not solved yet" if left else ""
+        self._says.text = (
+            f"initial states reach {plural(count, 'attractor')}, mirror images counted apart, in colours of their own;"
+            f" of grey ones the attractor is not known{more}"
+        )
+
+
+def painted(labels: NDArray[np.int32]) -> NDArray[np.uint32]:
+    """The colour of each label, as Bokeh takes it; grey where none is known, nothing where it is not solved."""
+    colors = np.array([[int(color[k : k + 2], 16) for k in (1, 3, 5)] + [255] for color in BASINS], dtype=np.uint8)
+    grey = np.array([[221, 221, 221, 255]], dtype=np.uint8)
+    chosen = np.where((labels >= 0)[..., None], colors[labels % len(BASINS)], grey)
+    chosen[labels == UNSOLVED] = 0
+    return np.ascontiguousarray(chosen).view(np.uint32)[..., 0]

@@ -1,0 +1,224 @@
+"""The cells along a line over a plane, coarse first, with their section states; and the branches through them."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.explore.chosen import Cut
+from atlas.explore.patch import Patch, packed, solve_patch
+from atlas.explore.patches import Task
+from atlas.explore.subject import Plane, Subject
+from atlas.query.machine import gap_rows
+from workers.results import ERROR, LARGEST, SECTION
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+STEPS = 256
+"""Steps of a line from end to end once it is solved in full."""
+COARSE = 8
+"""Every eighth point comes first, then those half way between, and so on."""
+TOGETHER = STEPS // COARSE + 1
+"""Points that a worker solves at a time."""
+SAMPLES = 48
+"""Section states of a cell that is not periodic."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line over a plane of a subject, straight on the scales of its axes; points count from 0 to STEPS."""
+
+    subject: Subject
+    plane: Plane
+    ends: Cut
+
+    @cached_property
+    def along(self) -> int:
+        """The axis, 0 across or 1 up, along which its diagrams are drawn: that of which it covers more."""
+        x0, y0, x1, y1 = self.ends
+        reach = []
+        for lattice, ends in ((self.subject.x, (x0, x1)), (self.subject.y, (y0, y1))):
+            low, high = lattice.positions(np.array(ends))
+            reach.append(abs(high - low) / len(lattice.axis))
+        return int(reach[1] > reach[0])
+
+    @property
+    def name(self) -> str:
+        """The parameter of that axis."""
+        return self.subject.axes[self.along]
+
+    @property
+    def level(self) -> bool:
+        """Whether it runs along one axis, so that one parameter alone changes."""
+        return self.ends[1 - self.along] == self.ends[3 - self.along]
+
+    def points(self, index: NDArray[np.int64]) -> tuple[Array, Array]:
+        """The values of both axes at points, (N,) each."""
+        share, (x0, y0, x1, y1) = index / STEPS, self.ends
+        found = []
+        for lattice, (begin, end) in ((self.subject.x, (x0, x1)), (self.subject.y, (y0, y1))):
+            found.append(begin * (end / begin) ** share if lattice.log else begin + (end - begin) * share)
+            found[-1][index == STEPS] = end
+        return found[0], found[1]
+
+    def parts(self) -> list[tuple[int, ...]]:
+        """The points in the order in which they are solved, in parts of TOGETHER or fewer."""
+        parts, step, begin = [], COARSE, 0
+        while step:
+            index = list(range(begin, STEPS + 1, 2 * step if begin else step))
+            parts += [tuple(index[k : k + TOGETHER]) for k in range(0, len(index), TOGETHER)]
+            begin = step = step // 2
+        return parts
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Solved points of a line: their numbers (N,), and their results by name, with ``gap`` (N, SAMPLES)."""
+
+    index: NDArray[np.int64]
+    results: dict[str, NDArray[Any]]
+
+    def joined(self, other: "Cells | None") -> "Cells":
+        """These and others, in the order of the line."""
+        if other is None:
+            return self
+        order = np.argsort(np.concatenate([self.index, other.index]))
+        results = {name: np.concatenate([values, other.results[name]])[order] for name, values in self.results.items()}
+        return Cells(np.concatenate([self.index, other.index])[order], results)
+
+
+@dataclass(frozen=True)
+class CutJob:
+    """Points of a line to be solved for somebody, who is told in another thread."""
+
+    line: Line
+    part: tuple[int, ...]
+    told: Callable[[Line, Cells], None]
+    refused: Callable[[str], None]
+
+    def make(self) -> Task | None:
+        """See ``Job``. The points are the diagonal of a grid of their values."""
+        x, y = self.line.points(np.array(self.part))
+        subject, diagonal = self.line.subject, np.eye(len(self.part), dtype=bool)
+        settings = replace(subject.settings, section_samples=SAMPLES)
+        sides = (subject.axes[0], tuple(x.tolist())), (subject.axes[1], tuple(y.tolist()))
+        return solve_patch, Patch(subject.system, dict(self.line.plane.parameters), settings, *sides, packed(diagonal))
+
+    def solved(self, argument: Patch, found: dict[str, NDArray[Any]]) -> int:
+        """See ``Job``."""
+        index = np.array(self.part)
+        values: dict[str, float | Array] = dict(self.line.plane.parameters)
+        values.update(zip(self.line.subject.axes, self.line.points(index), strict=True))
+        rows = gap_rows(self.line.subject.system, values)
+        section = found.pop(SECTION.name)
+        gap = np.einsum("ni,nki->nk", rows, section[..., : rows.shape[1]])
+        period = found["period"][:, None]
+        gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
+        self.told(self.line, Cells(index, found | {"gap": gap}))
+        return len(self.part)
+
+    def failed(self, why: str) -> None:
+        """See ``Job``."""
+        self.refused(f"part of the cut: {why}")
+
+    def dropped(self) -> None:
+        """See ``Job``: nothing is held for it."""
+
+
+@dataclass(frozen=True)
+class Branches:
+    """Branches along a line: stretches of them (stable or not, parameter, gap), and events (kind, parameter, gap)."""
+
+    stretches: tuple[tuple[bool, Array, Array], ...]
+    events: tuple[tuple[str, float, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class BranchJob:
+    """The branches through the periodic cells of a line, followed for somebody."""
+
+    line: Line
+    sweep: "xr.Dataset"
+    told: Callable[[Line, Branches], None]
+    refused: Callable[[str], None]
+
+    def make(self) -> Task | None:
+        """See ``Job``."""
+        return follow, self.sweep
+
+    def solved(self, argument: Any, found: Branches) -> int:
+        """See ``Job``."""
+        self.told(self.line, found)
+        return 0
+
+    def failed(self, why: str) -> None:
+        """See ``Job``."""
+        self.refused(why.removeprefix("InputError: "))
+
+    def dropped(self) -> None:
+        """See ``Job``: nothing is held for it."""
+
+
+def follow(sweep: "xr.Dataset") -> Branches:
+    """The branches through the periodic cells of a sweep, and those that begin on them."""
+    from atlas.branches.sweep import tree_through
+    from atlas.branches.table import Branches as Table
+
+    table = Table.of(tree_through([sweep]))
+    stretches, events = [], []
+    for branch in table.traced:
+        places = {id(point): k for k, point in enumerate(branch.run.points)}
+        for twin, gap in enumerate(table.gap_values(branch)):
+            for stable, part in branch.parts:
+                stretches += [(stable, branch.values[part], values) for values in gap[part].T]
+            if not twin:
+                at = [(event.kind, places[id(event.point)]) for event in branch.run.events]
+                events += [(kind, float(branch.values[k]), float(value)) for kind, k in at for value in gap[k]]
+    return Branches(tuple(stretches), tuple(events))
+
+
+def sweep_of(line: Line, cells: Cells) -> "xr.Dataset":
+    """The cells of a line along one axis as a sweep of that parameter.
+
+    InputError for a line of which both parameters change.
+    """
+    import xarray
+
+    if not line.level:
+        x, y = line.subject.axes
+        raise InputError(f"branches follow one parameter: cut along {x} or {y} alone")
+    values = line.points(cells.index)
+    other = 1 - line.along
+    fixed = dict(line.plane.parameters) | {line.subject.axes[other]: float(values[other][0])}
+    extra = {"state": (line.name, "component")}
+    arrays = {
+        name: (extra.get(name, (line.name,)), array)
+        for name, array in cells.results.items()
+        if array.ndim == 1 or name in extra
+    }
+    coords: dict[str, Any] = {line.name: values[line.along]} | {name: ((), value) for name, value in fixed.items()}
+    found = xarray.Dataset(arrays, coords, {"spec": json.dumps(line.subject.spec.resolved())})
+    return found.sortby(line.name)
+
+
+def exponents(line: Line, cells: Cells) -> dict[str, Array]:
+    """The largest exponent and its error along a line, by the parameter ``x``, as columns; empty without exponents."""
+    if LARGEST.name not in cells.results:
+        return {"x": np.zeros(0), "largest": np.zeros(0), "low": np.zeros(0), "high": np.zeros(0)}
+    x, largest, error = line.points(cells.index)[line.along], cells.results[LARGEST.name], cells.results[ERROR.name]
+    return {"x": x, "largest": largest, "low": largest - error, "high": largest + error}
+
+
+def section(line: Line, cells: Cells) -> dict[str, NDArray[np.float32]]:
+    """The gap coordinate of section states along a line, by the parameter ``x``, as columns."""
+    x, gap = line.points(cells.index)[line.along], cells.results["gap"]
+    known = np.isfinite(gap)
+    return {"x": np.broadcast_to(x[:, None], gap.shape)[known], "gap": gap[known].astype(np.float32)}

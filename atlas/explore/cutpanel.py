@@ -1,0 +1,253 @@
+"""The cut of a page: the line over the plane, and below it the diagrams along it, which share the pointer."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from bokeh.events import MouseMove
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    FreehandDrawTool,
+    HoverTool,
+    PanTool,
+    Range1d,
+    Span,
+)
+from bokeh.plotting import figure
+
+from atlas.errors import InputError
+from atlas.explore.background import Background
+from atlas.explore.chosen import Cut
+from atlas.explore.cut import Branches, BranchJob, Cells, CutJob, Line, exponents, section, sweep_of
+from atlas.explore.explorer import Explorer
+from atlas.explore.plot import quiet_axis
+from atlas.explore.state import State, Store
+from atlas.explore.style import CUT, TEXT
+from atlas.explore.words import symbol_of, ticks
+from atlas.text import plural
+
+STABLE, UNSTABLE = "#004488", "#bb5566"
+
+LINK = """
+const [x0, x1] = line.data.xs[0] ? [line.data.xs[0][0], line.data.xs[0].at(-1)] : [NaN, NaN]
+const [y0, y1] = line.data.ys[0] ? [line.data.ys[0][0], line.data.ys[0].at(-1)] : [NaN, NaN]
+if (Number.isNaN(x0) || cb_obj.x == null) return
+const scales = logs.map((log) => log ? [Math.log, Math.exp] : [(v) => v, (v) => v])
+const ends = [[x0, x1], [y0, y1]].map((pair, k) => pair.map(scales[k][0]))
+const at = (k, share) => scales[k][1](ends[k][0] + share * (ends[k][1] - ends[k][0]))
+let share
+if (of_plane) {
+    const spans = [plane.x_range, plane.y_range].map((range, k) => scales[k][0](range.end) - scales[k][0](range.start))
+    const along = ends.map((pair, k) => (pair[1] - pair[0]) / spans[k])
+    const here = [cb_obj.x, cb_obj.y].map((v, k) => (scales[k][0](v) - ends[k][0]) / spans[k])
+    share = (along[0] * here[0] + along[1] * here[1]) / (along[0] ** 2 + along[1] ** 2)
+} else {
+    const k = axis.data.along[0]
+    share = (scales[k][0](cb_obj.x) - ends[k][0]) / (ends[k][1] - ends[k][0])
+}
+share = Math.min(1, Math.max(0, share))
+for (const span of spans_of) span.setv({location: at(axis.data.along[0], share)}, {sync: false})
+dot.setv({data: {at_x: [at(0, share)], at_y: [at(1, share)]}}, {sync: false})
+"""
+
+
+class CutPanel:
+    """The diagrams along the line that is chosen, and what finds them."""
+
+    def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
+        self._explorer, self._background, self._store, self._plane = explorer, background, store, plane
+        self._shown: Line | None = None
+        self._cells: Cells | None = None
+        self._drawn = ColumnDataSource({"xs": [], "ys": []})
+        self._sources = {
+            "section": ColumnDataSource({"x": [], "gap": []}),
+            "exponents": ColumnDataSource({"x": [], "largest": [], "low": [], "high": []}),
+            "branches": ColumnDataSource({"xs": [], "ys": [], "color": [], "dash": []}),
+            "events": ColumnDataSource({"x": [], "gap": [], "kind": []}),
+        }
+        self._over_plane()
+        subject, scale = explorer.subject, "linear"
+        look: dict[str, Any] = {
+            "x_range": Range1d(0.0, 1.0), "x_axis_type": scale, "tools": "xpan,xwheel_zoom,reset,save",
+            "sizing_mode": "stretch_both", "min_border_left": 76, "output_backend": "webgl",
+        }  # fmt: skip
+        self._section = figure(y_axis_label="gap at t = kT", toolbar_location="right", **look)
+        look |= {"x_range": self._section.x_range, "toolbar_location": None}
+        self._exponents = figure(y_axis_label="exponent", **look)
+        self._section.toolbar.logo = None
+        self._draw()
+        self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
+        self._follow = Button(label="branches, stable and unstable", width=210)
+        self._follow.on_click(self._find_branches)
+        close = Button(label="close the cut", width=100)
+        close.on_click(lambda: store.choose(cut=None))
+        head = row(self._says, self._follow, close, sizing_mode="stretch_width")
+        self.panel = column(
+            head, self._section, self._exponents, sizing_mode="stretch_width", visible=False, stylesheets=[CUT],
+        )  # fmt: skip
+        lattices = subject.x, subject.y
+        self.buttons = [Button(label=label, sizing_mode="stretch_width") for label in ("cut across", "cut up")]
+        for k, button in enumerate(self.buttons):
+            button.on_click(partial(self._straight, k))
+        self._link([lattice.log for lattice in lattices])
+
+    def close(self) -> None:
+        """Want nothing more."""
+        self._explorer.patches.want(self, ())
+
+    def show(self, state: State) -> None:
+        """Show the diagrams along the line that is chosen, in the plane that is chosen."""
+        chosen, old = state.chosen, self._shown
+        if chosen.cut is None:
+            if old is not None:
+                self._shown = None
+                self.panel.visible = False
+                self._drawn.data = {"xs": [], "ys": []}
+                self.close()
+            return
+        if old is not None and (old.ends, old.plane) == (chosen.cut, chosen.plane):
+            return
+        self._shown = line = Line(self._explorer.subject, chosen.plane, chosen.cut)
+        x0, y0, x1, y1 = chosen.cut
+        self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
+        self._cells = None
+        for name in ("branches", "events"):
+            self._sources[name].data = {key: [] for key in self._sources[name].data}
+        low, high = sorted((chosen.cut[line.along], chosen.cut[2 + line.along]))
+        self._along.data = {"along": [line.along]}
+        self._section.x_range.update(start=low, end=high)
+        self._label(line, low, high)
+        self._says.text = "solving the cells along the cut"
+        self.panel.visible = True
+        self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
+        jobs = [CutJob(line, part, self._told, self._refuse) for part in line.parts()]
+        self._explorer.patches.want(self, jobs)
+
+    def _told(self, line: Line, cells: Cells) -> None:
+        self._background.show(partial(self._take, line, cells))
+
+    def _refuse(self, why: str) -> None:
+        self._background.show(lambda: self._store.set(trouble=why))
+
+    def _take(self, line: Line, cells: Cells) -> None:
+        """Show more cells of the line."""
+        if line is not self._shown:
+            return
+        self._cells = found = cells.joined(self._cells)
+        self._sources["section"].data = dict(section(line, found))
+        self._sources["exponents"].data = dict(exponents(line, found))
+        self._says.text = f"{plural(found.index.size, 'cell')} along the cut"
+
+    def _find_branches(self) -> None:
+        line, cells = self._shown, self._cells
+        if line is None or cells is None:
+            return
+        try:
+            job = BranchJob(line, sweep_of(line, cells), self._branched, self._refuse_branches)
+        except InputError as error:
+            self._says.text = str(error)
+            return
+        self._says.text = "following branches"
+        self._explorer.patches.want(self, [job])
+
+    def _branched(self, line: Line, found: Branches) -> None:
+        self._background.show(partial(self._take_branches, line, found))
+
+    def _refuse_branches(self, why: str) -> None:
+        def show() -> None:
+            self._says.text = why
+
+        self._background.show(show)
+
+    def _take_branches(self, line: Line, found: Branches) -> None:
+        if line is not self._shown:
+            return
+        self._sources["branches"].data = {
+            "xs": [x for _, x, _ in found.stretches],
+            "ys": [y for *_, y in found.stretches],
+            "color": [STABLE if stable else UNSTABLE for stable, *_ in found.stretches],
+            "dash": ["solid" if stable else "dashed" for stable, *_ in found.stretches],
+        }
+        kinds, x, gap = zip(*found.events, strict=True) if found.events else ((), (), ())
+        self._sources["events"].data = {"x": list(x), "gap": list(gap), "kind": [k.replace("_", " ") for k in kinds]}
+        counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
+        self._says.text = f"branches: {counts}; point at an event to read it"
+
+    def _straight(self, along: int) -> None:
+        """Cut along one axis, through the cell that was clicked or the middle of the view."""
+        chosen = self._store.now.chosen
+        x, y = chosen.middle(self._explorer.subject)
+        ends: Cut = (chosen.x[0], y, chosen.x[1], y) if along == 0 else (x, chosen.y[0], x, chosen.y[1])
+        self._store.choose(cut=ends)
+
+    def _drew(self, attribute: str, old: Any, new: Any) -> None:
+        """Cut along what was drawn, from where the pointer went down to where it went up."""
+        if not new["xs"] or len(new["xs"][0]) <= 2:
+            return
+        x, y = new["xs"][0], new["ys"][0]
+        ends = tuple(float(value) for value in (x[0], y[0], x[-1], y[-1]))
+        if np.isfinite(ends).all() and ends[:2] != ends[2:]:
+            self._store.choose(cut=ends)
+
+    def _over_plane(self) -> None:
+        """The line over the plane, the point of it that is pointed at, and the tool that draws it."""
+        lines = [
+            self._plane.multi_line(xs="xs", ys="ys", source=self._drawn, line_color=color, line_width=width)
+            for color, width in (("white", 5.0), ("black", 2.0))
+        ]
+        self._dot = ColumnDataSource({"at_x": [], "at_y": []})
+        self._plane.scatter(x="at_x", y="at_y", source=self._dot, size=9, fill_color="white", line_color="black")
+        self._plane.add_tools(FreehandDrawTool(renderers=lines[1:], num_objects=1, description="draw a cut"))
+        self._drawn.on_change("data", self._drew)
+
+    def _draw(self) -> None:
+        """What the diagrams consist of."""
+        of, sources = self._section, self._sources
+        of.scatter(x="x", y="gap", source=sources["section"], size=1.8, color="#1a2433", line_color=None)
+        for dash in ("solid", "dashed"):
+            of.multi_line(
+                xs="xs", ys="ys", source=sources["branches"], line_color="color", line_width=1.6, line_dash=dash,
+                view=_only(dash),
+            )  # fmt: skip
+        marks = of.scatter(x="x", y="gap", source=sources["events"], size=7, marker="diamond", color="#000000")
+        tip = HoverTool(renderers=[marks], tooltips=[("", "@kind"), ("at", "@x{0.00000000}")])
+        of.add_tools(tip)
+        below = self._exponents
+        below.add_layout(Span(location=0.0, dimension="width", line_color="#9aa4b0"))
+        below.varea(x="x", y1="low", y2="high", source=sources["exponents"], fill_alpha=0.25, fill_color="#004488")
+        below.line(x="x", y="largest", source=sources["exponents"], line_color="#004488")
+        self._spans = [Span(dimension="height", line_color="#bb5566", line_dash="dotted") for _ in range(2)]
+        for plot, span in zip((of, below), self._spans, strict=True):
+            plot.add_layout(span)
+            plot.grid.visible = False
+            for axis in (plot.xaxis[0], plot.yaxis[0]):
+                quiet_axis(axis)
+        of.xaxis[0].visible = False
+
+    def _link(self, logs: list[bool]) -> None:
+        """Have the pointer on one move on the other."""
+        self._along = ColumnDataSource({"along": [0]})
+        args = {
+            "line": self._drawn, "logs": logs, "plane": self._plane, "axis": self._along, "spans_of": self._spans,
+            "dot": self._dot,
+        }  # fmt: skip
+        for plot in (self._plane, self._section, self._exponents):
+            plot.js_on_event(MouseMove, CustomJS(args=args | {"of_plane": plot is self._plane}, code=LINK))
+
+    def _label(self, line: Line, low: float, high: float) -> None:
+        found, system = ticks(line.subject, line.name, low, high), line.subject.system
+        axis, other = self._exponents.xaxis[0], line.subject.axes[1 - line.along]
+        formatter: Any = axis.formatter
+        formatter.args = {"base": found.base, "unit": found.unit, "decimals": found.decimals}
+        axis.axis_label = found.label if line.level else f"{found.label}, {symbol_of(system, other)} along the cut"
+
+
+def _only(dash: str) -> Any:
+    """The part of a source that is drawn with these dashes."""
+    from bokeh.models import CDSView, GroupFilter
+
+    return CDSView(filter=GroupFilter(column_name="dash", group=dash))

@@ -1,0 +1,65 @@
+"""The keyboard: arrows move the view, + and - zoom it, Esc takes away the cut or what is enlarged."""
+
+from collections.abc import Callable
+
+from bokeh.document import Document
+from bokeh.events import DocumentReady
+from bokeh.models import ColumnDataSource, CustomJS
+from bokeh.plotting import figure
+
+SHARE = 0.1
+"""How far an arrow moves the view, as a share of it."""
+FACTOR = 1.25
+"""How far + and - zoom."""
+
+HEAR = """
+const moves = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}
+window.addEventListener("keydown", (event) => {
+    const at = event.composedPath()[0]
+    if (event.ctrlKey || event.metaKey || event.altKey || at.closest?.("input, select, textarea, [role=slider]")) return
+    if (event.key === "Escape") {
+        const find = (node) => [...node.querySelectorAll("*")].flatMap(
+            (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])])
+        const large = find(document).filter((each) => each.classList.contains("large"))
+        if (large.length) large.forEach((each) => each.classList.remove("large"))
+        else heard.data = {escape: [(heard.data.escape?.[0] ?? 0) + 1]}
+        return
+    }
+    const zoom = {"+": 1 / factor, "=": 1 / factor, "-": factor}[event.key]
+    const move = moves[event.key]
+    if (!zoom && !move) return
+    event.preventDefault()
+    const [x, y] = [plot.x_range, plot.y_range].map((range, k) => {
+        const [to, from] = logs[k] ? [Math.log, Math.exp] : [(v) => v, (v) => v]
+        const [low, high] = [to(range.start), to(range.end)]
+        const middle = 0.5 * (low + high) + (move ? move[k] * share * (high - low) : 0)
+        const half = 0.5 * (high - low) * (zoom ?? 1)
+        range.setv({start: from(middle - half), end: from(middle + half)})
+        return [range.start, range.end]
+    })
+    heard.data = {x, y}
+})
+"""
+
+
+def hear_keys(
+    document: Document,
+    plot: figure,
+    logs: list[bool],
+    moved: Callable[[tuple[float, float], tuple[float, float]], None],
+    escaped: Callable[[], None],
+) -> ColumnDataSource:
+    """Have the keys of a page heard; the source returned has to be sent along with the page."""
+    heard = ColumnDataSource({"x": [], "y": []})
+
+    def hear(attribute: str, old: object, new: dict[str, list[float]]) -> None:
+        if "escape" in new:
+            escaped()
+        else:
+            (left, right), (low, high) = new["x"], new["y"]
+            moved((float(left), float(right)), (float(low), float(high)))
+
+    heard.on_change("data", hear)
+    args = {"heard": heard, "plot": plot, "logs": logs, "share": SHARE, "factor": FACTOR}
+    document.js_on_event(DocumentReady, CustomJS(args=args, code=HEAR))
+    return heard

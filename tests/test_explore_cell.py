@@ -1,0 +1,103 @@
+"""What the page says and shows of a cell that was clicked: its numbers, its motion, its basins."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas.cell.orbit import cell_orbit
+from atlas.explore.basins import BAND, SIDE, BasinJob, Grid, painted
+from atlas.explore.known import Cell
+from atlas.explore.motion import motion_of, motions
+from atlas.explore.subject import Subject, subject_of
+from atlas.explore.words import cell_table, cell_text, number, with_error
+from atlas.render.classes import BASINS
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    return subject_of("omega-b")
+
+
+def cell_at(subject: Subject, omega: float, b: float) -> Cell:
+    found = atlas.point({"omega": omega, "b": b}, settings=subject.settings)
+    values = {k: v for k, v in found.items() if isinstance(v, int | float | str) and k not in ("system", "source")}
+    return Cell(found["parameters"], values | {"omega": omega, "b": b}, of_atlas=False)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.123456789, 0.0123, "0.1235 ± 0.012"),
+        (0.123456789, 0.00123, "0.1235 ± 0.0012"),
+        (0.123456789, 0.0000123, "0.123457 ± 1.2·10⁻⁵"),
+        (-0.45274512, 5.3e-15, "−0.452745 ± 5.3·10⁻¹⁵"),
+        (12.3456789, 0.5, "12.35 ± 0.5"),
+        (0.0, 0.01, "0 ± 0.01"),
+        (math.nan, math.nan, "nan ± nan"),
+    ],
+)
+def test_a_number_has_four_to_six_digits_and_its_error_two(value: float, error: float, text: str) -> None:
+    assert with_error(value, error) == text
+
+
+def test_the_table_names_variables_in_words_and_keeps_all_digits_for_the_pointer(subject: Subject) -> None:
+    cell = cell_at(subject, 3.9, 0.1)
+    table = cell_table(cell, subject)
+    assert "impacts above" in table and "impacts_upper" not in table
+    speed = cell.results["max_impact_speed"]
+    assert f'title="{speed!r}"' in table and f">{number(speed, 5)}<" in table
+
+
+def test_the_copied_numbers_are_those_of_the_cell_in_full(subject: Subject) -> None:
+    cell = cell_at(subject, 3.9, 0.1)
+    copied = json.loads(cell_text(cell))
+    assert copied["largest"] == cell.results["largest"] and copied["omega"] == 3.9
+
+
+def test_the_drawn_path_of_an_orbit_stays_between_the_stops_and_hits_them(subject: Subject) -> None:
+    motion = motion_of(cell_orbit({"omega": 4.0, "b": 0.1}))
+    assert motion.stops == [-0.1, 0.1] and motion.lane == 0
+    assert np.abs(motion.y).max() <= 0.1 + 1e-9 and np.abs(motion.y).max() > 0.099
+    assert np.array_equal(motion.moving[0], motion.moving[2])
+
+
+def test_a_long_path_is_thinned_and_says_how_many_points_a_period_has(subject: Subject) -> None:
+    motion = motion_of(cell_orbit({"omega": 1.55, "b": 0.1}, settings=subject.settings))
+    assert motion.moving.shape == (4, 40 * motion.per_period + 1) and motion.per_period == 80
+
+
+def test_each_attractor_of_a_cell_has_a_portrait_of_its_own(subject: Subject) -> None:
+    found = atlas.attractors({"omega": 4.0, "b": 0.1}, starts=8)
+    drawn = motions(subject, {"omega": 4.0, "b": 0.1}, [each["state"] for each in found["coexisting"]])
+    assert [each.moving.shape[1] // each.per_period for each in drawn] == [1, 3]
+
+
+def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subject) -> None:
+    grid = Grid(subject.system, {"omega": 4.0, "b": 0.1}, subject.settings, subject.starts,
+                ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
+    came: list[np.ndarray] = []
+    job = BasinJob(grid, slice(1, 3), lambda _, rows, labels: came.append(labels), pytest.fail)
+    task = job.make()
+    assert task is not None and job.solved(task[1], task[0](task[1])) == 10
+    states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
+    periods = [atlas.point({**grid.parameters, **each}, settings=subject.settings)["period"] for each in states]
+    labels = came[0].ravel().tolist()
+    assert min(labels) >= 0 and len(set(periods)) == 2
+    of_label = {label: {p for p, k in zip(periods, labels, strict=True) if k == label} for label in labels}
+    assert all(len(found) == 1 for found in of_label.values())
+
+
+def test_the_rows_of_basins_cover_the_plane(subject: Subject) -> None:
+    assert SIDE % BAND == 0
+    made = Grid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
+    assert made.x[0] == "x1" and made.x[1].size == made.y[1].size == SIDE
+    assert -0.1 < made.x[1][0] < made.x[1][-1] < 0.1
+
+
+def test_an_unknown_label_is_grey_and_each_other_has_its_colour() -> None:
+    pixels = painted(np.array([[0, 1, -1, len(BASINS)]], dtype=np.int32)).view(np.uint8).reshape(4, 4)
+    assert pixels[0].tolist() == [0x44, 0x77, 0xAA, 255] == pixels[3].tolist()
+    assert pixels[2].tolist() == [221, 221, 221, 255]
