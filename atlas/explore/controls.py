@@ -14,8 +14,9 @@ from atlas.explore.chosen import kinds, overlays, variables
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import STEPS, Subject, slider_range
-from atlas.explore.words import plain, symbol_of
+from atlas.explore.words import symbol_of
 from atlas.render import SCALAR
+from atlas.text import plain
 
 CELLS = 400
 """Cells across a new atlas, unless asked otherwise."""

@@ -14,8 +14,8 @@ from atlas.cell.orbit import SAMPLES, CellOrbit, cell_orbit
 from atlas.errors import InputError
 from atlas.explore.plot import quiet_axis
 from atlas.explore.subject import Subject
-from atlas.explore.words import plain
 from atlas.render.classes import PALETTE
+from atlas.text import plain
 
 MOST = 5
 """Attractors whose portraits are drawn."""
