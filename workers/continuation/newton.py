@@ -14,8 +14,9 @@ DONE, ROUNDING = 1e-14, 1e-10
 """Expected distance from the solution at which Newton's method ends; largest step that may be rounding. In units of the
 scale, as all lengths here."""
 
-BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
-"""Share of its terms' size below which a residual is rounding; steps of ill-conditioned problems are longer then."""
+BACKWARD, UNSURE = 16.0 * float(np.finfo(np.float64).eps), 1e-6
+"""Share of its terms' size below which a residual is rounding, and largest step that it may make: the less, the better
+conditioned a problem is."""
 
 KEPT = 1e-4
 """Step after which the Jacobian is kept."""
@@ -57,12 +58,13 @@ def newton(
         step += 1
         change = _solved(J[rows] * scale[rows, None], -known, row, scale[rows])
         size, before = np.max(np.abs(change), axis=1, initial=0.0), last[rows]
-        exact = np.all(np.abs(known) <= BACKWARD * np.vecdot(np.abs(J[rows]), np.abs(X[rows, None])), axis=1)
+        terms = np.vecdot(np.abs(J[rows]), np.abs(X[rows, None]))
+        exact = np.all(np.abs(known) <= BACKWARD * terms, axis=1) & (size < UNSURE)
         good = size < np.minimum(farthest, 2.0 * before)
         X[rows[good]] += (change * scale[rows])[good]
         ratio = np.minimum(size / before, 1.0) if step > 1 else np.sqrt(size)
-        rounding = (step > 1) & (size > 0.3 * before) & ((size < ROUNDING) | exact)
-        done = good & ((size * np.maximum(ratio, 1e-7) < DONE) | rounding)
+        stalled = (step > 1) & (size > 0.3 * before)
+        done = (good & (size * np.maximum(ratio, 1e-7) < DONE)) | (stalled & (exact | (good & (size < ROUNDING))))
         converged[rows[done]], last[rows] = True, size
         on = good & ~done
         stale = (size > KEPT) & ((step == 1) | (size > 1e-2 * before))

@@ -1,0 +1,65 @@
+"""Newton's method of orbits and curves: where it ends."""
+
+import numpy as np
+
+from workers.continuation.newton import Solved, newton
+from workers.model.oscillator import Array, Rows
+
+RNG = np.random.default_rng(3)
+SIZE = 5
+
+
+def solved(A: Array, root: Array, start: Array) -> Solved:
+    """Newton's method on A (sin x - sin root) = 0, N problems of five unknowns."""
+
+    def values(X: Array, rows: Rows) -> Array:
+        return np.asarray((A[rows] @ np.sin(X)[..., None])[..., 0] - (A[rows] @ np.sin(root[rows])[..., None])[..., 0])
+
+    def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
+        return values(X, rows), A[rows] * np.cos(X)[:, None]
+
+    return newton(values, with_jacobian, start, np.ones_like(root))
+
+
+def matrices(count: int, condition: float) -> Array:
+    """Random matrices (count, 5, 5) of a condition number."""
+    left, right = (np.linalg.qr(RNG.normal(size=(count, SIZE, SIZE)))[0] for _ in range(2))
+    return np.asarray(left * np.geomspace(1.0, 1.0 / condition, SIZE) @ right)
+
+
+def test_ill_conditioned_problems_end_where_what_is_to_vanish_is_rounding() -> None:
+    """Their steps stay above what a step that is rounding may have."""
+    root = RNG.uniform(0.3, 1.0, (200, SIZE))
+    found = solved(matrices(200, 1e8), root, root + RNG.uniform(-1e-3, 1e-3, root.shape))
+    assert found.converged.all()
+    error = np.max(np.abs(found.X - root), axis=1)
+    assert 1e-10 < np.median(error) < 1e-7
+
+
+def test_well_conditioned_problems_end_at_rounding() -> None:
+    root = RNG.uniform(0.3, 1.0, (200, SIZE))
+    found = solved(matrices(200, 10.0), root, root + RNG.uniform(-1e-2, 1e-2, root.shape))
+    assert found.converged.all()
+    assert np.max(np.abs(found.X - root)) < 1e-13
+
+
+def test_a_least_value_that_is_no_solution_does_not_converge() -> None:
+    """x^2 + c, of which c is small: steps cease to shrink, and what is to vanish is not rounding of its terms."""
+    c = np.geomspace(1e-12, 1e-2, 50)[:, None]
+    start = np.full_like(c, 0.5)
+    found = newton(
+        lambda X, rows: X**2 + c[rows],
+        lambda X, rows: (X**2 + c[rows], 2.0 * X[..., None]),
+        start,
+        np.ones_like(start),
+    )
+    assert not found.converged.any()
+
+
+def test_a_root_at_which_the_jacobian_is_singular_does_not_converge_where_its_steps_are_long() -> None:
+    """A condition number of 1e12: what is to vanish is rounding within a thousandth of the root."""
+    root = RNG.uniform(0.3, 1.0, (50, SIZE))
+    found = solved(matrices(50, 1e12), root, root + RNG.uniform(-1e-2, 1e-2, root.shape))
+    error = np.max(np.abs(found.X - root), axis=1)
+    assert np.max(error[found.converged], initial=0.0) < 1e-4
+    assert not found.converged.all()
