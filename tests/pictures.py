@@ -121,6 +121,11 @@ def plane() -> xr.Dataset:
         attractors=np.where(solved, 1 + column % 7, 0).astype(np.int32),
         share=np.where(solved, 1.0 / (1 + column % 7), NAN),
         symmetric=periodic & (upper == lower),
+        return_time=np.where(solved, 1.0 + column, NAN),
+        reactivity=np.where(solved, 0.1 * column, NAN),
+        amplification=np.where(solved, 2.0 + column, NAN),
+        fatal_shock=np.where(solved, 1e-3 * (1 + column), NAN),
+        margin=np.where(solved, 0.05 * (1 + column), NAN),
     )
 
 

@@ -411,7 +411,7 @@ def test_the_legend_names_the_overlays() -> None:
 
 
 def test_there_are_lines_for_every_overlay() -> None:
-    assert tuple(overlays.DRAW) == render.MAP_OVERLAYS
+    assert tuple(overlays.DRAW) == (*render.MAP_OVERLAYS, "saddles")
 
 
 def test_every_curve_over_a_map_has_a_white_casing() -> None:
