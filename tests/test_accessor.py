@@ -202,7 +202,7 @@ def test_the_command_draws_a_cell_of_a_store_with_the_settings_of_the_atlas(
     def draw(given: Any, *, system: Any, settings: Any, path: Path, **look: Any) -> None:
         drawn.append((given, system.name, settings))
 
-    monkeypatch.setattr("atlas.cli.cell.draw_portrait", draw)
+    monkeypatch.setattr("atlas.render.portrait", draw)
     line = ["portrait", str(finished), "--at", "omega=2.3", "--at", "b=0.42", "-o", str(tmp_path / "cell.png")]
     assert CliRunner().invoke(main, line).exit_code == 0
     ((given, system, settings),) = drawn

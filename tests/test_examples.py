@@ -20,7 +20,7 @@ EXAMPLES = sorted(
     for path in (ROOT / package).rglob("*.py")
     if ">>> " in path.read_text()
 )
-WITHOUT = {"errors", "find_curves", "label_attractors", "__version__"}
+WITHOUT = {"errors", "find_curves", "label_attractors", "measure_attractors", "__version__"}
 """Public names without an example here: what searches a whole plane or follows every orbit of it."""
 
 
