@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,10 +17,20 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.curves.table import Curve, Curves, write_curves
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.measures.job import MeasureJob, measure_and_keep, pieces, read_measured
 from atlas.measures.plane import checked_scale, margin_request, margins_of
-from atlas.measures.table import LINEAR, MARGIN, MEASURES, VERSION, Stored, empty, of_family, write_measures
+from atlas.measures.table import (
+    LINEAR,
+    MARGIN,
+    MEASURES,
+    VERSION,
+    Stored,
+    empty,
+    of_family,
+    read_measures,
+    write_measures,
+)
 from atlas.robustness.linear import FLAGS
 from atlas.service import curves
 from atlas.service.measures import _content, _digest, measure_attractors
@@ -277,6 +289,24 @@ def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
     curves._Coordinator(header, search, "another", RunOptions(), crew).run()
     ds = atlas.open(with_margins)
     assert "margin" not in ds and "reactivity" in ds
+
+
+def test_what_another_run_has_measured_meanwhile_is_not_lost(
+    with_margins: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends while this one waits for the claim."""
+    header = read_header(with_margins)
+    theirs = Stored(empty(of_family(LINEAR), header.spec.shape), {LINEAR: {"content": "theirs", "norm": NORM}})
+
+    @contextmanager
+    def claimed_late(place: Any, options: RunOptions) -> Iterator[None]:
+        write_measures(header, theirs)
+        yield
+
+    monkeypatch.setattr("atlas.service.measures.claimed_place", claimed_late)
+    with pytest.raises(RunError, match="another run has measured it meanwhile; run the same command again"):
+        measure_attractors(with_margins, margin=True, scale={"omega": 0.5})
+    assert read_measures(header).requests == theirs.requests
 
 
 # Errors

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.measures.job import (
     NEEDED,
     MeasureJob,
@@ -132,6 +132,8 @@ def measure_attractors(
         workers = worker_count(client, options) if families else 0
         client = joined(client, options, stack) if families else None
         claim = stack.enter_context(claimed_place(header.place, options))
+        if read_measures(header).requests != before.requests:  # what it has found must not be lost
+            raise RunError(f"{header.place}: another run has measured it meanwhile; run the same command again")
         found = Stored(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
             found.arrays.update(margins_of(header, wanted[MARGIN]["scale"]))
