@@ -2,7 +2,11 @@
 
 import json
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +17,28 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.curves.table import Curve, Curves, write_curves
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.measures.job import MeasureJob, measure_and_keep, pieces, read_measured
-from atlas.measures.table import LINEAR, MEASURES, of_family
+from atlas.measures.plane import checked_scale, margin_request, margins_of
+from atlas.measures.table import (
+    LINEAR,
+    MARGIN,
+    MEASURES,
+    VERSION,
+    Stored,
+    empty,
+    of_family,
+    read_measures,
+    write_measures,
+)
 from atlas.robustness.linear import FLAGS
+from atlas.service import curves
 from atlas.service.measures import _content, _digest, measure_attractors
+from atlas.service.options import RunOptions
 from atlas.store.groups import STABILITY
 from atlas.store.parts import kept_parts, part_names
-from atlas.store.store import read_header
+from atlas.store.store import create, read_header
+from tests import synthetic
 from workers import SOLVER_VERSION
 from workers.results import NO_IMPACT, PERIODIC
 
@@ -77,7 +95,7 @@ def test_measures_of_a_store_are_those_of_single_cells(measured: Path) -> None:
     ds = atlas.open(measured)
     for omega in (3.5, 4.0):
         cell = ds.sel(omega=omega, b=0.1)
-        solve = {"max_periods": 2000, "survival": 2000}
+        solve: dict[str, Any] = {"max_periods": 2000, "survival": 2000}
         found = atlas.stability({"omega": omega, "b": 0.1}, starts=8, norm=NORM, settings=atlas.Settings(**solve))[
             "coexisting"
         ]
@@ -161,6 +179,14 @@ def test_parts_of_another_request_are_not_taken(unmeasured: Path, tmp_path: Path
     assert name not in kept_parts(header, STABILITY, "another")
 
 
+def test_parts_of_another_version_of_the_measures_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    requests: dict[str, Any] = {LINEAR: {"content": "", "norm": NORM}}
+    before = _digest(requests)
+    assert _digest(requests) == before
+    monkeypatch.setattr("atlas.service.measures.VERSION", VERSION + 1)
+    assert _digest(requests) != before
+
+
 def test_verify_finds_a_flipped_byte_of_a_measure_and_repair_drops_the_group(measured: Path, tmp_path: Path) -> None:
     path = copied(measured, tmp_path)
     chunk = path / STABILITY / "reactivity" / "c/0/0/0"
@@ -229,6 +255,58 @@ def test_other_curves_make_other_margins(plane: Path, tmp_path: Path) -> None:
     again = measure_attractors(path, margin=True)
     assert again.tasks == 0  # the attractors are measured already
     assert not np.array_equal(atlas.open(path)["margin"].values, before)
+
+
+@pytest.fixture
+def with_margins(tmp_path: Path) -> Path:
+    """A store of made-up cells with measures of attractors, all unknown, and margins to one line."""
+    header = create(tmp_path / "made.zarr", synthetic.spec_of(4, 3), (3, 4))
+    synthetic.fill(header)
+    with_lines(header.path, [(2.0, 0.1), (2.0, 0.3)])
+    scale = checked_scale(header, None)
+    arrays = empty(of_family(LINEAR), header.spec.shape) | margins_of(header, scale)
+    requests = {LINEAR: {"content": _content(header), "norm": {}}, MARGIN: margin_request(header, scale)}
+    write_measures(header, Stored(arrays, requests))
+    return header.path
+
+
+def test_margins_to_former_curves_do_not_stay(with_margins: Path) -> None:
+    measure_attractors(with_margins)
+    assert "margin" in atlas.open(with_margins)
+    with_lines(with_margins, [(3.0, 0.1), (3.0, 0.3)])
+    summary = measure_attractors(with_margins)
+    ds = atlas.open(with_margins)
+    assert "margin" not in summary.measures and "margin" not in ds and "reactivity" in ds
+
+
+def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
+    with_margins: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header = read_header(with_margins)
+    monkeypatch.setattr(curves, "finished", lambda search: Curves(("omega", "b"), ()))
+    search: Any = SimpleNamespace(tasks=dict)
+    crew: Any = SimpleNamespace(claim=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1)
+    curves._Coordinator(header, search, "another", RunOptions(), crew).run()
+    ds = atlas.open(with_margins)
+    assert "margin" not in ds and "reactivity" in ds
+
+
+def test_what_another_run_has_measured_meanwhile_is_not_lost(
+    with_margins: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends while this one waits for the claim."""
+    header = read_header(with_margins)
+    theirs = Stored(empty(of_family(LINEAR), header.spec.shape), {LINEAR: {"content": "theirs", "norm": NORM}})
+
+    @contextmanager
+    def claimed_late(place: Any, options: RunOptions) -> Iterator[None]:
+        write_measures(header, theirs)
+        yield
+
+    monkeypatch.setattr("atlas.service.measures.claimed_place", claimed_late)
+    with pytest.raises(RunError, match="another run has measured it meanwhile; run the same command again"):
+        measure_attractors(with_margins, margin=True, scale={"omega": 0.5})
+    assert read_measures(header).requests == theirs.requests
 
 
 # Errors

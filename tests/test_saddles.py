@@ -10,6 +10,7 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.robustness import saddle as tracking
 from atlas.robustness.manifold import OUTSIDE
 from workers import solve_tile, trace
 
@@ -154,6 +155,34 @@ def test_the_slope_is_that_of_the_first_step_of_the_manifold(gears: dict[str, An
     first = np.array(saddle["manifold"][0])[:2]
     step = first[1] - first[0]
     assert saddle["slopes"][0] == pytest.approx(step[1] / step[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("recurs", [1, 2, 4])
+def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
+    recurs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A motion that turns by half a circle a period comes near itself every second period first.
+
+    The map x -> 1 - 0.9 (x - 1), y -> 3 y has one saddle, (1, 0), of period 1.
+    """
+
+    class Turning:
+        oscillator = None
+
+        def turn(self, state: np.ndarray, periods: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            powers = np.array([[(-0.9) ** k, 3.0**k] for k in range(periods + 1)])
+            states = np.array([1.0, 0.0]) + powers * (state - np.array([1.0, 0.0]))
+            return states[:-1], states[-1], np.diag(powers[-1])
+
+    monkeypatch.setattr(tracking, "touches_a_stop", lambda oscillator, states: False)
+    monkeypatch.setattr(tracking, "reached", lambda table, states: (states[:, 1] > 0.0).astype(np.int64))
+    tracker = object.__new__(tracking._Tracker)
+    tracker.own, tracker.weights, tracker.map = 0, np.ones(2), Turning()  # type: ignore[assignment]
+    tracker.table = None  # type: ignore[assignment]
+    found = tracker.orbit(np.array([1.0003, 1e-9]), recurs, 1.0)
+    assert found is not None and found.period == 1
+    assert sorted(found.multipliers.real) == pytest.approx([-0.9, 3.0], rel=1e-12)
+    assert found.states == pytest.approx(np.array([[1.0, 0.0]]), abs=1e-10)
 
 
 def test_a_cell_with_one_attractor_has_no_saddle() -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from atlas.curves.plane import Plane, plane_of
 from atlas.curves.table import KINDS, Curves, read_curves
-from atlas.errors import InputError, check_names
+from atlas.errors import ChunkError, InputError, check_names
 from atlas.measures.margin import chords_of, margins
 from atlas.measures.table import MARGIN, Arrays, empty, of_family
 from atlas.spec.axis import number
@@ -40,6 +40,14 @@ def margin_request(header: Header, scale: Mapping[str, float]) -> dict[str, Any]
     for curve in curves:
         content.update(repr((curve.kind, curve.points.tolist(), curve.unstable.tolist())).encode())
     return {"content": content.hexdigest(), "scale": dict(scale)}
+
+
+def margins_hold(header: Header, request: Mapping[str, Any]) -> bool:
+    """Whether the margins that answer a request are to the curves that the store has now."""
+    try:
+        return margin_request(header, request["scale"]) == request
+    except (ChunkError, InputError, KeyError):
+        return False
 
 
 def margins_of(header: Header, scale: Mapping[str, float]) -> Arrays:

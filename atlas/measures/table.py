@@ -114,6 +114,14 @@ def write_measures(header: Header, found: Stored) -> None:
     write_table(header, STABILITY, columns, own | found.requests)
 
 
+def drop_family(header: Header, family: str) -> None:
+    """Remove the measures of a family from the store, if it has any."""
+    stored = read_measures(header)
+    if family in stored.requests:
+        arrays = {name: values for name, values in stored.arrays.items() if MEASURES[name].family != family}
+        write_measures(header, Stored(arrays, {k: v for k, v in stored.requests.items() if k != family}))
+
+
 def check_names(header: Header) -> None:
     """InputError if a machine of an earlier version has a parameter or a result with the name of a measure."""
     taken = {*header.coordinate_names, *(each.name for each in (*header.variables, *header.unknown))} & MEASURES.keys()

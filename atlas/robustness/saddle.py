@@ -157,7 +157,7 @@ class _Tracker:
         return 0
 
     def orbit(self, state: Array, period: int, whole: float) -> Saddle | None:
-        """The saddle of a period next to a state by Newton's method; None if there is none."""
+        """The saddle of a period, or of a divisor of it, next to a state by Newton's method; None if there is none."""
         z, eye = state.copy(), np.eye(len(state))
         for _ in range(NEWTON):
             states, last, jacobian = self.map.turn(z, period)
@@ -172,6 +172,9 @@ class _Tracker:
                 return None
         else:
             return None
+        for turn in range(1, period):  # a motion that turns on its way to an orbit may recur after several of its turns
+            if period % turn == 0 and np.abs(states[turn] - z).max() <= SAME * np.abs(states).max():
+                return self.orbit(z, turn, whole)
         multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
         if np.sum(np.abs(multipliers) > 1.0) != 1 or touches_a_stop(self.map.oscillator, states):
             return None

@@ -15,6 +15,7 @@ from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
+from atlas.measures.table import MARGIN, drop_family
 from atlas.service.batches import Labour
 from atlas.service.cluster import leave_if_bootstrapping
 from atlas.service.crew import Crew
@@ -151,6 +152,7 @@ class _Coordinator:
             self.search.take([read_part(self.header, name) for name in tasks])
         found = finished(self.search)
         self.crew.claim.confirm(self.header.place)
+        drop_family(self.header, MARGIN)  # margins are to the curves before
         write_curves(self.header, found)
         drop_parts(self.header, CURVES)
         seconds, workers = time.monotonic() - self.crew.begin, self.crew.threads

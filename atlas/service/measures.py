@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.measures.job import (
     NEEDED,
     MeasureJob,
@@ -22,12 +22,13 @@ from atlas.measures.job import (
     prepare,
     read_measured,
 )
-from atlas.measures.plane import checked_scale, margin_request, margins_of
+from atlas.measures.plane import checked_scale, margin_request, margins_hold, margins_of
 from atlas.measures.table import (
     LINEAR,
     MARGIN,
     MEASURES,
     SHOCKS,
+    VERSION,
     Arrays,
     Stored,
     empty,
@@ -120,9 +121,10 @@ def measure_attractors(
         weights = checked_weights(norm, header.spec.record)
         of_margin = margin_request(header, checked_scale(header, scale)) if margin else None
         wanted = _requests(header, shocks, of_margin, weights)
-        stored = _still_true(read_measures(header), wanted)
+        before = read_measures(header)
+        stored = _still_true(header, before, wanted)
         missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
-        if not missing:
+        if not missing and stored.requests == before.requests:
             return MeasureSummary(str(header.place), summary_of(stored.arrays), stored.requests)
         refuse_packed(header.place)
         begin, busy, tasks = time.monotonic(), 0.0, 0
@@ -130,6 +132,8 @@ def measure_attractors(
         workers = worker_count(client, options) if families else 0
         client = joined(client, options, stack) if families else None
         claim = stack.enter_context(claimed_place(header.place, options))
+        if read_measures(header).requests != before.requests:  # what it has found must not be lost
+            raise RunError(f"{header.place}: another run has measured it meanwhile; run the same command again")
         found = Stored(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
             found.arrays.update(margins_of(header, wanted[MARGIN]["scale"]))
@@ -158,13 +162,13 @@ def _requests(header: Header, shocks: bool, margin: Request | None, norm: Mappin
     return found if margin is None else found | {MARGIN: margin}
 
 
-def _still_true(stored: Stored, wanted: Mapping[str, Request]) -> Stored:
-    """The stored measures without those of other cells than the store has now."""
+def _still_true(header: Header, stored: Stored, wanted: Mapping[str, Request]) -> Stored:
+    """The stored measures without those of other cells, or margins to other curves, than the store has now."""
     content = wanted[LINEAR]["content"]
     kept = {
         family: request
         for family, request in stored.requests.items()
-        if family == MARGIN or request.get("content") == content
+        if (margins_hold(header, request) if family == MARGIN else request.get("content") == content)
     }
     return Stored({name: each for name, each in stored.arrays.items() if MEASURES[name].family in kept}, kept)
 
@@ -179,7 +183,7 @@ def _content(header: Header) -> str:
 
 
 def _digest(requests: Mapping[str, Request]) -> str:
-    return hashlib.sha256(repr((sorted(map(repr, requests.items())), SOLVER_VERSION)).encode()).hexdigest()
+    return hashlib.sha256(repr((sorted(map(repr, requests.items())), VERSION, SOLVER_VERSION)).encode()).hexdigest()
 
 
 @dataclass

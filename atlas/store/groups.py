@@ -36,6 +36,8 @@ def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], a
     """Write a group, in the place of one that is there."""
     drop_group(header, group)
     root = open_group(header.place, "r+")
+    for name in set(_names(header, group)).difference(arrays):
+        del root[f"{group}/{name}"]  # readers take every array that lies there
     for name, array in arrays.items():
         create_whole(root, f"{group}/{name}", array)
     own = {**attributes, ARRAYS: list(arrays)}

@@ -14,9 +14,11 @@ DONE, ROUNDING = 1e-14, 1e-10
 """Expected distance from the solution at which Newton's method ends; largest step that may be rounding. In units of the
 scale, as all lengths here."""
 
-BACKWARD, UNSURE = 16.0 * float(np.finfo(np.float64).eps), 1e-6
-"""Share of its terms' size below which a residual is rounding, and largest step that it may make: the less, the better
-conditioned a problem is."""
+BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
+"""Share of its terms' size below which a residual is rounding; steps of ill-conditioned problems are longer then."""
+
+UNCERTAIN = 1e-7
+"""Step from which on a solution is not known, even if what is to vanish is rounding: other orbits may be as near."""
 
 KEPT = 1e-4
 """Step after which the Jacobian is kept."""
@@ -49,7 +51,7 @@ def newton(
     farthest               first step from which on no solution is looked for: it would hardly be the one near X
     A Jacobian is kept for a step where the last one gained two digits. A problem ends where its next step would be
     below DONE, or where steps no longer shrink because they or what is to vanish are rounding. It fails where steps do
-    not shrink otherwise, and at a singular matrix.
+    not shrink otherwise or stay UNCERTAIN, and at a singular matrix.
     """
     X, last, converged = X.copy(), np.full(len(X), np.inf), np.zeros(len(X), dtype=np.bool_)
     rows, step = np.arange(len(X)), 0
@@ -58,8 +60,9 @@ def newton(
         step += 1
         change = _solved(J[rows] * scale[rows, None], -known, row, scale[rows])
         size, before = np.max(np.abs(change), axis=1, initial=0.0), last[rows]
-        terms = np.vecdot(np.abs(J[rows]), np.abs(X[rows, None]))
-        exact = np.all(np.abs(known) <= BACKWARD * terms, axis=1) & (size < UNSURE)
+        with np.errstate(all="ignore"):  # J may be infinite
+            terms = np.vecdot(np.abs(J[rows]), np.abs(X[rows, None]))
+        exact = np.all(np.abs(known) <= BACKWARD * terms, axis=1) & (size < UNCERTAIN)
         good = size < np.minimum(farthest, 2.0 * before)
         X[rows[good]] += (change * scale[rows])[good]
         ratio = np.minimum(size / before, 1.0) if step > 1 else np.sqrt(size)
