@@ -9,6 +9,7 @@ import pytest
 from matplotlib import colors
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from scipy import ndimage
 
 from atlas import render
 from atlas.errors import InputError
@@ -490,3 +491,19 @@ def test_impact_free_dust_keeps_its_colour_and_gets_no_outline() -> None:
     ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(1, 2, n)}, regime=regime, largest=-np.ones((n, n)))
     lines = np.array(render.figure(ds).axes[0].collections[0].get_segments())
     assert lines[:, :, 0] == pytest.approx(np.full(lines.shape[:2], 1 + 299.5 / 399))
+
+
+@pytest.mark.parametrize("times", [1, 2, 5])
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.6])
+def test_filled_cells_are_those_of_a_closing_by_a_square(times: int, share: float) -> None:
+    cells = np.random.default_rng(0).random((40, 53)) < share
+    square = np.ones((2 * times + 1, 2 * times + 1))
+    closed = ndimage.binary_closing(np.pad(cells, times, "edge"), square)[times:-times, times:-times]
+    np.testing.assert_array_equal(tidy.filled(cells, times), closed)
+
+
+def test_filling_wide_holes_takes_memory_for_the_cells_alone() -> None:
+    """A closing by a square of 301 x 301 would take tens of gigabytes."""
+    cells = np.zeros((400, 400), dtype=bool)
+    cells[:, :100] = cells[:, 300:] = True
+    assert tidy.filled(cells, 150).all()
