@@ -87,12 +87,12 @@ class Cells:
     results: dict[str, NDArray[Any]]
 
     def joined(self, other: "Cells | None") -> "Cells":
-        """These and others, in the order of the line."""
+        """These and others, each once, in the order of the line."""
         if other is None:
             return self
-        order = np.argsort(np.concatenate([self.index, other.index]))
+        index, order = np.unique(np.concatenate([self.index, other.index]), return_index=True)
         results = {name: np.concatenate([values, other.results[name]])[order] for name, values in self.results.items()}
-        return Cells(np.concatenate([self.index, other.index])[order], results)
+        return Cells(index, results)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """The cut of a page: the line over the plane, and below it the diagrams along it, which share the pointer."""
 
+import html
 from functools import partial
 from typing import Any
 
@@ -124,8 +125,12 @@ class CutPanel:
         self._says.text = "solving the cells along the cut"
         self.panel.visible = True
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
-        jobs = [CutJob(line, part, self._told, self._refuse) for part in line.parts()]
-        self._explorer.patches.want(self, jobs)
+        self._explorer.patches.want(self, self._missing(line))
+
+    def _missing(self, line: Line) -> list[CutJob]:
+        """What solves the points of a line that are not known."""
+        known = set() if self._cells is None else {*self._cells.index.tolist()}
+        return [CutJob(line, part, self._told, self._refuse) for part in line.parts() if not known.issuperset(part)]
 
     def _told(self, line: Line, cells: Cells) -> None:
         self._background.show(partial(self._take, line, cells))
@@ -135,7 +140,7 @@ class CutPanel:
 
     def _take(self, line: Line, cells: Cells) -> None:
         """Show more cells of the line."""
-        if line is not self._shown:
+        if line != self._shown:
             return
         self._cells = found = cells.joined(self._cells)
         self._sources["section"].data = dict(section(line, found))
@@ -149,22 +154,22 @@ class CutPanel:
         try:
             job = BranchJob(line, sweep_of(line, cells), self._branched, self._refuse_branches)
         except InputError as error:
-            self._says.text = str(error)
+            self._says.text = html.escape(str(error))
             return
         self._says.text = "following branches"
-        self._explorer.patches.want(self, [job])
+        self._explorer.patches.want(self, [job, *self._missing(line)])
 
     def _branched(self, line: Line, found: Branches) -> None:
         self._background.show(partial(self._take_branches, line, found))
 
     def _refuse_branches(self, why: str) -> None:
         def show() -> None:
-            self._says.text = why
+            self._says.text = html.escape(why)
 
         self._background.show(show)
 
     def _take_branches(self, line: Line, found: Branches) -> None:
-        if line is not self._shown:
+        if line != self._shown:
             return
         self._sources["branches"].data = {
             "xs": [x for _, x, _ in found.stretches],
