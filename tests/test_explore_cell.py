@@ -97,6 +97,14 @@ def test_the_rows_of_basins_cover_the_plane(subject: Subject) -> None:
     assert -0.1 < made.x[1][0] < made.x[1][-1] < 0.1
 
 
+def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel(subject: Subject) -> None:
+    grid = Grid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
+    (x0,), (y0,), (w,), (h,) = (grid.box[name] for name in ("x0", "y0", "w", "h"))
+    centres = (np.arange(SIDE) + 0.5) / SIDE
+    assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-15)
+    assert np.allclose(y0 + h * centres, grid.y[1], rtol=0.0, atol=1e-15)
+
+
 def test_an_unknown_label_is_grey_and_each_other_has_its_colour() -> None:
     pixels = painted(np.array([[0, 1, -1, len(BASINS)]], dtype=np.int32)).view(np.uint8).reshape(4, 4)
     assert pixels[0].tolist() == [0x44, 0x77, 0xAA, 255] == pixels[3].tolist()

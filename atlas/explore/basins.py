@@ -1,5 +1,6 @@
 """The basins of a cell that was clicked: which attractor each initial state of a plane of them reaches."""
 
+import html
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -56,6 +57,13 @@ class Grid:
         k = int(np.flatnonzero(oscillators.gap_row[0])[0])
         sides = [(system.states[i], np.linspace(low[0, i], high[0, i], SIDE + 2)[1:-1]) for i in (k, n + k)]
         return cls(system, parameters, subject.settings, starts, *sides)
+
+    @property
+    def box(self) -> dict[str, list[float]]:
+        """Where the picture lies whose pixels have the initial states at their centres."""
+        (x, width), (y, height) = ((values[0], values[1] - values[0]) for _, values in (self.x, self.y))
+        size = {"w": [width * self.x[1].size], "h": [height * self.y[1].size]}
+        return {"x0": [x - 0.5 * width], "y0": [y - 0.5 * height]} | size
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,15 +164,13 @@ class BasinsPanel:
         self._background.show(partial(self._take, cell, grid, rows, labels))
 
     def _refuse(self, why: str) -> None:
-        self._background.show(lambda: self._says.update(text=f"basins: {why}"))
+        self._background.show(lambda: self._says.update(text=html.escape(f"basins: {why}")))
 
     def _take(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
         if cell is not self._cell:
             return
         self._labels[rows] = labels
-        (begin, end), (low, high) = ((side[0], side[-1]) for side in (grid.x[1], grid.y[1]))
-        size = {"x0": [begin], "y0": [low], "w": [end - begin], "h": [high - low]}
-        self._image.data = {"basins": [painted(self._labels)], **size}
+        self._image.data = {"basins": [painted(self._labels)], **grid.box}
         count = np.unique(self._labels[self._labels >= 0]).size
         left = np.count_nonzero(self._labels == UNSOLVED)
         more = f"; {left} not solved yet" if left else ""
