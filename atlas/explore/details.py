@@ -20,6 +20,7 @@ from atlas.explore.known import Cell
 from atlas.explore.motion import Motion, MotionPanel, motion_of, motions
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
+from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
 from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
 
@@ -108,30 +109,31 @@ class Details:
         data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
         if data != self._mark.data:
             self._mark.data = data
-        if at and cell != self._detailed and self._sight() is not None:
+        if cell is not None and at and cell != self._detailed and self._sight() is not None:
             self._detailed = cell
             self._clicks += 1
             self._clicked.text = f"{CLICKED}solving it"
             self._motion.clear()
             self._basins.clear()
-            self._background.run(partial(self._detail, at, self._clicks))
+            self._background.run(partial(self._detail, cell, self._clicks))
 
     def _look_up(self) -> None:
         if self._pointer is not None and not self._looking:
             self._looking = True
             self._background.run(partial(self._looked_up, self._pointer))
 
-    def _cell(self, point: tuple[float, float]) -> Cell | None:
+    def _cell(self, plane: Plane, point: tuple[float, float]) -> Cell | None:
         sight = self._sight()
-        return None if sight is None else self._explorer.known.cell(self._store.now.chosen.plane, sight, *point)
+        return None if sight is None else self._explorer.known.cell(plane, sight, *point)
 
     def _found(self, point: tuple[float, float]) -> Show:
-        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        plane = self._store.now.chosen.plane
+        cell = self._cell(plane, point)
         at = point if cell is None else tuple(cell.parameters[name] for name in self._subject.axes)
         return lambda: self._store.choose(cell=(plane, *at))
 
     def _looked_up(self, point: tuple[float, float]) -> Show:
-        cell = self._cell(point)
+        cell = self._cell(self._store.now.chosen.plane, point)
         text = POINTED + (cell_table(cell, self._subject) if cell else "not known yet")
 
         def show() -> None:
@@ -142,10 +144,11 @@ class Details:
 
         return show
 
-    def _detail(self, point: tuple[float, float], click: int) -> Show:
+    def _detail(self, at: Point, click: int) -> Show:
         if click != self._clicks:  # there was another one meanwhile
             return lambda: None
-        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        plane, point = at[0], at[1:]  # not the plane of now: a slider may have moved on
+        cell = self._cell(plane, point)
         if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
             cell = self._explorer.known.solved(plane, *point)
         found = known_attractors(self._subject, cell)
