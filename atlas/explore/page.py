@@ -142,7 +142,7 @@ class Page:
         for k, attribute in enumerate(("inner_width", "inner_height")):
             plot.on_change(attribute, partial(self._resized, k))
         controls.rescale.on_click(self._rescale)
-        controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane) if on else None)
+        controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane, on))
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
@@ -182,7 +182,7 @@ class Page:
             label_axes(self._plot, self._subject, chosen)
         if chosen.plane != before.plane:
             self._title.text = title(self._subject, chosen.plane)
-        self._controls.show(new)
+        self._controls.show(new, self._explorer.keeps(chosen.plane))
         self._details.show(chosen)
         self._cut.show(new)
         self._pins.show(chosen)
@@ -267,7 +267,8 @@ class Page:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            notes.append("another plane than the atlas's" + ("" if self._controls.keep.active else ", not kept"))
+            kept = self._explorer.keeper.header is not None and self._explorer.keeps(chosen.plane)
+            notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
 
