@@ -215,6 +215,9 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
         ({"R": [b"1.5"]}, "R = 1.5: must satisfy 0 <= R <= 1"),
         ({"kind": [b"sweep"]}, "kind: found 'sweep'; possible: exponent"),
         ({"overlay": [b"stars"]}, "overlay: found 'stars'; possible: grazing"),
+        ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', which begins and ends at one point"),
+        ({"vmin": [b"nan"]}, "vmin: found 'nan', must be a finite number"),
+        ({"pin": [b"omega=nan,b=0.3;"]}, "pin: found 'nan', must be a finite number"),
     ],
 )
 def test_an_address_that_asks_for_what_there_is_not_is_refused(
