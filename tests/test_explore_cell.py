@@ -8,6 +8,8 @@ import pytest
 
 import atlas
 from atlas.cell.orbit import cell_orbit
+from atlas.errors import InputError
+from atlas.explore import motion
 from atlas.explore.basins import BAND, SIDE, BasinJob, Grid, painted
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of, motions
@@ -58,21 +60,34 @@ def test_the_copied_numbers_are_those_of_the_cell_in_full(subject: Subject) -> N
 
 
 def test_the_drawn_path_of_an_orbit_stays_between_the_stops_and_hits_them(subject: Subject) -> None:
-    motion = motion_of(cell_orbit({"omega": 4.0, "b": 0.1}))
-    assert motion.stops == [-0.1, 0.1] and motion.lane == 0
-    assert np.abs(motion.y).max() <= 0.1 + 1e-9 and np.abs(motion.y).max() > 0.099
-    assert np.array_equal(motion.moving[0], motion.moving[2])
+    made = motion_of(cell_orbit({"omega": 4.0, "b": 0.1}))
+    assert made.stops == [-0.1, 0.1] and made.lane == 0
+    assert np.abs(made.y).max() <= 0.1 + 1e-9 and np.abs(made.y).max() > 0.099
+    assert np.array_equal(made.moving[0], made.moving[2])
 
 
 def test_a_long_path_is_thinned_and_says_how_many_points_a_period_has(subject: Subject) -> None:
-    motion = motion_of(cell_orbit({"omega": 1.55, "b": 0.1}, settings=subject.settings))
-    assert motion.moving.shape == (4, 40 * motion.per_period + 1) and motion.per_period == 80
+    made = motion_of(cell_orbit({"omega": 1.55, "b": 0.1}, settings=subject.settings))
+    assert made.moving.shape == (4, 40 * made.per_period + 1) and made.per_period == 80
 
 
 def test_each_attractor_of_a_cell_has_a_portrait_of_its_own(subject: Subject) -> None:
     found = atlas.attractors({"omega": 4.0, "b": 0.1}, starts=8)
     drawn = motions(subject, {"omega": 4.0, "b": 0.1}, [each["state"] for each in found["coexisting"]])
-    assert [each.moving.shape[1] // each.per_period for each in drawn] == [1, 3]
+    assert {place: each.moving.shape[1] // each.per_period for place, each in drawn.items()} == {0: 1, 1: 3}
+
+
+def test_a_motion_that_cannot_be_shown_leaves_the_others_their_places(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def orbit(given: dict[str, float], *_: object) -> float:
+        if given["x1"] == 0.0:
+            raise InputError("no motion")
+        return given["x1"]
+
+    monkeypatch.setattr(motion, "cell_orbit", orbit)
+    monkeypatch.setattr(motion, "motion_of", lambda x: x)
+    assert motions(subject, {"omega": 4.0}, [[0.0] * 4, [0.05] * 4]) == {1: 0.05}
 
 
 def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subject) -> None:
@@ -101,8 +116,8 @@ def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel
     grid = Grid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
     (x0,), (y0,), (w,), (h,) = (grid.box[name] for name in ("x0", "y0", "w", "h"))
     centres = (np.arange(SIDE) + 0.5) / SIDE
-    assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-15)
-    assert np.allclose(y0 + h * centres, grid.y[1], rtol=0.0, atol=1e-15)
+    assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-12)
+    assert np.allclose(y0 + h * centres, grid.y[1], rtol=0.0, atol=1e-12)
 
 
 def test_an_unknown_label_is_grey_and_each_other_has_its_colour() -> None:

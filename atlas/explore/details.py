@@ -196,4 +196,4 @@ class Details:
         """Draw the portraits of all attractors in one phase plane."""
         states = [each["state"] for each in found.each if "state" in each]
         drawn = motions(self._subject, parameters, states)
-        return lambda: self._motion.show(drawn[0], drawn) if drawn and click == self._clicks else None
+        return lambda: self._motion.portray(drawn) if drawn and click == self._clicks else None
