@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
+from atlas.explore.patches import Patches, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
 from atlas.explore.tiles import Tiles
@@ -288,6 +290,47 @@ def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
         back.set()
         solved(explorer, sight)
         assert explorer.patches.state.trouble == ""
+
+
+@dataclass(frozen=True)
+class Mistaken:
+    """A job with a mistake in one of its methods, or in none."""
+
+    wrong: str
+    came: list[str] = field(compare=False)
+
+    def make(self) -> Task | None:
+        self._step("make")
+        return str.upper, self.wrong
+
+    def solved(self, argument: object, found: object) -> int:
+        self._step("solved")
+        self.came.append(str(found))
+        return 1
+
+    def failed(self, why: str) -> None:
+        self.came.append(why)
+
+    def dropped(self) -> None:
+        """Nothing is held for it."""
+
+    def _step(self, name: str) -> None:
+        if name == self.wrong:
+            raise KeyError(name)
+
+
+def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: Client) -> None:
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        yield client
+
+    patches, came = Patches(connect), list[str]()
+    try:
+        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "solved", "none")])
+        assert waited(lambda: patches.left("page") == 0)
+        assert sorted(came) == ["KeyError: 'make'", "KeyError: 'solved'", "NONE"]
+    finally:
+        patches.stop()
 
 
 def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:

@@ -4,12 +4,14 @@ What is no longer wanted is dropped: here at once, on the cluster where it has n
 has; its results come back all the same, and are handed on.
 """
 
+import logging
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -191,7 +193,7 @@ class Patches:
         job = self._next()
         if job is None:
             return False
-        task = job.make()
+        task = self._tried(job, job.make)
         if task is None:
             self._done_with(job)
             return True
@@ -206,7 +208,7 @@ class Patches:
         if future.status == "finished":
             found = future.result()
             self._forget(future)
-            cells = job.solved(argument, found)
+            cells = self._tried(job, partial(job.solved, argument, found)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
             self._done_with(job)  # not before it is known: who asks meanwhile would have it solved again
@@ -222,6 +224,17 @@ class Patches:
             job.failed(" ".join(f"{type(error).__name__}: {error}".split()))
         else:
             job.dropped()
+
+    def _tried(self, job: Job, step: Callable[[], Any]) -> Any:
+        """What a step of a job returns; None after a mistake of ours, which ends that job and not the work for all."""
+        try:
+            return step()
+        except (RunError, OSError):
+            raise
+        except Exception as error:
+            logging.getLogger(__name__).exception("a job could not be done")
+            job.failed(f"{type(error).__name__}: {error}")
+            return None
 
     def _forget(self, future: "Future[Any]") -> Job:
         """Count a job as no longer sent, and return it."""
