@@ -53,6 +53,15 @@ def test_the_table_names_variables_in_words_and_keeps_all_digits_for_the_pointer
     assert f'title="{speed!r}"' in table and f">{number(speed, 5)}<" in table
 
 
+def test_the_table_has_what_is_a_result_in_the_regime_of_the_cell_alone(subject: Subject) -> None:
+    numbers = {"omega": 2.0, "b": 0.1, "largest": 0.5, "error": 0.01, "period": 0, "impacts_upper": 0}
+    chaotic = cell_table(Cell({}, numbers | {"regime": "chaotic"}, of_atlas=False), subject)
+    assert "0.5 ± 0.01" in chaotic and "period" not in chaotic and "impacts above" not in chaotic
+    resting = numbers | {"period": 1, "impacts_upper": -1, "largest": math.nan, "error": math.nan}
+    table = cell_table(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject)
+    assert "without end: at rest on a stop" in table and "nan" not in table
+
+
 def test_the_copied_numbers_are_those_of_the_cell_in_full(subject: Subject) -> None:
     cell = cell_at(subject, 3.9, 0.1)
     copied = json.loads(cell_text(cell))

@@ -18,11 +18,12 @@ from atlas.explore.attractors import Attractors
 from atlas.explore.known import Cell
 from atlas.explore.patches import State
 from atlas.explore.subject import Plane, Subject
+from atlas.query.extremes import regimes_with
 from atlas.render.classes import PALETTE
 from atlas.spec.system import impacts_of
 from atlas.text import plain, plural
 from workers.model.system import System
-from workers.results import ERROR, LARGEST, REASON, REGIME
+from workers.results import ERROR, LARGEST, REASON, REGIME, REGIMES
 
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CLOSE = 1e-3
@@ -97,19 +98,23 @@ NAMES = {
 
 
 def cell_table(cell: Cell, subject: Subject) -> str:
-    """All that is known of a cell, as an HTML table; the pointer over a number shows all its digits."""
+    """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
     names = [axis.name for axis in subject.spec.axes]
     rows = [(symbol_of(subject.system, name), number(cell.results[name]), repr(cell.results[name])) for name in names]
     rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " "), ""))
     if REASON.name in cell.results:
         rows.append((REASON.name, str(cell.results[REASON.name]), ""))
-    if LARGEST.name in cell.results:
+    if not math.isnan(cell.results.get(LARGEST.name, math.nan)):
         value, error = cell.results[LARGEST.name], cell.results[ERROR.name]
         rows.append((NAMES[LARGEST.name], with_error(value, error), f"{value!r} ± {error!r}"))
     shown = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
+    regime = next(each.code for each in REGIMES if each.name == cell.results[REGIME.name])
     for name, value in cell.results.items():
-        if name not in shown and not (isinstance(value, float) and math.isnan(value)):
-            rows.append((NAMES.get(name, name.replace("_", " ")), _value(value), repr(value)))
+        if name in shown or regime not in regimes_with(name) or (isinstance(value, float) and math.isnan(value)):
+            continue
+        endless = name in ("impacts_upper", "impacts_lower") and value < 0
+        text = "without end: at rest on a stop" if endless else _value(value)
+        rows.append((NAMES.get(name, name.replace("_", " ")), text, repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
     body = "".join(
         f'<tr><td>{html.escape(left)}</td><td title="{html.escape(full)}">{html.escape(right)}</td></tr>'
