@@ -26,11 +26,16 @@ from atlas.explore.words import attractors_table, cell_line, cell_table, cell_te
 
 POINTED = "<h4>cell under the pointer</h4>"
 CLICKED = "<h4>cell clicked</h4>"
-COPY_TEXT = """
-const box = document.createElement("textarea")
-box.innerHTML = full.text
-navigator.clipboard.writeText(box.value)
+COPY = """
+const text = source.value ?? source.tags[0]
+if (navigator.clipboard) return navigator.clipboard.writeText(text)
+const box = document.body.appendChild(document.createElement("textarea"))
+box.value = text
+box.select()
+document.execCommand("copy")
+box.remove()
 """
+"""A page that another machine serves by plain HTTP has no ``clipboard``."""
 PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
  onclick="this.classList.toggle('large')">"""
 ALL = "<h4>all attractors of this cell</h4>"
@@ -62,20 +67,18 @@ class Details:
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
         self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
-        self._full = Div(visible=False)
         self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
-        self._copy_all.js_on_click(CustomJS(args={"full": self._full}, code=COPY_TEXT))
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
         self._copy = Button(label="copy", visible=False, width=70, align="end")
-        copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
-        self._copy.js_on_event("button_click", copying)
+        for button, source in ((self._copy, self._point), (self._copy_all, self._copy_all)):
+            button.js_on_event("button_click", CustomJS(args={"source": source}, code=COPY))
 
     @property
     def panels(self) -> list[Any]:
         """What it consists of, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
         found = [self._attractors, self._motion.panel, self._basins.panel, self._portrait]
-        return [self._pointed, self._clicked, line, *found, self._numbers, self._copy_all, self._full]
+        return [self._pointed, self._clicked, line, *found, self._numbers, self._copy_all]
 
     def close(self) -> None:
         """Want nothing more."""
@@ -172,7 +175,7 @@ class Details:
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)
         self._copy.visible = self._copy_all.visible = True
-        self._full.text = html.escape(cell_text(cell))
+        self._copy_all.tags = [cell_text(cell)]
         self._portrait.text = drawn
         self._basins.offer(cell)
 
