@@ -205,6 +205,16 @@ def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, clie
     assert {name for name, _ in sheets(read_header(finished))} == {subject.digest(plane)[:16]}
 
 
+def test_the_keeping_of_another_plane_ends_where_that_is_asked_for(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        plane = explorer.subject.moved(explorer.subject.plane, "R", 0.71)
+        kept = [explorer.keeps(plane)]
+        for on in (True, True, False):
+            explorer.keep_plane(plane, on)
+            kept.append(explorer.keeps(plane))
+        assert kept == [False, True, True, False] and explorer.keeps(explorer.subject.plane)
+
+
 @pytest.mark.slow
 def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
