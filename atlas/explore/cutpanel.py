@@ -122,7 +122,7 @@ class CutPanel:
         self._along.data = {"along": [line.along]}
         self._section.x_range.update(start=low, end=high)
         self._label(line, low, high)
-        self._says.text = "solving the cells along the cut"
+        self._says.text, self._follow.disabled = "solving the cells along the cut", False
         self.panel.visible = True
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
         self._explorer.patches.want(self, self._missing(line))
@@ -152,21 +152,24 @@ class CutPanel:
         if line is None or cells is None:
             return
         try:
-            job = BranchJob(line, sweep_of(line, cells), self._branched, self._refuse_branches)
+            job = BranchJob(line, sweep_of(line, cells), self._branched, partial(self._unbranched, line))
         except InputError as error:
-            self._says.text = html.escape(str(error))
+            self._ended(line, str(error))
             return
         self._says.text = "following branches"
+        self._follow.disabled = True  # no worker can be called back: each click would take another one
         self._explorer.patches.want(self, [job, *self._missing(line)])
 
     def _branched(self, line: Line, found: Branches) -> None:
         self._background.show(partial(self._take_branches, line, found))
 
-    def _refuse_branches(self, why: str) -> None:
-        def show() -> None:
-            self._says.text = html.escape(why)
+    def _unbranched(self, line: Line, why: str) -> None:
+        self._background.show(partial(self._ended, line, why))
 
-        self._background.show(show)
+    def _ended(self, line: Line, says: str) -> None:
+        """Say how the following of branches of a line has ended."""
+        if line == self._shown:
+            self._says.text, self._follow.disabled = html.escape(says), False
 
     def _take_branches(self, line: Line, found: Branches) -> None:
         if line != self._shown:
@@ -180,7 +183,7 @@ class CutPanel:
         kinds, x, gap = zip(*found.events, strict=True) if found.events else ((), (), ())
         self._sources["events"].data = {"x": list(x), "gap": list(gap), "kind": [k.replace("_", " ") for k in kinds]}
         counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
-        self._says.text = f"branches: {counts}; point at an event to read it"
+        self._ended(line, f"branches: {counts}; point at an event to read it")
 
     def _straight(self, along: int) -> None:
         """Cut along one axis, through the cell that was clicked or the middle of the view."""
