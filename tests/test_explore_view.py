@@ -80,12 +80,11 @@ def test_an_axis_of_one_point_cannot_be_explored() -> None:
         Lattice(Axis("omega", (1.0,)))
 
 
-def test_tiles_come_coarse_levels_first_and_each_from_the_centre_out(subject: Subject) -> None:
+def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(subject: Subject) -> None:
     sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 640, 480), subject.x, subject.y)
-    wanted = list(sight.wanted())
-    levels = [key.level_x for key in wanted]
-    assert levels == sorted(levels) and len(set(levels)) == STAGES + 1
-    finest = [key for key in wanted if key.level_x == sight.level_x]
+    levels = [{key.level_x for key in sight.tiles(stage)} for stage in range(STAGES + 1)]
+    assert levels == [{sight.level_x - stage} for stage in range(STAGES + 1)]
+    finest = sight.tiles(0)
     middle = 0.5 * (sight.first_x + sight.last_x), 0.5 * (sight.first_y + sight.last_y)
     width, height = sight.index_x.size, sight.index_y.size
     away = [
