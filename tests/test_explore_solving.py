@@ -13,6 +13,7 @@ import xarray as xr
 from distributed import CancelledError, Client, Future
 
 import atlas
+from atlas.errors import InputError
 from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
@@ -302,6 +303,17 @@ def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
         assert explorer.patches.state.trouble == ""
 
 
+_SHOUTED = list[str]()
+
+
+def _shouted(text: str) -> str:
+    """A text in capitals; InputError, with how often it came, for the word input."""
+    _SHOUTED.append(text)
+    if text == "input":
+        raise InputError(f"input {_SHOUTED.count(text)}")
+    return text.upper()
+
+
 @dataclass(frozen=True)
 class Mistaken:
     """A job with a mistake in one of its methods, or in none."""
@@ -311,7 +323,7 @@ class Mistaken:
 
     def make(self) -> Task | None:
         self._step("make")
-        return str.upper, self.wrong
+        return _shouted, self.wrong
 
     def solved(self, argument: object, found: object) -> int:
         self._step("solved")
@@ -336,9 +348,9 @@ def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: 
 
     patches, came = Patches(connect), list[str]()
     try:
-        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "solved", "none")])
-        assert waited(lambda: patches.left("page") == 0)
-        assert sorted(came) == ["KeyError: 'make'", "KeyError: 'solved'", "NONE"]
+        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "solved", "none", "input")])
+        assert waited(lambda: patches.left("page") == 0 and len(came) == 4)
+        assert sorted(came) == ["KeyError: 'make'", "KeyError: 'solved'", "NONE", "input 1"]
     finally:
         patches.stop()
 

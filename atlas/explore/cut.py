@@ -161,7 +161,7 @@ class BranchJob:
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
-        self.refused(why.removeprefix("InputError: "))
+        self.refused(why)
 
     def dropped(self) -> None:
         """See ``Job``: nothing is held for it."""

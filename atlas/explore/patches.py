@@ -58,7 +58,7 @@ class Job(Hashable, Protocol):
         """Take the result, and return how many cells it has."""
 
     def failed(self, why: str) -> None:
-        """Take note that the job was tried ATTEMPTS times, and what it raised."""
+        """Take note that the job is given up, for bad input or after ATTEMPTS tries, and what it raised."""
 
     def dropped(self) -> None:
         """Let go of what was made: ``make`` is called again if the job is still wanted."""
@@ -218,10 +218,10 @@ class Patches:
         error = future.exception()
         self._forget(future)
         self._tries[job] = self._tries.get(job, 0) + 1
-        if self._tries[job] >= ATTEMPTS:
+        if self._tries[job] >= ATTEMPTS or isinstance(error, InputError):  # bad input stays bad
             self._tries.pop(job)
             self._done_with(job)
-            job.failed(" ".join(f"{type(error).__name__}: {error}".split()))
+            job.failed(_why(error))
         else:
             job.dropped()
 
@@ -233,7 +233,7 @@ class Patches:
             raise
         except Exception as error:
             logging.getLogger(__name__).exception("a job could not be done")
-            job.failed(f"{type(error).__name__}: {error}")
+            job.failed(_why(error))
             return None
 
     def _forget(self, future: "Future[Any]") -> Job:
@@ -251,3 +251,8 @@ class Patches:
             for jobs in self._wanted.values():
                 with suppress(ValueError):
                     jobs.remove(job)
+
+
+def _why(error: object) -> str:
+    """What an error says, on one line; of a mistake its type too."""
+    return " ".join((str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}").split())
