@@ -52,6 +52,7 @@ clearTimeout(page.timer)
 page.timer = setTimeout(() => { page.rests = true }, 1500)
 """
 """A view at which somebody rested stays in the browser's history."""
+PROBING = "<h4>new atlas</h4>solving a few cells for its cost"
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
@@ -245,6 +246,8 @@ class Page:
     def _refused(self, why: str) -> None:
         self._store.set(trouble=why)
         self._details.refused()
+        if self._made.text == PROBING:
+            self._made.visible = False
 
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
@@ -292,7 +295,7 @@ class Page:
     def _make(self) -> None:
         chosen, cells = self._store.now.chosen, int(self._controls.cells.value or 2)
         x, y = self._store.now.box or (chosen.x, chosen.y)
-        self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
+        self._made.update(text=PROBING, visible=True)
 
         def work() -> Callable[[], None]:
             made = new_atlas(self._subject, chosen, x, y, cells, self._folder)
