@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from atlas.explore.background import Background
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
-from atlas.explore.patches import Task
+from atlas.explore.patches import Job, Task
 from atlas.explore.plot import quiet_axis
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Subject
@@ -67,7 +67,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class BasinJob:
+class BasinJob(Job):
     """Some rows of a plane of initial states to be solved for somebody, who is told in another thread."""
 
     grid: Grid
@@ -87,9 +87,6 @@ class BasinJob:
     def failed(self, why: str) -> None:
         """See ``Job``."""
         self.refused(why)
-
-    def dropped(self) -> None:
-        """See ``Job``: nothing is held for it."""
 
 
 def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:

@@ -12,7 +12,7 @@ from atlas.explore.attractors import Asked, Attractors
 from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.known import Cell, Known
 from atlas.explore.patch import Patch, solve_patch
-from atlas.explore.patches import Patches, Task
+from atlas.explore.patches import Job, Patches, Task
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import MOST_BYTES as MOST_TILES
 from atlas.explore.tiles import Arrays, Tiles
@@ -174,7 +174,7 @@ class Explorer:
 
 
 @dataclass(frozen=True)
-class TileJob:
+class TileJob(Job):
     """A tile of a plane to be solved for an explorer."""
 
     explorer: Explorer

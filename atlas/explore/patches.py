@@ -48,7 +48,7 @@ class State:
     rate: float = 0.0
 
 
-class Job(Hashable, Protocol):
+class Job(Protocol):
     """Something that a worker does for those who want it; its methods are called from a thread of this service."""
 
     def make(self) -> Task | None:
@@ -61,7 +61,8 @@ class Job(Hashable, Protocol):
         """Take note that the job is given up, for bad input or after ATTEMPTS tries, and what it raised."""
 
     def dropped(self) -> None:
-        """Let go of what was made: ``make`` is called again if the job is still wanted."""
+        """Let go of what was made, if that is held: ``make`` is called again if the job is still wanted."""
+        return
 
 
 class Patches:
