@@ -104,7 +104,8 @@ class BasinsPanel:
     """The button that asks for basins, and the plane of initial states that shows them."""
 
     def __init__(self, explorer: Explorer, background: Background) -> None:
-        self._explorer, self._background = explorer, background
+        self._explorer = explorer
+        self._told, self._refuse = background.later(self._take), background.later(self._refused)
         self._cell: Cell | None = None
         self._labels = np.zeros((0, 0), dtype=np.int32)
         self._button = Button(label="basins of this cell", visible=False, sizing_mode="stretch_width")
@@ -157,11 +158,8 @@ class BasinsPanel:
         jobs = [BasinJob(grid, each, partial(self._told, cell), self._refuse) for each in rows]
         self._explorer.patches.want(self, jobs)
 
-    def _told(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
-        self._background.show(partial(self._take, cell, grid, rows, labels))
-
-    def _refuse(self, why: str) -> None:
-        self._background.show(lambda: self._says.update(text=html.escape(f"basins: {why}")))
+    def _refused(self, why: str) -> None:
+        self._says.text = html.escape(f"basins: {why}")
 
     def _take(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
         if cell is not self._cell:

@@ -60,7 +60,9 @@ class CutPanel:
     """The diagrams along the line that is chosen, and what finds them."""
 
     def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
-        self._explorer, self._background, self._store, self._plane = explorer, background, store, plane
+        self._explorer, self._store, self._plane = explorer, store, plane
+        self._told, self._refuse = background.later(self._take), background.later(lambda why: store.set(trouble=why))
+        self._branched, self._unbranched = background.later(self._take_branches), background.later(self._ended)
         self._shown: Line | None = None
         self._cells: Cells | None = None
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
@@ -132,12 +134,6 @@ class CutPanel:
         known = set() if self._cells is None else {*self._cells.index.tolist()}
         return [CutJob(line, part, self._told, self._refuse) for part in line.parts() if not known.issuperset(part)]
 
-    def _told(self, line: Line, cells: Cells) -> None:
-        self._background.show(partial(self._take, line, cells))
-
-    def _refuse(self, why: str) -> None:
-        self._background.show(lambda: self._store.set(trouble=why))
-
     def _take(self, line: Line, cells: Cells) -> None:
         """Show more cells of the line."""
         if line != self._shown:
@@ -159,12 +155,6 @@ class CutPanel:
         self._says.text = "following branches"
         self._follow.disabled = True  # no worker can be called back: each click would take another one
         self._explorer.patches.want(self, [job, *self._missing(line)])
-
-    def _branched(self, line: Line, found: Branches) -> None:
-        self._background.show(partial(self._take_branches, line, found))
-
-    def _unbranched(self, line: Line, why: str) -> None:
-        self._background.show(partial(self._ended, line, why))
 
     def _ended(self, line: Line, says: str) -> None:
         """Say how the following of branches of a line has ended."""

@@ -158,7 +158,7 @@ class Details:
         answer = partial(self._answer, cell.parameters, click)
         self._background.show(partial(answer, found))
         if found is None and not self._background.closed:
-            self._explorer.ask(self, cell, lambda found: self._background.show(partial(answer, found)))
+            self._explorer.ask(self, cell, self._background.later(answer))
         self._background.show(partial(self._show, cell, "drawing its portrait", click))
         try:
             orbit = orbit_of(self._subject, cell)

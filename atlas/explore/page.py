@@ -102,11 +102,8 @@ class Page:
         document.title = f"{self._subject.name}: explorer"
         document.add_root(self._layout())
         document.add_periodic_callback(self._say_progress, 500)
-        self._painter = Painter(
-            explorer,
-            lambda painted: self._background.show(partial(self._show, painted)),
-            lambda why: self._background.show(partial(self._unpainted, why)),
-        )
+        later = self._background.later
+        self._painter = Painter(explorer, later(self._show), later(self._unpainted))
         store.listen(self._changed)
 
     def close(self) -> None:
