@@ -14,7 +14,7 @@ from atlas.explore.basins import BAND, SIDE, BasinJob, Grid, painted
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.words import cell_table, cell_text, number, with_error
+from atlas.explore.words import cell_line, cell_table, cell_text, number, with_error
 from atlas.render.classes import BASINS
 
 
@@ -60,6 +60,14 @@ def test_the_table_has_what_is_a_result_in_the_regime_of_the_cell_alone(subject:
     resting = numbers | {"period": 1, "impacts_upper": -1, "largest": math.nan, "error": math.nan}
     table = cell_table(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject)
     assert "without end: at rest on a stop" in table and "nan" not in table
+
+
+def test_a_cell_of_another_plane_says_by_what_that_differs(subject: Subject) -> None:
+    parameters = dict(subject.plane.parameters) | {"omega": 2.0, "b": 0.1}
+    line = cell_line(Cell(parameters, {"regime": "periodic"}, of_atlas=False), subject)
+    assert "R</i>" not in line and "b</i> = 0.1 &ensp; periodic" in line
+    moved = cell_line(Cell(parameters | {"R": 0.75}, {"regime": "periodic"}, of_atlas=False), subject)
+    assert "<i>R</i> = 0.75 &ensp; periodic" in moved
 
 
 def test_the_copied_numbers_are_those_of_the_cell_in_full(subject: Subject) -> None:

@@ -77,12 +77,15 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> Ticks:
     return Ticks(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale}{unit}")
 
 
+def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
+    """Where a cell lies, by symbols: its axes, and the parameters by which its plane is not that of the subject."""
+    moved = [name for name, value in subject.plane.parameters if parameters[name] != value]
+    return {symbol_of(subject.system, name): number(parameters[name]) for name in (*subject.axes, *moved)}
+
+
 def cell_line(cell: Cell, subject: Subject) -> str:
     """Where a cell lies and its regime, as HTML."""
-    places = [
-        f"<i>{html.escape(symbol_of(subject.system, axis.name))}</i> = {number(cell.parameters[axis.name])}"
-        for axis in subject.spec.axes
-    ]
+    places = [f"<i>{html.escape(name)}</i> = {value}" for name, value in where(subject, cell.parameters).items()]
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
