@@ -60,6 +60,8 @@ def test_the_table_has_what_is_a_result_in_the_regime_of_the_cell_alone(subject:
     resting = numbers | {"period": 1, "impacts_upper": -1, "largest": math.nan, "error": math.nan}
     table = cell_table(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject)
     assert "without end: at rest on a stop" in table and "nan" not in table
+    contact = cell_table(Cell({}, numbers | {"regime": "periodic", "pad_upper": -1}, of_atlas=False), subject)
+    assert contact.count("without end: at rest on a stop") == 1
 
 
 def test_a_cell_of_another_plane_says_by_what_that_differs(subject: Subject) -> None:

@@ -115,7 +115,7 @@ def cell_table(cell: Cell, subject: Subject) -> str:
     for name, value in cell.results.items():
         if name in shown or regime not in regimes_with(name) or (isinstance(value, float) and math.isnan(value)):
             continue
-        endless = name in ("impacts_upper", "impacts_lower") and value < 0
+        endless = name.endswith(("_upper", "_lower")) and isinstance(value, int) and value < 0
         text = "without end: at rest on a stop" if endless else _value(value)
         rows.append((NAMES.get(name, name.replace("_", " ")), text, repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
