@@ -96,6 +96,13 @@ def test_another_layer_of_a_stack_has_its_own_cells_of_the_store(stack: Path) ->
     assert second.turned(second.axes, 0.02).plane == first.plane
 
 
+def test_a_layer_has_one_explorer_whether_it_is_named_or_not(stack: Path, client: Client) -> None:
+    with exploring(stack, client) as explorer:
+        assert explorer.turned(("omega", "b"), 0.02) is explorer.turned(("omega", "b")) is explorer
+        assert explorer.turned(("R", "b"), 0.02) is explorer.turned(("R", "b"))
+        assert explorer.turned(("R", "b"), 0.05) is not explorer.turned(("R", "b"))
+
+
 def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
     shown = explorer.turned(("R", "b"))
     shown.listen("page", lambda *_: None)

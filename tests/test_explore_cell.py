@@ -8,11 +8,13 @@ import pytest
 
 import atlas
 from atlas.cell.orbit import cell_orbit
+from atlas.errors import InputError
+from atlas.explore import motion
 from atlas.explore.basins import BAND, SIDE, BasinJob, Grid, painted
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.words import cell_table, cell_text, number, with_error
+from atlas.explore.words import cell_line, cell_table, cell_text, number, with_error
 from atlas.render.classes import BASINS
 
 
@@ -51,6 +53,25 @@ def test_the_table_names_variables_in_words_and_keeps_all_digits_for_the_pointer
     assert f'title="{speed!r}"' in table and f">{number(speed, 5)}<" in table
 
 
+def test_the_table_has_what_is_a_result_in_the_regime_of_the_cell_alone(subject: Subject) -> None:
+    numbers = {"omega": 2.0, "b": 0.1, "largest": 0.5, "error": 0.01, "period": 0, "impacts_upper": 0}
+    chaotic = cell_table(Cell({}, numbers | {"regime": "chaotic"}, of_atlas=False), subject)
+    assert "0.5 ± 0.01" in chaotic and "period" not in chaotic and "impacts above" not in chaotic
+    resting = numbers | {"period": 1, "impacts_upper": -1, "largest": math.nan, "error": math.nan}
+    table = cell_table(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject)
+    assert "without end: at rest on a stop" in table and "nan" not in table
+    contact = cell_table(Cell({}, numbers | {"regime": "periodic", "pad_upper": -1}, of_atlas=False), subject)
+    assert contact.count("without end: at rest on a stop") == 1
+
+
+def test_a_cell_of_another_plane_says_by_what_that_differs(subject: Subject) -> None:
+    parameters = dict(subject.plane.parameters) | {"omega": 2.0, "b": 0.1}
+    line = cell_line(Cell(parameters, {"regime": "periodic"}, of_atlas=False), subject)
+    assert "R</i>" not in line and "b</i> = 0.1 &ensp; periodic" in line
+    moved = cell_line(Cell(parameters | {"R": 0.75}, {"regime": "periodic"}, of_atlas=False), subject)
+    assert "<i>R</i> = 0.75 &ensp; periodic" in moved
+
+
 def test_the_copied_numbers_are_those_of_the_cell_in_full(subject: Subject) -> None:
     cell = cell_at(subject, 3.9, 0.1)
     copied = json.loads(cell_text(cell))
@@ -58,21 +79,34 @@ def test_the_copied_numbers_are_those_of_the_cell_in_full(subject: Subject) -> N
 
 
 def test_the_drawn_path_of_an_orbit_stays_between_the_stops_and_hits_them(subject: Subject) -> None:
-    motion = motion_of(cell_orbit({"omega": 4.0, "b": 0.1}))
-    assert motion.stops == [-0.1, 0.1] and motion.lane == 0
-    assert np.abs(motion.y).max() <= 0.1 + 1e-9 and np.abs(motion.y).max() > 0.099
-    assert np.array_equal(motion.moving[0], motion.moving[2])
+    made = motion_of(cell_orbit({"omega": 4.0, "b": 0.1}))
+    assert made.stops == [-0.1, 0.1] and made.lane == 0
+    assert np.abs(made.y).max() <= 0.1 + 1e-9 and np.abs(made.y).max() > 0.099
+    assert np.array_equal(made.moving[0], made.moving[2])
 
 
 def test_a_long_path_is_thinned_and_says_how_many_points_a_period_has(subject: Subject) -> None:
-    motion = motion_of(cell_orbit({"omega": 1.55, "b": 0.1}, settings=subject.settings))
-    assert motion.moving.shape == (4, 40 * motion.per_period + 1) and motion.per_period == 80
+    made = motion_of(cell_orbit({"omega": 1.55, "b": 0.1}, settings=subject.settings))
+    assert made.moving.shape == (4, 40 * made.per_period + 1) and made.per_period == 80
 
 
 def test_each_attractor_of_a_cell_has_a_portrait_of_its_own(subject: Subject) -> None:
     found = atlas.attractors({"omega": 4.0, "b": 0.1}, starts=8)
     drawn = motions(subject, {"omega": 4.0, "b": 0.1}, [each["state"] for each in found["coexisting"]])
-    assert [each.moving.shape[1] // each.per_period for each in drawn] == [1, 3]
+    assert {place: each.moving.shape[1] // each.per_period for place, each in drawn.items()} == {0: 1, 1: 3}
+
+
+def test_a_motion_that_cannot_be_shown_leaves_the_others_their_places(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def orbit(given: dict[str, float], *_: object) -> float:
+        if given["x1"] == 0.0:
+            raise InputError("no motion")
+        return given["x1"]
+
+    monkeypatch.setattr(motion, "cell_orbit", orbit)
+    monkeypatch.setattr(motion, "motion_of", lambda x: x)
+    assert motions(subject, {"omega": 4.0}, [[0.0] * 4, [0.05] * 4]) == {1: 0.05}
 
 
 def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subject) -> None:
@@ -95,6 +129,14 @@ def test_the_rows_of_basins_cover_the_plane(subject: Subject) -> None:
     made = Grid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
     assert made.x[0] == "x1" and made.x[1].size == made.y[1].size == SIDE
     assert -0.1 < made.x[1][0] < made.x[1][-1] < 0.1
+
+
+def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel(subject: Subject) -> None:
+    grid = Grid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
+    (x0,), (y0,), (w,), (h,) = (grid.box[name] for name in ("x0", "y0", "w", "h"))
+    centres = (np.arange(SIDE) + 0.5) / SIDE
+    assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-12)
+    assert np.allclose(y0 + h * centres, grid.y[1], rtol=0.0, atol=1e-12)
 
 
 def test_an_unknown_label_is_grey_and_each_other_has_its_colour() -> None:

@@ -65,6 +65,14 @@ def test_an_orbit_of_period_one_is_one_point_of_the_section(subject: Subject) ->
     assert np.allclose(drawn["gap"], [state[0] for state in states], atol=1e-6)
 
 
+def test_cells_that_come_twice_are_drawn_once(subject: Subject) -> None:
+    index = np.array([0, 128, 256])
+    cells = Cells(index, {"gap": index[:, None] / 10.0})
+    both = Cells(np.array([64, 128]), {"gap": np.array([[6.4], [12.8]])}).joined(cells)
+    assert both.index.tolist() == [0, 64, 128, 256]
+    assert both.results["gap"].ravel().tolist() == [0.0, 6.4, 12.8, 25.6]
+
+
 def test_chaos_fills_the_section_and_the_exponent_has_its_error_about_it(subject: Subject) -> None:
     line = Line(subject, subject.plane, (1.5, 0.1, 1.6, 0.1))
     cells = solved(line, [(0,)])

@@ -12,6 +12,7 @@ import pytest
 from bokeh.document import Document
 from bokeh.models import Div
 
+from atlas.errors import InputError
 from atlas.explore.background import Background
 from atlas.explore.server import PageServer
 
@@ -113,6 +114,25 @@ def test_a_websocket_goes_to_sessions_that_a_page_with_the_token_signed_alone(sh
     _, body = answer(shared, "/?token=a-secret", Host="hub.example")
     signed = body.split(b'"token":"')[1].split(b'"')[0].decode()
     assert asyncio.run(heard(signed)) is not None
+
+
+def test_a_page_holds_neither_the_cookies_nor_the_headers_of_its_request(shared: PageServer) -> None:
+    from bokeh.util.token import get_token_payload
+
+    given = {"Cookie": "jupyterhub-session=c1", "Authorization": "token c2"}
+    _, body = answer(shared, "/?token=a-secret&omega=2:3", Host="hub.example", **given)
+    payload = get_token_payload(body.split(b'"token":"')[1].split(b'"')[0].decode())
+    assert (payload["cookies"], payload["headers"]) == ({}, {})
+    assert "omega" in payload["arguments"]
+
+
+def test_the_address_of_a_host_of_the_sixth_version_has_its_brackets() -> None:
+    try:
+        made = PageServer(fill, host="::1")
+    except InputError:
+        pytest.skip("this machine has no such address")
+    made.stop()
+    assert made.url == f"http://[::1]:{made.port}/"
 
 
 def test_a_page_behind_the_token_finds_its_scripts_in_its_own_folder(shared: PageServer) -> None:

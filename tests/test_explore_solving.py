@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,12 @@ import xarray as xr
 from distributed import CancelledError, Client, Future
 
 import atlas
+from atlas.errors import InputError
 from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
+from atlas.explore.patches import Patches, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
 from atlas.explore.tiles import Tiles
@@ -203,6 +206,16 @@ def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, clie
     assert {name for name, _ in sheets(read_header(finished))} == {subject.digest(plane)[:16]}
 
 
+def test_the_keeping_of_another_plane_ends_where_that_is_asked_for(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        plane = explorer.subject.moved(explorer.subject.plane, "R", 0.71)
+        kept = [explorer.keeps(plane)]
+        for on in (True, True, False):
+            explorer.keep_plane(plane, on)
+            kept.append(explorer.keeps(plane))
+        assert kept == [False, True, True, False] and explorer.keeps(explorer.subject.plane)
+
+
 @pytest.mark.slow
 def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
@@ -288,6 +301,58 @@ def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
         back.set()
         solved(explorer, sight)
         assert explorer.patches.state.trouble == ""
+
+
+_SHOUTED = list[str]()
+
+
+def _shouted(text: str) -> str:
+    """A text in capitals; InputError, with how often it came, for the word input."""
+    _SHOUTED.append(text)
+    if text == "input":
+        raise InputError(f"input {_SHOUTED.count(text)}")
+    return text.upper()
+
+
+@dataclass(frozen=True)
+class Mistaken:
+    """A job with a mistake in one of its methods, or in none."""
+
+    wrong: str
+    came: list[str] = field(compare=False)
+
+    def make(self) -> Task | None:
+        self._step("make")
+        return _shouted, self.wrong
+
+    def solved(self, argument: object, found: object) -> int:
+        self._step("solved")
+        self.came.append(str(found))
+        return 1
+
+    def failed(self, why: str) -> None:
+        self.came.append(why)
+
+    def dropped(self) -> None:
+        """Nothing is held for it."""
+
+    def _step(self, name: str) -> None:
+        if name == self.wrong:
+            raise KeyError(name)
+
+
+def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: Client) -> None:
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        yield client
+
+    patches, came = Patches(connect), list[str]()
+    try:
+        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "solved", "none", "input")])
+        assert waited(lambda: patches.left("page") == 0 and len(came) == 4)
+        assert sorted(came) == ["KeyError: 'make'", "KeyError: 'solved'", "NONE", "input 1"]
+    finally:
+        patches.stop()
 
 
 def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:

@@ -80,12 +80,11 @@ def test_an_axis_of_one_point_cannot_be_explored() -> None:
         Lattice(Axis("omega", (1.0,)))
 
 
-def test_tiles_come_coarse_levels_first_and_each_from_the_centre_out(subject: Subject) -> None:
+def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(subject: Subject) -> None:
     sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 640, 480), subject.x, subject.y)
-    wanted = list(sight.wanted())
-    levels = [key.level_x for key in wanted]
-    assert levels == sorted(levels) and len(set(levels)) == STAGES + 1
-    finest = [key for key in wanted if key.level_x == sight.level_x]
+    levels = [{key.level_x for key in sight.tiles(stage)} for stage in range(STAGES + 1)]
+    assert levels == [{sight.level_x - stage} for stage in range(STAGES + 1)]
+    finest = sight.tiles(0)
     middle = 0.5 * (sight.first_x + sight.last_x), 0.5 * (sight.first_y + sight.last_y)
     width, height = sight.index_x.size, sight.index_y.size
     away = [
@@ -215,6 +214,9 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
         ({"R": [b"1.5"]}, "R = 1.5: must satisfy 0 <= R <= 1"),
         ({"kind": [b"sweep"]}, "kind: found 'sweep'; possible: exponent"),
         ({"overlay": [b"stars"]}, "overlay: found 'stars'; possible: grazing"),
+        ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', which begins and ends at one point"),
+        ({"vmin": [b"nan"]}, "vmin: found 'nan', must be a finite number"),
+        ({"pin": [b"omega=nan,b=0.3;"]}, "pin: found 'nan', must be a finite number"),
     ],
 )
 def test_an_address_that_asks_for_what_there_is_not_is_refused(

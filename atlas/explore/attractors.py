@@ -9,7 +9,7 @@ import numpy as np
 from atlas.cell.attractors import in_words
 from atlas.explore.known import Cell
 from atlas.explore.patch import Patch, solve_patch
-from atlas.explore.patches import Task
+from atlas.explore.patches import Job, Task
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.query.queries import at
@@ -94,7 +94,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Question:
+class Question(Job):
     """A cell whose attractors somebody asks for: a job of the cluster."""
 
     asked: Asked
@@ -114,9 +114,6 @@ class Question:
     def failed(self, why: str) -> None:
         """See ``Job``."""
         self.asked.tell(self, Attractors(trouble=why))
-
-    def dropped(self) -> None:
-        """See ``Job``: nothing is held for it."""
 
 
 def _answer(each: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> Attractors:

@@ -29,6 +29,10 @@ class Background:
         """Have something done in the thread of the document, for as long as there is one."""
         self._loop.add_callback(self._show, act)
 
+    def later(self, act: Callable[..., None]) -> Callable[..., None]:
+        """A function for other threads that has something done in that of the document, with its arguments."""
+        return lambda *given: self.show(partial(act, *given))
+
     def _show(self, act: Show) -> None:
         # Bokeh empties a document some time before it says that its session has ended, both in this thread.
         if not self.closed and self._document.session_context is not None:

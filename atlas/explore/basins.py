@@ -1,5 +1,6 @@
 """The basins of a cell that was clicked: which attractor each initial state of a plane of them reaches."""
 
+import html
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from atlas.explore.background import Background
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
-from atlas.explore.patches import Task
+from atlas.explore.patches import Job, Task
 from atlas.explore.plot import quiet_axis
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Subject
@@ -57,9 +58,16 @@ class Grid:
         sides = [(system.states[i], np.linspace(low[0, i], high[0, i], SIDE + 2)[1:-1]) for i in (k, n + k)]
         return cls(system, parameters, subject.settings, starts, *sides)
 
+    @property
+    def box(self) -> dict[str, list[float]]:
+        """Where the picture lies whose pixels have the initial states at their centres."""
+        (x, width), (y, height) = ((values[0], values[1] - values[0]) for _, values in (self.x, self.y))
+        size = {"w": [width * self.x[1].size], "h": [height * self.y[1].size]}
+        return {"x0": [x - 0.5 * width], "y0": [y - 0.5 * height]} | size
+
 
 @dataclass(frozen=True, eq=False)
-class BasinJob:
+class BasinJob(Job):
     """Some rows of a plane of initial states to be solved for somebody, who is told in another thread."""
 
     grid: Grid
@@ -80,9 +88,6 @@ class BasinJob:
         """See ``Job``."""
         self.refused(why)
 
-    def dropped(self) -> None:
-        """See ``Job``: nothing is held for it."""
-
 
 def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:
     """Labels (rows, SIDE) of the attractors that initial states reach; negative where none of the table is known."""
@@ -99,7 +104,8 @@ class BasinsPanel:
     """The button that asks for basins, and the plane of initial states that shows them."""
 
     def __init__(self, explorer: Explorer, background: Background) -> None:
-        self._explorer, self._background = explorer, background
+        self._explorer = explorer
+        self._told, self._refuse = background.later(self._take), background.later(self._refused)
         self._cell: Cell | None = None
         self._labels = np.zeros((0, 0), dtype=np.int32)
         self._button = Button(label="basins of this cell", visible=False, sizing_mode="stretch_width")
@@ -152,19 +158,14 @@ class BasinsPanel:
         jobs = [BasinJob(grid, each, partial(self._told, cell), self._refuse) for each in rows]
         self._explorer.patches.want(self, jobs)
 
-    def _told(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
-        self._background.show(partial(self._take, cell, grid, rows, labels))
-
-    def _refuse(self, why: str) -> None:
-        self._background.show(lambda: self._says.update(text=f"basins: {why}"))
+    def _refused(self, why: str) -> None:
+        self._says.text = html.escape(f"basins: {why}")
 
     def _take(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
         if cell is not self._cell:
             return
         self._labels[rows] = labels
-        (begin, end), (low, high) = ((side[0], side[-1]) for side in (grid.x[1], grid.y[1]))
-        size = {"x0": [begin], "y0": [low], "w": [end - begin], "h": [high - low]}
-        self._image.data = {"basins": [painted(self._labels)], **size}
+        self._image.data = {"basins": [painted(self._labels)], **grid.box}
         count = np.unique(self._labels[self._labels >= 0]).size
         left = np.count_nonzero(self._labels == UNSOLVED)
         more = f"; {left} not solved yet" if left else ""

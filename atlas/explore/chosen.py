@@ -194,6 +194,8 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         return replace(chosen, cell=(chosen.plane, x, y))
     if name == "cut":
         x, y, to_x, to_y = _numbers(name, value, 4)
+        if (x, y) == (to_x, to_y):
+            raise InputError(f"cut: found {value!r}, which begins and ends at one point")
         return replace(chosen, cut=(x, y, to_x, to_y))
     end = _number(name, value)
     return replace(chosen, vmin=end) if name == "vmin" else replace(chosen, vmax=end)
@@ -201,9 +203,12 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
 
 def _number(name: str, value: str) -> float:
     try:
-        return float(value)
+        found = float(value)
     except ValueError:
         raise InputError(f"{name}: found {value!r}, must be a number") from None
+    if not math.isfinite(found):
+        raise InputError(f"{name}: found {value!r}, must be a finite number")
+    return found
 
 
 def _pin(subject: Subject, text: str) -> Pin:
@@ -219,14 +224,14 @@ def _pin(subject: Subject, text: str) -> Pin:
 
 def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:
     numbers = tuple(_number(name, part) for part in value.split(","))
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise InputError(f"{name}: found {value!r}, must be {count} finite numbers, separated by commas")
+    if len(numbers) != count:
+        raise InputError(f"{name}: found {value!r}, must be {count} numbers, separated by commas")
     return numbers
 
 
 def _range(name: str, value: str, log: bool) -> Range:
     low, colon, high = value.partition(":")
     ends = _number(name, low), _number(name, high if colon else "")
-    if not (float("-inf") < ends[0] < ends[1] < float("inf") and (ends[0] > 0 or not log)):
+    if not (ends[0] < ends[1] and (ends[0] > 0 or not log)):
         raise InputError(f"{name}: found {value!r}, must be LOW:HIGH{' above zero' if log else ''}")
     return ends

@@ -19,11 +19,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-def plane_names(subject: Subject) -> list[str]:
-    """The variables with one number a cell, ``regime`` last."""
-    return [variable.name for variable in subject.system.variables(subject.settings) if not variable.extra]
-
-
 def composed(
     subject: Subject,
     plane: Plane,

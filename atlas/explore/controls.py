@@ -67,8 +67,8 @@ class Controls:
             *([_heading("initial state"), *states] if states else []),
         ]  # fmt: skip
 
-    def show(self, state: State) -> None:
-        """Have the widgets show the state."""
+    def show(self, state: State, kept: bool = False) -> None:
+        """Have the widgets show the state, and whether its plane is kept."""
         chosen, own = state.chosen, self.subject.plane
         self.variable.visible = self.log.visible = chosen.kind == SCALAR
         self.vmin.value, self.vmax.value = chosen.vmin, chosen.vmax
@@ -77,9 +77,7 @@ class Controls:
             if not slider.start <= value <= slider.end:
                 slider.update(start=min(slider.start, value), end=max(slider.end, value))
             slider.value = self.typed[name].value = value
-        moved = chosen.plane != own
-        if moved != self.keep.visible:
-            self.keep.update(visible=moved and self.subject.header is not None, active=False)
+        self.keep.update(visible=chosen.plane != own and self.subject.header is not None, active=kept)
 
     def _wire(self) -> None:
         """Have each widget change the part of the state that it shows."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.explore.chosen import Cut
 from atlas.explore.patch import Patch, packed, solve_patch
-from atlas.explore.patches import Task
+from atlas.explore.patches import Job, Task
 from atlas.explore.subject import Plane, Subject
 from atlas.query.machine import gap_rows
 from workers.results import ERROR, LARGEST, SECTION
@@ -87,16 +87,16 @@ class Cells:
     results: dict[str, NDArray[Any]]
 
     def joined(self, other: "Cells | None") -> "Cells":
-        """These and others, in the order of the line."""
+        """These and others, each once, in the order of the line."""
         if other is None:
             return self
-        order = np.argsort(np.concatenate([self.index, other.index]))
+        index, order = np.unique(np.concatenate([self.index, other.index]), return_index=True)
         results = {name: np.concatenate([values, other.results[name]])[order] for name, values in self.results.items()}
-        return Cells(np.concatenate([self.index, other.index])[order], results)
+        return Cells(index, results)
 
 
 @dataclass(frozen=True)
-class CutJob:
+class CutJob(Job):
     """Points of a line to be solved for somebody, who is told in another thread."""
 
     line: Line
@@ -129,9 +129,6 @@ class CutJob:
         """See ``Job``."""
         self.refused(f"part of the cut: {why}")
 
-    def dropped(self) -> None:
-        """See ``Job``: nothing is held for it."""
-
 
 @dataclass(frozen=True)
 class Branches:
@@ -142,7 +139,7 @@ class Branches:
 
 
 @dataclass(frozen=True, eq=False)
-class BranchJob:
+class BranchJob(Job):
     """The branches through the periodic cells of a line, followed for somebody."""
 
     line: Line
@@ -161,10 +158,7 @@ class BranchJob:
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
-        self.refused(why.removeprefix("InputError: "))
-
-    def dropped(self) -> None:
-        """See ``Job``: nothing is held for it."""
+        self.refused(why)
 
 
 def follow(sweep: "xr.Dataset") -> Branches:

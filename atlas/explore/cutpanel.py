@@ -1,5 +1,6 @@
 """The cut of a page: the line over the plane, and below it the diagrams along it, which share the pointer."""
 
+import html
 from functools import partial
 from typing import Any
 
@@ -59,7 +60,9 @@ class CutPanel:
     """The diagrams along the line that is chosen, and what finds them."""
 
     def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
-        self._explorer, self._background, self._store, self._plane = explorer, background, store, plane
+        self._explorer, self._store, self._plane = explorer, store, plane
+        self._told, self._refuse = background.later(self._take), background.later(lambda why: store.set(trouble=why))
+        self._branched, self._unbranched = background.later(self._take_branches), background.later(self._ended)
         self._shown: Line | None = None
         self._cells: Cells | None = None
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
@@ -121,21 +124,19 @@ class CutPanel:
         self._along.data = {"along": [line.along]}
         self._section.x_range.update(start=low, end=high)
         self._label(line, low, high)
-        self._says.text = "solving the cells along the cut"
+        self._says.text, self._follow.disabled = "solving the cells along the cut", False
         self.panel.visible = True
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
-        jobs = [CutJob(line, part, self._told, self._refuse) for part in line.parts()]
-        self._explorer.patches.want(self, jobs)
+        self._explorer.patches.want(self, self._missing(line))
 
-    def _told(self, line: Line, cells: Cells) -> None:
-        self._background.show(partial(self._take, line, cells))
-
-    def _refuse(self, why: str) -> None:
-        self._background.show(lambda: self._store.set(trouble=why))
+    def _missing(self, line: Line) -> list[CutJob]:
+        """What solves the points of a line that are not known."""
+        known = set() if self._cells is None else {*self._cells.index.tolist()}
+        return [CutJob(line, part, self._told, self._refuse) for part in line.parts() if not known.issuperset(part)]
 
     def _take(self, line: Line, cells: Cells) -> None:
         """Show more cells of the line."""
-        if line is not self._shown:
+        if line != self._shown:
             return
         self._cells = found = cells.joined(self._cells)
         self._sources["section"].data = dict(section(line, found))
@@ -147,24 +148,21 @@ class CutPanel:
         if line is None or cells is None:
             return
         try:
-            job = BranchJob(line, sweep_of(line, cells), self._branched, self._refuse_branches)
+            job = BranchJob(line, sweep_of(line, cells), self._branched, partial(self._unbranched, line))
         except InputError as error:
-            self._says.text = str(error)
+            self._ended(line, str(error))
             return
         self._says.text = "following branches"
-        self._explorer.patches.want(self, [job])
+        self._follow.disabled = True  # no worker can be called back: each click would take another one
+        self._explorer.patches.want(self, [job, *self._missing(line)])
 
-    def _branched(self, line: Line, found: Branches) -> None:
-        self._background.show(partial(self._take_branches, line, found))
-
-    def _refuse_branches(self, why: str) -> None:
-        def show() -> None:
-            self._says.text = why
-
-        self._background.show(show)
+    def _ended(self, line: Line, says: str) -> None:
+        """Say how the following of branches of a line has ended."""
+        if line == self._shown:
+            self._says.text, self._follow.disabled = html.escape(says), False
 
     def _take_branches(self, line: Line, found: Branches) -> None:
-        if line is not self._shown:
+        if line != self._shown:
             return
         self._sources["branches"].data = {
             "xs": [x for _, x, _ in found.stretches],
@@ -175,7 +173,7 @@ class CutPanel:
         kinds, x, gap = zip(*found.events, strict=True) if found.events else ((), (), ())
         self._sources["events"].data = {"x": list(x), "gap": list(gap), "kind": [k.replace("_", " ") for k in kinds]}
         counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
-        self._says.text = f"branches: {counts}; point at an event to read it"
+        self._ended(line, f"branches: {counts}; point at an event to read it")
 
     def _straight(self, along: int) -> None:
         """Cut along one axis, through the cell that was clicked or the middle of the view."""

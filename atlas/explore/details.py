@@ -20,16 +20,22 @@ from atlas.explore.known import Cell
 from atlas.explore.motion import Motion, MotionPanel, motion_of, motions
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
+from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
 from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
 
 POINTED = "<h4>cell under the pointer</h4>"
 CLICKED = "<h4>cell clicked</h4>"
-COPY_TEXT = """
-const box = document.createElement("textarea")
-box.innerHTML = full.text
-navigator.clipboard.writeText(box.value)
+COPY = """
+const text = source.value ?? source.tags[0]
+if (navigator.clipboard) return navigator.clipboard.writeText(text)
+const box = document.body.appendChild(document.createElement("textarea"))
+box.value = text
+box.select()
+document.execCommand("copy")
+box.remove()
 """
+"""A page that another machine serves by plain HTTP has no ``clipboard``."""
 PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
  onclick="this.classList.toggle('large')">"""
 ALL = "<h4>all attractors of this cell</h4>"
@@ -61,20 +67,18 @@ class Details:
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
         self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
-        self._full = Div(visible=False)
         self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
-        self._copy_all.js_on_click(CustomJS(args={"full": self._full}, code=COPY_TEXT))
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
         self._copy = Button(label="copy", visible=False, width=70, align="end")
-        copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
-        self._copy.js_on_event("button_click", copying)
+        for button, source in ((self._copy, self._point), (self._copy_all, self._copy_all)):
+            button.js_on_event("button_click", CustomJS(args={"source": source}, code=COPY))
 
     @property
     def panels(self) -> list[Any]:
         """What it consists of, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
         found = [self._attractors, self._motion.panel, self._basins.panel, self._portrait]
-        return [self._pointed, self._clicked, line, *found, self._numbers, self._copy_all, self._full]
+        return [self._pointed, self._clicked, line, *found, self._numbers, self._copy_all]
 
     def close(self) -> None:
         """Want nothing more."""
@@ -108,30 +112,31 @@ class Details:
         data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
         if data != self._mark.data:
             self._mark.data = data
-        if at and cell != self._detailed and self._sight() is not None:
+        if cell is not None and at and cell != self._detailed and self._sight() is not None:
             self._detailed = cell
             self._clicks += 1
             self._clicked.text = f"{CLICKED}solving it"
             self._motion.clear()
             self._basins.clear()
-            self._background.run(partial(self._detail, at, self._clicks))
+            self._background.run(partial(self._detail, cell, self._clicks))
 
     def _look_up(self) -> None:
         if self._pointer is not None and not self._looking:
             self._looking = True
             self._background.run(partial(self._looked_up, self._pointer))
 
-    def _cell(self, point: tuple[float, float]) -> Cell | None:
+    def _cell(self, plane: Plane, point: tuple[float, float]) -> Cell | None:
         sight = self._sight()
-        return None if sight is None else self._explorer.known.cell(self._store.now.chosen.plane, sight, *point)
+        return None if sight is None else self._explorer.known.cell(plane, sight, *point)
 
     def _found(self, point: tuple[float, float]) -> Show:
-        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        plane = self._store.now.chosen.plane
+        cell = self._cell(plane, point)
         at = point if cell is None else tuple(cell.parameters[name] for name in self._subject.axes)
         return lambda: self._store.choose(cell=(plane, *at))
 
     def _looked_up(self, point: tuple[float, float]) -> Show:
-        cell = self._cell(point)
+        cell = self._cell(self._store.now.chosen.plane, point)
         text = POINTED + (cell_table(cell, self._subject) if cell else "not known yet")
 
         def show() -> None:
@@ -142,17 +147,18 @@ class Details:
 
         return show
 
-    def _detail(self, point: tuple[float, float], click: int) -> Show:
+    def _detail(self, at: Point, click: int) -> Show:
         if click != self._clicks:  # there was another one meanwhile
             return lambda: None
-        plane, cell = self._store.now.chosen.plane, self._cell(point)
+        plane, point = at[0], at[1:]  # not the plane of now: a slider may have moved on
+        cell = self._cell(plane, point)
         if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
             cell = self._explorer.known.solved(plane, *point)
         found = known_attractors(self._subject, cell)
         answer = partial(self._answer, cell.parameters, click)
         self._background.show(partial(answer, found))
         if found is None and not self._background.closed:
-            self._explorer.ask(self, cell, lambda found: self._background.show(partial(answer, found)))
+            self._explorer.ask(self, cell, self._background.later(answer))
         self._background.show(partial(self._show, cell, "drawing its portrait", click))
         try:
             orbit = orbit_of(self._subject, cell)
@@ -169,7 +175,7 @@ class Details:
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)
         self._copy.visible = self._copy_all.visible = True
-        self._full.text = html.escape(cell_text(cell))
+        self._copy_all.tags = [cell_text(cell)]
         self._portrait.text = drawn
         self._basins.offer(cell)
 
@@ -193,4 +199,4 @@ class Details:
         """Draw the portraits of all attractors in one phase plane."""
         states = [each["state"] for each in found.each if "state" in each]
         drawn = motions(self._subject, parameters, states)
-        return lambda: self._motion.show(drawn[0], drawn) if drawn and click == self._clicks else None
+        return lambda: self._motion.portray(drawn) if drawn and click == self._clicks else None

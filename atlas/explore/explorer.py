@@ -12,7 +12,7 @@ from atlas.explore.attractors import Asked, Attractors
 from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.known import Cell, Known
 from atlas.explore.patch import Patch, solve_patch
-from atlas.explore.patches import Patches, Task
+from atlas.explore.patches import Job, Patches, Task
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import MOST_BYTES as MOST_TILES
 from atlas.explore.tiles import Arrays, Tiles
@@ -72,7 +72,7 @@ class Explorer:
         """
         if axes == self.subject.axes and layer in (None, self.subject.layer_value):
             return self
-        subject = self.subject.turned(axes, layer)
+        subject, layer = self.subject.turned(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
             idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
             gone = [self._others.pop(key) for key in idle[: max(0, len(self._others) - MOST_OTHERS)]]
@@ -99,10 +99,19 @@ class Explorer:
         with self._lock:
             return list(self._listeners)
 
-    def keep_plane(self, plane: Plane) -> None:
-        """Keep this plane too, with what is known of it."""
+    def keeps(self, plane: Plane) -> bool:
+        """Whether tiles of this plane are kept as they are solved, where anything is."""
         with self._lock:
-            self._kept_planes.add(plane)
+            return plane in self._kept_planes
+
+    def keep_plane(self, plane: Plane, on: bool = True) -> None:
+        """Keep this plane too, with what is known of it; or nothing more of it."""
+        with self._lock:
+            if on == (plane in self._kept_planes):
+                return
+            self._kept_planes ^= {plane}
+        if not on:
+            return
         for key, arrays in self.known.tiles.of(plane):
             if arrays.keys() >= set(self.known.names):
                 self.keeper.offer(plane, key, arrays)
@@ -165,7 +174,7 @@ class Explorer:
 
 
 @dataclass(frozen=True)
-class TileJob:
+class TileJob(Job):
     """A tile of a plane to be solved for an explorer."""
 
     explorer: Explorer

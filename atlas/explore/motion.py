@@ -1,6 +1,7 @@
 """The motion of a cell, moving: the phase portraits of its attractors, and the machine over its orbit."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,15 +77,13 @@ def motion_of(orbit: CellOrbit) -> Motion:
     return Motion(y[drawn], v[drawn], moving, stops, lane, SAMPLES / stride)
 
 
-def motions(subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]) -> list[Motion]:
-    """The motions from these states of a cell, those that can be shown."""
-    found = []
-    for state in states[:MOST]:
+def motions(subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]) -> dict[int, Motion]:
+    """The motions from these states of a cell, by their places, as far as they can be shown."""
+    found = {}
+    for place, state in enumerate(states[:MOST]):
         given = dict(parameters) | dict(zip(subject.system.states, map(float, state), strict=True))
-        try:
-            found.append(motion_of(cell_orbit(given, subject.system, subject.settings)))
-        except InputError:
-            continue
+        with suppress(InputError):
+            found[place] = motion_of(cell_orbit(given, subject.system, subject.settings))
     return found
 
 
@@ -124,14 +123,18 @@ class MotionPanel:
     def clear(self) -> None:
         """Show no motion."""
         self.panel.visible = self._play.active = False
+        self.portray({})
 
-    def show(self, own: Motion, others: Sequence[Motion] = ()) -> None:
-        """Show the cell's own motion in motion, and the portraits of all in the colours of their places."""
-        each = list(others) or [own]
-        colors = [PALETTE[k % len(PALETTE)] for k in range(len(each))]
-        self._paths.data = {"xs": [m.y for m in each], "ys": [m.v for m in each], "color": colors}
-        if others:
-            return
+    def portray(self, each: Mapping[int, Motion]) -> None:
+        """Show the portraits of attractors in the colours of their places."""
+        colors = [PALETTE[place % len(PALETTE)] for place in each]
+        paths = each.values()
+        self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
+
+    def show(self, own: Motion) -> None:
+        """Show the cell's own motion, which a button sets in motion."""
+        if len(self._paths.data["xs"]) < 2:  # else the portraits of all came first
+            self.portray({0: own})
         y, v, *masses = own.moving
         self._path.data = {"y": y, "v": v} | {f"q{k:02}": q for k, q in enumerate(masses)}
         self._here.data = {"now_y": [y[0]], "now_v": [v[0]]}

@@ -52,6 +52,7 @@ clearTimeout(page.timer)
 page.timer = setTimeout(() => { page.rests = true }, 1500)
 """
 """A view at which somebody rested stays in the browser's history."""
+PROBING = "<h4>new atlas</h4>solving a few cells for its cost"
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
@@ -101,11 +102,8 @@ class Page:
         document.title = f"{self._subject.name}: explorer"
         document.add_root(self._layout())
         document.add_periodic_callback(self._say_progress, 500)
-        self._painter = Painter(
-            explorer,
-            lambda painted: self._background.show(partial(self._show, painted)),
-            lambda why: self._background.show(partial(self._unpainted, why)),
-        )
+        later = self._background.later
+        self._painter = Painter(explorer, later(self._show), later(self._unpainted))
         store.listen(self._changed)
 
     def close(self) -> None:
@@ -142,7 +140,7 @@ class Page:
         for k, attribute in enumerate(("inner_width", "inner_height")):
             plot.on_change(attribute, partial(self._resized, k))
         controls.rescale.on_click(self._rescale)
-        controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane) if on else None)
+        controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane, on))
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
@@ -182,7 +180,7 @@ class Page:
             label_axes(self._plot, self._subject, chosen)
         if chosen.plane != before.plane:
             self._title.text = title(self._subject, chosen.plane)
-        self._controls.show(new)
+        self._controls.show(new, self._explorer.keeps(chosen.plane))
         self._details.show(chosen)
         self._cut.show(new)
         self._pins.show(chosen)
@@ -245,6 +243,8 @@ class Page:
     def _refused(self, why: str) -> None:
         self._store.set(trouble=why)
         self._details.refused()
+        if self._made.text == PROBING:
+            self._made.visible = False
 
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
@@ -267,7 +267,8 @@ class Page:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            notes.append("another plane than the atlas's" + ("" if self._controls.keep.active else ", not kept"))
+            kept = self._explorer.keeper.header is not None and self._explorer.keeps(chosen.plane)
+            notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
 
@@ -291,7 +292,7 @@ class Page:
     def _make(self) -> None:
         chosen, cells = self._store.now.chosen, int(self._controls.cells.value or 2)
         x, y = self._store.now.box or (chosen.x, chosen.y)
-        self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
+        self._made.update(text=PROBING, visible=True)
 
         def work() -> Callable[[], None]:
             made = new_atlas(self._subject, chosen, x, y, cells, self._folder)

@@ -185,7 +185,7 @@ class Painter:
         low, high = self._ends(chosen)
         made, lacking = self._drawn(ds, chosen, pixels, low, high)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
-        if made.ends is not None and pending <= SETTLED:
+        if made.ends is not None and pending <= SETTLED and chosen.vmin is None and chosen.vmax is None:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:

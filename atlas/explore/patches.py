@@ -4,12 +4,14 @@ What is no longer wanted is dropped: here at once, on the cluster where it has n
 has; its results come back all the same, and are handed on.
 """
 
+import logging
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -46,7 +48,7 @@ class State:
     rate: float = 0.0
 
 
-class Job(Hashable, Protocol):
+class Job(Protocol):
     """Something that a worker does for those who want it; its methods are called from a thread of this service."""
 
     def make(self) -> Task | None:
@@ -56,10 +58,11 @@ class Job(Hashable, Protocol):
         """Take the result, and return how many cells it has."""
 
     def failed(self, why: str) -> None:
-        """Take note that the job was tried ATTEMPTS times, and what it raised."""
+        """Take note that the job is given up, for bad input or after ATTEMPTS tries, and what it raised."""
 
     def dropped(self) -> None:
-        """Let go of what was made: ``make`` is called again if the job is still wanted."""
+        """Let go of what was made, if that is held: ``make`` is called again if the job is still wanted."""
+        return
 
 
 class Patches:
@@ -191,7 +194,7 @@ class Patches:
         job = self._next()
         if job is None:
             return False
-        task = job.make()
+        task = self._tried(job, job.make)
         if task is None:
             self._done_with(job)
             return True
@@ -206,7 +209,7 @@ class Patches:
         if future.status == "finished":
             found = future.result()
             self._forget(future)
-            cells = job.solved(argument, found)
+            cells = self._tried(job, partial(job.solved, argument, found)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
             self._done_with(job)  # not before it is known: who asks meanwhile would have it solved again
@@ -216,12 +219,23 @@ class Patches:
         error = future.exception()
         self._forget(future)
         self._tries[job] = self._tries.get(job, 0) + 1
-        if self._tries[job] >= ATTEMPTS:
+        if self._tries[job] >= ATTEMPTS or isinstance(error, InputError):  # bad input stays bad
             self._tries.pop(job)
             self._done_with(job)
-            job.failed(" ".join(f"{type(error).__name__}: {error}".split()))
+            job.failed(_why(error))
         else:
             job.dropped()
+
+    def _tried(self, job: Job, step: Callable[[], Any]) -> Any:
+        """What a step of a job returns; None after a mistake of ours, which ends that job and not the work for all."""
+        try:
+            return step()
+        except (RunError, OSError):
+            raise
+        except Exception as error:
+            logging.getLogger(__name__).exception("a job could not be done")
+            job.failed(_why(error))
+            return None
 
     def _forget(self, future: "Future[Any]") -> Job:
         """Count a job as no longer sent, and return it."""
@@ -238,3 +252,8 @@ class Patches:
             for jobs in self._wanted.values():
                 with suppress(ValueError):
                     jobs.remove(job)
+
+
+def _why(error: object) -> str:
+    """What an error says, on one line; of a mistake its type too."""
+    return " ".join((str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}").split())

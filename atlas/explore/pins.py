@@ -10,7 +10,7 @@ from bokeh.plotting import figure
 from atlas.explore.chosen import Chosen, Pin
 from atlas.explore.state import Store
 from atlas.explore.subject import Plane, Subject
-from atlas.explore.words import number, symbol_of
+from atlas.explore.words import where
 
 
 class Pins:
@@ -49,9 +49,7 @@ class Pins:
 
     def _line(self, place: int, pin: Pin) -> Any:
         values, note = pin
-        there = ", ".join(
-            f"{symbol_of(self._subject.system, n)} = {number(dict(values)[n])}" for n in self._subject.axes
-        )
+        there = ", ".join(f"{name} = {value}" for name, value in where(self._subject, dict(values)).items())
         label = f"{place + 1}  {there}{': ' if note else ''}{note}"
         go = Button(label=label, sizing_mode="stretch_width", align="center")
         go.on_click(partial(self._go, pin))

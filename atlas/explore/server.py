@@ -55,7 +55,8 @@ class PageServer:
     @property
     def url(self) -> str:
         """The page's address, without its token."""
-        return f"http://{socket.getfqdn() if self._host in EVERY else self._host}:{self.port}/"
+        name = socket.getfqdn() if self._host in EVERY else self._host
+        return f"http://{f'[{name}]' if ':' in name else name}:{self.port}/"
 
     def stop(self) -> None:
         """Close all pages and end."""
@@ -137,6 +138,8 @@ def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str], token: 
         extra_websocket_origins=["*"] if token else hosts,
         sign_sessions=bool(token),
         secret_key=secrets.token_bytes(32) if token else None,
+        include_headers=[],  # else the source of a page has those of its request, and the cookies of a hub
+        include_cookies=[],
         unused_session_lifetime_milliseconds=FORGOTTEN,
         check_unused_sessions_milliseconds=FORGOTTEN // 4,
         keep_alive_milliseconds=10_000,

@@ -188,14 +188,14 @@ class Subject:
         sides = (x, tuple(across.tolist())), (y, tuple(up.tolist()))
         return Patch(self.system, dict(plane.parameters), self.settings, *sides, wanted)
 
-    def spec_of(self, plane: Plane, x: Any, y: Any, settings: Settings | None = None) -> Spec:
+    def spec_of(self, plane: Plane, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""
         names = (axis.name for axis in self.spec.axes)
         axes = {
             name: {"values": np.asarray(values), "scale": axis.scale}
             for name, axis, values in zip(names, self.spec.axes, (x, y), strict=True)
         }
-        return Spec(self.system, axes, dict(plane.parameters), settings or self.settings)
+        return Spec(self.system, axes, dict(plane.parameters), self.settings)
 
 
 def subject_of(given: str, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE) -> Subject:

@@ -1,6 +1,5 @@
 """What is in view: at which levels, in which tiles, and in which order they are wanted. Nothing here is computed."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -98,11 +97,6 @@ class Sight:
             for tx in range(across[0] // TILE, across[1] // TILE + 1)
         ]
         return sorted(keys, key=lambda key: self._distance(key, stage))[:MOST_TILES]
-
-    def wanted(self, stages: int = STAGES) -> Iterator[TileKey]:
-        """All tiles in view that the full density takes, coarse levels first, each from the centre out."""
-        for stage in range(stages, -1, -1):
-            yield from self.tiles(stage)
 
     def shows(self, key: TileKey) -> bool:
         """Whether a tile, of this density or a coarser one, has a cell in view."""

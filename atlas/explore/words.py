@@ -18,11 +18,12 @@ from atlas.explore.attractors import Attractors
 from atlas.explore.known import Cell
 from atlas.explore.patches import State
 from atlas.explore.subject import Plane, Subject
+from atlas.query.extremes import regimes_with
 from atlas.render.classes import PALETTE
 from atlas.spec.system import impacts_of
 from atlas.text import plain, plural
 from workers.model.system import System
-from workers.results import ERROR, LARGEST, REASON, REGIME
+from workers.results import ERROR, LARGEST, REASON, REGIME, REGIMES
 
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CLOSE = 1e-3
@@ -76,12 +77,15 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> Ticks:
     return Ticks(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale}{unit}")
 
 
+def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
+    """Where a cell lies, by symbols: its axes, and the parameters by which its plane is not that of the subject."""
+    moved = [name for name, value in subject.plane.parameters if parameters[name] != value]
+    return {symbol_of(subject.system, name): number(parameters[name]) for name in (*subject.axes, *moved)}
+
+
 def cell_line(cell: Cell, subject: Subject) -> str:
     """Where a cell lies and its regime, as HTML."""
-    places = [
-        f"<i>{html.escape(symbol_of(subject.system, axis.name))}</i> = {number(cell.parameters[axis.name])}"
-        for axis in subject.spec.axes
-    ]
+    places = [f"<i>{html.escape(name)}</i> = {value}" for name, value in where(subject, cell.parameters).items()]
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
@@ -97,19 +101,23 @@ NAMES = {
 
 
 def cell_table(cell: Cell, subject: Subject) -> str:
-    """All that is known of a cell, as an HTML table; the pointer over a number shows all its digits."""
+    """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
     names = [axis.name for axis in subject.spec.axes]
     rows = [(symbol_of(subject.system, name), number(cell.results[name]), repr(cell.results[name])) for name in names]
     rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " "), ""))
     if REASON.name in cell.results:
         rows.append((REASON.name, str(cell.results[REASON.name]), ""))
-    if LARGEST.name in cell.results:
+    if not math.isnan(cell.results.get(LARGEST.name, math.nan)):
         value, error = cell.results[LARGEST.name], cell.results[ERROR.name]
         rows.append((NAMES[LARGEST.name], with_error(value, error), f"{value!r} ± {error!r}"))
     shown = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
+    regime = next(each.code for each in REGIMES if each.name == cell.results[REGIME.name])
     for name, value in cell.results.items():
-        if name not in shown and not (isinstance(value, float) and math.isnan(value)):
-            rows.append((NAMES.get(name, name.replace("_", " ")), _value(value), repr(value)))
+        if name in shown or regime not in regimes_with(name) or (isinstance(value, float) and math.isnan(value)):
+            continue
+        endless = name.endswith(("_upper", "_lower")) and isinstance(value, int) and value < 0
+        text = "without end: at rest on a stop" if endless else _value(value)
+        rows.append((NAMES.get(name, name.replace("_", " ")), text, repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
     body = "".join(
         f'<tr><td>{html.escape(left)}</td><td title="{html.escape(full)}">{html.escape(right)}</td></tr>'

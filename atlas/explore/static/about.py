@@ -72,7 +72,7 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
     return {
         "label": text_of(words.variable_label(ds, name)),
         "flag": ds[name].dtype.kind == "b",
-        "endless": name.startswith("impacts_") and ds[name].dtype.kind == "i",
+        "endless": name.endswith(("_upper", "_lower")) and ds[name].dtype.kind == "i",
         "regimes": sorted(regimes_with(name)),
     }
 

@@ -16,7 +16,7 @@ const whole = () => axes.map(({ cuts }) => [cuts[0], cuts[cuts.length - 1]]);
 
 // What is shown: all that the address holds. Everything on the page follows from it.
 let state = { map: atlas.maps[0], window: whole(), cell: null, ends: null, hidden: new Set() };
-let shown = null; // the arrays and the colours of the cells of state.map, once they are read
+let shown = null; // a map, the arrays and the colours of its cells: state.map once these are read
 let plot = { left: 0, top: 8, width: 1, height: 1 };
 
 // Numbers of the cells, see numbers.py
@@ -139,7 +139,7 @@ function drawNow() {
   const image = pen.createImageData(columns, rows), pixels = new Uint32Array(image.data.buffer);
   const across = cellsAlong(X.cuts, state.window[0], columns, false);
   const up = cellsAlong(Y.cuts, state.window[1], rows, true);
-  const { size, masks, inks } = texturesOf(state.map.entries, ratio);
+  const { size, masks, inks } = texturesOf(shown.map.entries, ratio);
   for (let row = 0, at = 0; row < rows; row++) {
     const first = up[row] * NX, line = (row % size) * size;
     for (let column = 0; column < columns; column++, at++) {

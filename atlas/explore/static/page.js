@@ -9,7 +9,7 @@ async function change(given, remembered = false) {
     const [codes, ...several] = await Promise.all([one.codes, ...names].map(numbers));
     if (state.map !== one) return;
     const values = Object.fromEntries(names.map((name, k) => [name, several[k]]));
-    shown = { codes, values, colors: colorsOf(one, codes, values) };
+    shown = { map: one, codes, values, colors: colorsOf(one, codes, values) };
   }
   by("kind").value = state.map.name;
   map.ariaLabel = `${state.map.meaning}, over ${X.label} and ${Y.label}`;

@@ -37,7 +37,7 @@ const placeOf = (cell) => axes.map((axis, along) => `${axis.symbol} = ${number(a
 
 function sentence(cell) {
   const k = cell[1] * NX + cell[0];
-  const rest = state.map.needs.filter((name) => name !== REGIME && isResult(name, k, shown.values));
+  const rest = shown.map.needs.filter((name) => name !== REGIME && isResult(name, k, shown.values));
   const parts = rest.map((name) => `${atlas.variables[name].label} ${inWords(name, k, shown.values)}`);
   return `${placeOf(cell)}: ${[atlas.regimes[shown.values[REGIME][k]], ...parts].join("; ")}`;
 }
