@@ -57,13 +57,15 @@ def mend_groups(header: Header, report: GroupReport) -> list[str]:
     for key in report.parts:
         header.place.remove(key)
         done.append(f"{key} dropped: {MADE_BY[key.split('/')[1]]} {header.place} finds it again")
-    for key in report.machines:
-        record_machine(header, UNKNOWN)  # that there was one still counts
-        header.place.remove(key)
-        done.append(f"{key} replaced by the record of an unknown machine")
     copies = copy_faults(header) if report.copies else {}
     restore(header, {key: copies[key] for key in report.copies if key in copies})
-    return done + [f"{key} written again, as its copy has it" for key in report.copies]
+    done += [f"{key} written again, as its copy has it" for key in report.copies]
+    for key in report.machines:
+        if recorded_machine(header.place, key) is None:
+            record_machine(header, UNKNOWN)  # that there was one still counts
+            header.place.remove(key)
+            done.append(f"{key} replaced by the record of an unknown machine")
+    return done
 
 
 def _remedy(header: Header, group: str) -> str:
