@@ -20,9 +20,9 @@ Chunks = int | str | Mapping[Any, Any] | None
 def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
-    ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label``
-    too, and where they are measured their measures. Reading
-    a chunk of a finished tile that is missing or damaged raises ChunkError.
+    ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too, and
+    where they are measured their measures. Reading a chunk of a finished tile that is missing or damaged raises
+    ChunkError.
     """
     import xarray
 
@@ -36,7 +36,7 @@ def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.
     )
     if header.spec.coexistence and group_attributes(header, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
-    if group_attributes(header, STABILITY) is not None:
+    if STABILITY in header.groups and group_attributes(header, STABILITY) is not None:
         opened = opened.assign(open_table(header, STABILITY).data_vars)
     opened.encoding["source"] = str(header.place)  # by which a view finds the overviews
     return opened

@@ -45,8 +45,8 @@ class Header:
     """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
 
     ``outline`` is its spec, without the values of axes and points except in format version 1. ``arrays`` are the
-    metadata of its root's arrays by name, in the root's copy; ``record``, the metadata of the array of the tiles'
-    records, None in a store of an earlier version.
+    metadata of its root's arrays by name, in the root's copy, ``groups`` the names of its groups there; ``record``, the
+    metadata of the array of the tiles' records, None in a store of an earlier version.
     """
 
     place: Place
@@ -57,6 +57,7 @@ class Header:
     arrays: Mapping[str, Mapping[str, Any]] = field(repr=False)
     origin: Origin | None = None
     record: Mapping[str, Any] | None = field(default=None, repr=False)
+    groups: frozenset[str] = frozenset()
     format_version: int = FORMAT_VERSION
 
     @property
@@ -208,6 +209,7 @@ def _read_header(place: Place) -> Header:
         if found not in (1, FORMAT_VERSION):
             raise InputError(f"{place}: format version {found}, this program reads versions 1 and {FORMAT_VERSION}")
         regime = json.loads(place.get(f"{REGIME.name}/{ROOT}") or b"")  # its own: by it tiles are cut and done
+        copies = (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
         header = Header(
             place=place,
             outline=json.loads(attrs["spec"]),
@@ -216,7 +218,8 @@ def _read_header(place: Place) -> Header:
             solver_version=attrs["solver_version"],
             arrays={**_array_metadata(place, root.get("consolidated_metadata")), REGIME.name: regime},
             origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
-            record=(root.get("consolidated_metadata") or {"metadata": {}})["metadata"].get(RECORD),
+            record=copies.get(RECORD),
+            groups=frozenset(key for key, node in copies.items() if node["node_type"] == "group" and "/" not in key),
             format_version=found,
         )
         _ = header.tile
