@@ -4,12 +4,14 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import dask
 import pytest
 from distributed import Client, LocalCluster
 
 import atlas
+from tests.browser import started
 from tests.planes import plane_of
 
 dask.config.set({"distributed.worker.profile.enabled": False})  # as local_cluster does, for clusters in this process
@@ -45,6 +47,13 @@ def two_workers() -> Iterator[Client]:
         LocalCluster(processes=False, n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
         Client(cluster, set_as_default=False) as made,
     ):
+        yield made
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """One browser for all tests of a file."""
+    with started() as made:
         yield made
 
 

@@ -10,7 +10,7 @@ import atlas
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
 from atlas.explore import motion
-from atlas.explore.basins import BAND, SIDE, BasinJob, Grid, painted
+from atlas.explore.basins import BAND, SIDE, Grid, basin_job, painted
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.subject import Subject, subject_of
@@ -113,7 +113,7 @@ def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subje
     grid = Grid(subject.system, {"omega": 4.0, "b": 0.1}, subject.settings, subject.starts,
                 ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
     came: list[np.ndarray] = []
-    job = BasinJob(grid, slice(1, 3), lambda _, rows, labels: came.append(labels), pytest.fail)
+    job = basin_job(grid, slice(1, 3), lambda _, rows, labels: came.append(labels), pytest.fail)
     task = job.make()
     assert task is not None and job.solved(task[1], task[0](task[1])) == 10
     states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]

@@ -6,7 +6,7 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.cut import SAMPLES, STEPS, Branches, BranchJob, Cells, CutJob, Line, exponents, section, sweep_of
+from atlas.explore.cut import SAMPLES, STEPS, Branches, Cells, Line, branch_job, cut_job, exponents, section, sweep_of
 from atlas.explore.subject import Subject, subject_of
 from tests.test_explore_solving import exploring, waited
 
@@ -20,7 +20,7 @@ def solved(line: Line, parts: list[tuple[int, ...]]) -> Cells:
     """Cells of a line, solved here."""
     came: list[Cells] = []
     for part in parts:
-        job = CutJob(line, part, lambda _, cells: came.append(cells), pytest.fail)
+        job = cut_job(line, part, lambda _, cells: came.append(cells), pytest.fail)
         task = job.make()
         assert task is not None
         assert job.solved(task[1], task[0](task[1])) == len(part)
@@ -86,7 +86,7 @@ def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subj
     line = Line(subject, subject.plane, (4.0, 0.05, 4.0, 0.15))
     assert line.name == "b"
     sweep, came = sweep_of(line, solved(line, line.parts()[:1])), []
-    job = BranchJob(line, sweep, lambda _, found: came.append(found), pytest.fail)
+    job = branch_job(line, sweep, lambda _, found: came.append(found), pytest.fail)
     task = job.make()
     assert task is not None
     job.solved(task[1], task[0](task[1]))
@@ -107,10 +107,10 @@ def test_branches_along_a_slanted_cut_are_refused(subject: Subject) -> None:
 def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject: Subject, client: Client) -> None:
     with exploring("omega-b", client) as explorer:
         line, came = Line(explorer.subject, explorer.subject.plane, (3.7, 0.45, 3.9, 0.45)), []
-        jobs = [CutJob(line, part, lambda _, cells: came.append(cells), pytest.fail) for part in line.parts()[:2]]
+        jobs = [cut_job(line, part, lambda _, cells: came.append(cells), pytest.fail) for part in line.parts()[:2]]
         explorer.patches.want("page", jobs)
         assert waited(lambda: explorer.patches.left("page") == 0)
         assert sum(cells.index.size for cells in came) == sum(map(len, line.parts()[:2]))
-        explorer.patches.want("page", [CutJob(line, part, lambda *_: None, pytest.fail) for part in line.parts()])
+        explorer.patches.want("page", [cut_job(line, part, lambda *_: None, pytest.fail) for part in line.parts()])
         explorer.patches.want("page", ())
         assert explorer.patches.left("page") == 0

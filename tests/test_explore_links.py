@@ -15,18 +15,12 @@ from distributed import Client
 from PIL import Image
 
 from atlas.explore.session import HUB, Exploration, explore
-from tests.browser import Tab, opened, started
+from tests.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 
 WINDOW = "omega=3.2:4.2&b=0.3:0.5"
 FOLDER = "/user/me/proxy/7"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from atlas.explore.painter import Painter
 from atlas.explore.session import Exploration, explore
 from atlas.explore.view import STAGES, Sight, TileKey
 from atlas.query.queries import at
-from tests.browser import Tab, opened, started
+from tests.browser import Tab, opened
 from workers.results import PENDING, REGIME
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
@@ -27,13 +27,6 @@ SECONDS = 6.0
 
 WINDOW = "omega=3.2:4.2&b=0.3:0.5"
 """A part of the plane whose cells are cheap: orbits of period 1, and motion without impact."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """One browser for all tests."""
-    with started() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

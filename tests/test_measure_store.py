@@ -38,6 +38,7 @@ from atlas.service.options import RunOptions
 from atlas.store.groups import STABILITY
 from atlas.store.parts import kept_parts, part_names
 from atlas.store.store import create, read_header
+from atlas.task.part import Site
 from tests import synthetic
 from workers import SOLVER_VERSION
 from workers.results import NO_IMPACT, PERIODIC
@@ -158,9 +159,9 @@ def test_a_run_that_was_stopped_loses_nothing(unmeasured: Path, measured: Path, 
     digest = _digest({LINEAR: {"content": _content(header), "norm": NORM}})
     kept_parts(header, STABILITY, digest)
     parts = list(pieces(header, LINEAR))
-    run = str(path), header.run_id, SOLVER_VERSION
+    site = Site(str(path), header.run_id, SOLVER_VERSION)
     for k, (name, tile, first, last) in list(enumerate(parts))[::2]:
-        measure_and_keep(MeasureJob((k,), name, LINEAR, tile, first, last, tuple(NORM.items()), *run))
+        measure_and_keep(MeasureJob((k,), name, LINEAR, tile, first, last, tuple(NORM.items()), site))
         assert read_measured(header, name)["return_time"].shape == (last - first, 3)
     summary = measure_attractors(path, norm=NORM, client=client)
     assert summary.tasks == len(parts) // 2
@@ -172,9 +173,8 @@ def test_parts_of_another_request_are_not_taken(unmeasured: Path, tmp_path: Path
     header = read_header(copied(unmeasured, tmp_path))
     kept_parts(header, STABILITY, "one")
     (name, tile, first, last) = next(iter(pieces(header, LINEAR)))
-    measure_and_keep(
-        MeasureJob((0,), name, LINEAR, tile, first, last, (), str(header.place), header.run_id, SOLVER_VERSION)
-    )
+    site = Site(str(header.place), header.run_id, SOLVER_VERSION)
+    measure_and_keep(MeasureJob((0,), name, LINEAR, tile, first, last, (), site))
     assert kept_parts(header, STABILITY, "one") >= {name}
     assert name not in kept_parts(header, STABILITY, "another")
 
@@ -286,7 +286,7 @@ def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
     monkeypatch.setattr(curves, "finished", lambda search: Curves(("omega", "b"), ()))
     search: Any = SimpleNamespace(tasks=dict)
     crew: Any = SimpleNamespace(claim=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1)
-    curves._Coordinator(header, search, "another", RunOptions(), crew).run()
+    curves._Coordinator(header, search, "another", crew).run()
     ds = atlas.open(with_margins)
     assert "margin" not in ds and "reactivity" in ds
 

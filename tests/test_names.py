@@ -5,6 +5,7 @@ Truth is what the package writes: the groups, arrays and dimensions of a store, 
 
 import inspect
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from atlas.accessor import AtlasAccessor
 from atlas.curves.export import columns
 from atlas.curves.table import Curves, as_arrays
 from atlas.errors import InputError
+from atlas.explore.chosen import ARGUMENTS
 from atlas.labels.table import _MEANINGS, BRANCH
 from atlas.measures.table import MEASURES
 from atlas.overview.coarsen import SHARE, level_variables
@@ -34,6 +36,7 @@ from workers.model.entries import DefinitionError
 from workers.model.system import packaged_system, system_names
 from workers.results import result_variables
 
+PAGE = Path(atlas.__file__).with_name("explore").joinpath("static", "page.js").read_text(encoding="utf-8")
 EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 
@@ -49,6 +52,8 @@ def own_names() -> Iterator[str]:
     yield from _MEANINGS
     yield from set(columns(("omega", "b"))) - {"omega", "b"}
     yield bounds_name("omega")
+    yield from ARGUMENTS
+    yield from set(re.findall(r"`(\w+)=", PAGE))
     for function in vars(AtlasAccessor).values():
         if inspect.isfunction(function) and "point" in inspect.signature(function).parameters:
             yield from set(inspect.signature(function).parameters) - {"point"}

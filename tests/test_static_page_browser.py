@@ -13,15 +13,9 @@ from PIL import Image
 
 import atlas
 from tests import pictures, synthetic
-from tests.browser import Tab, opened, started
+from tests.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +84,7 @@ ALL_LINES = "without=fold,period_doubling,graze,codimension_two"
 def test_the_map_has_the_colours_that_a_file_has(browser: Any, page: Path, ds: Any, tmp_path: Path) -> None:
     """A picture without texture, at one pixel of each cell; a page of other pixels has the same cells."""
     expected = period_colors(ds)
-    with look_at(browser, page, f"#map=period&{ALL_LINES}") as tab:
+    with look_at(browser, page, f"#kind=period&{ALL_LINES}") as tab:
         ready(tab)
         tab.page.evaluate("() => { atlas.curves.ends.length = 0; draw(); }")
         ready(tab)
@@ -227,7 +221,7 @@ def test_a_link_gives_the_same_view_and_back_goes_to_the_one_before(browser: Any
 
 
 @pytest.mark.parametrize(
-    "address", ["#map=none&cell=x:y", "#omega=9:2&cell=1", "#scale=2:1", "#cell=NaN:0", "#%E0%A4%A"]
+    "address", ["#kind=none&cell=x:y", "#omega=9:2&cell=1", "#vmin=2&vmax=1", "#cell=NaN:0", "#%E0%A4%A"]
 )
 def test_a_link_that_means_nothing_shows_the_whole_plane(browser: Any, page: Path, address: str) -> None:
     with look_at(browser, page, address) as tab:

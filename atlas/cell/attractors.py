@@ -1,14 +1,13 @@
 """All attractors of one cell, found here and now; and how an entry of a list of attractors reads."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
-from atlas.spec.attractors import checked_attractors, resolved_attractors
+from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters
 from atlas.spec.system import checked_system
 from workers import Settings
-from workers.attractors.starts import MOST_KEPT, Starts
+from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
 from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES
 
@@ -42,8 +41,7 @@ def attractors(
 
     record, settings = checked_system(system), settings or Settings()
     parameters = checked_parameters(record, given or {})
-    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
-    assert search is not None
+    search = cell_attractors(starts, record, settings)
     arrays = solve_attractors(record, parameters, settings, search)
     many = [each.name for each in record.variables(settings, attractors=True) if ATTRACTOR in each.extra]
     found = {name: array.tolist() for name, array in arrays.items() if name not in many}
@@ -51,8 +49,7 @@ def attractors(
     each = [in_words({name: arrays[name][place].tolist() for name in many}) for place in range(kept)]
     if not each:  # then the first place has what became of the cell's own initial state
         found |= in_words({name: arrays[name][0].tolist() for name in (REGIME.name, REASON.name)})
-    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
-    return record.resolved() | described | found | {"coexisting": each}
+    return resolved_search(record, parameters, settings, search) | found | {"coexisting": each}
 
 
 def in_words(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_cell, print_table, to_json
-from atlas.cli.progress import reporter
+from atlas.cli.progress import reporter, solving
 from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
@@ -57,9 +57,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
     if starts != Starts.count and not every:
         raise InputError("--starts goes with --attractors: without it one initial state is solved")
     record, pairs, settings = asked_cell(given, system, solve)
-    with reporter(sys.stderr) as show:
-        prepare_kernels(show, *kernels_for(record, *((ATTRACTORS,) if every else ())))
-        show(Progress("solving"))
+    with solving(record, *((ATTRACTORS,) if every else ())):
         if every:
             found = attractors(pairs, system=record, settings=settings, starts=starts)
         else:

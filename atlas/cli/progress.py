@@ -1,16 +1,29 @@
 """Where a run is, as a terminal and a log show it."""
 
+import sys
 import time
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
 from typing import IO
 
-from atlas.service.progress import LOG_INTERVAL, Progress
+from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
+from atlas.task.compile import kernels_for
+from workers.model.system import System
 
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
     """A progress bar where the stream is a terminal, a plain line every few seconds otherwise."""
     return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
+
+
+@contextmanager
+def solving(record: System, *kernels: str) -> Iterator[None]:
+    """Show on stderr that one cell is being solved, once the kernels of its system and these are ready."""
+    with reporter(sys.stderr) as show:
+        prepare_kernels(show, *kernels_for(record, *kernels))
+        show(Progress("solving"))
+        yield
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):

@@ -1,6 +1,5 @@
 """The command about the saddles between the basins of one cell."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,11 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_table, text, to_json
-from atlas.cli.progress import reporter
+from atlas.cli.progress import solving
 from atlas.errors import InputError
 from atlas.query.export import write_rows
 from atlas.robustness.norm import checked_weights
-from atlas.service.progress import Progress, prepare_kernels
-from atlas.task.compile import ATTRACTORS, kernels_for
+from atlas.task.compile import ATTRACTORS
 
 
 @click.command(
@@ -61,17 +59,13 @@ def saddles(
     from atlas.robustness.saddles import saddles as find_saddles
 
     record, pairs, settings = asked_cell(given, system, solve)
-    weights, ends = (
-        checked_weights(read_pairs("--norm", norm, read_number), record),
-        read_pairs("--box", box, read_bounds),
-    )
+    weights = checked_weights(read_pairs("--norm", norm, read_number), record)
+    ends = read_pairs("--box", box, read_bounds)
     if out is None and ends:
         raise InputError("--box goes with --out: manifolds are grown in it")
     if out is not None and out.suffix.lower() != ".csv":
         raise InputError(f"{out.name}: found {out.suffix!r}, must end in .csv")
-    with reporter(sys.stderr) as show:
-        prepare_kernels(show, *kernels_for(record, ATTRACTORS))
-        show(Progress("solving"))
+    with solving(record, ATTRACTORS):
         found = find_saddles(
             pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=ends
         )

@@ -1,6 +1,5 @@
 """The command about the stability of the attractors of one cell."""
 
-import sys
 from typing import Any
 
 import click
@@ -18,10 +17,9 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_cell, to_json
-from atlas.cli.progress import reporter
+from atlas.cli.progress import solving
 from atlas.robustness.norm import checked_weights
-from atlas.service.progress import Progress, prepare_kernels
-from atlas.task.compile import ATTRACTORS, kernels_for
+from atlas.task.compile import ATTRACTORS
 
 
 @click.command(
@@ -52,8 +50,6 @@ def stability(
 
     record, pairs, settings = asked_cell(given, system, solve)
     weights = checked_weights(read_pairs("--norm", norm, read_number), record)
-    with reporter(sys.stderr) as show:
-        prepare_kernels(show, *kernels_for(record, ATTRACTORS))
-        show(Progress("solving"))
+    with solving(record, ATTRACTORS):
         found = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
     click.echo(to_json(found)) if as_json else print_cell(found, record.name)

@@ -14,19 +14,17 @@ from atlas.curves.settings import CurveSettings
 from atlas.curves.tasks import Task, do
 from atlas.store.groups import CURVES
 from atlas.store.location import place_of
-from atlas.store.outage import LONG
-from atlas.store.parts import get_part, put_part
 from atlas.store.store import Header, read_header
 from atlas.task.compile import ORBITS, compile_once, kernels_for
-from atlas.task.task import RefusedError, check_claim, checked_header, file_errors
+from atlas.task.part import Site, stored_part
+from atlas.task.task import RefusedError
 
 
 @dataclass(frozen=True)
 class CurveJob:
     """A task of a search in a store, by the name of the part that is to hold its result.
 
-    ``digest`` is that of the search: a worker whose store gives another one refuses. ``claim`` is the token of the
-    search's claim of the store: where that is lost, nothing is kept. ``do_and_keep`` redoes it by hand.
+    ``digest`` is that of the search: a worker whose store gives another one refuses. ``do_and_keep`` redoes it by hand.
     """
 
     index: tuple[int, ...]
@@ -34,11 +32,7 @@ class CurveJob:
     task: Task
     settings: CurveSettings
     digest: str
-    store: str
-    run_id: str
-    solver_version: int
-    patience: float = LONG
-    claim: str = ""
+    site: Site
 
 
 @dataclass(frozen=True)
@@ -50,39 +44,24 @@ class CurveReceipt:
     processor_seconds: float
 
 
-def prepare(store: str, run_id: str, solver_version: int, patience: float) -> None:
-    """Check what any task of a search needs of this worker, and see to it that its kernels are compiled."""
-    with file_errors(store):
-        header = checked_header(store, run_id, solver_version, patience)
-    compile_once(*kernels_for(header.spec.record, ORBITS))
-
-
 def do_and_keep(job: CurveJob) -> CurveReceipt:
     """Do a task and keep its result as a part of the store."""
-    with file_errors(job.store):
-        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+    header, store = job.site.header(), job.site.store
     compile_once(*kernels_for(header.spec.record, ORBITS))
     begin = time.thread_time()
-    orbits = _orbits(job.store, job.run_id, job.digest, job.settings)
+    orbits = _orbits(store, job.site.run_id, job.digest, job.settings)
     try:
-        found = do(
-            job.task, orbits, lambda name: read_part(header, name), lambda name: _curve(job.store, job.digest, name)
-        )
+        found = do(job.task, orbits, lambda name: read_part(header, name), lambda name: _curve(store, job.digest, name))
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One place at which a method breaks down must not end the search: it is counted, in words.
         found = {"trouble": f"{type(error).__name__}: {error}"}
-    with file_errors(job.store):
-        check_claim(header.place, job.claim)
-        put_part(header, CURVES, job.name, json.dumps(found).encode())
+    job.site.keep(header, CURVES, job.name, json.dumps(found).encode())
     return CurveReceipt(job.index, job.name, time.thread_time() - begin)
 
 
 def read_part(header: Header, name: str) -> dict[str, Any]:
-    """The result that a part holds; RefusedError where there is none."""
-    data = get_part(header, CURVES, name)
-    if data is None:
-        raise RefusedError(f"{header.place}: has no part {name}; is the path the same on all hosts?")
-    found: dict[str, Any] = json.loads(data)
+    """The result that a part holds; RefusedError if there is none."""
+    found: dict[str, Any] = json.loads(stored_part(header, CURVES, name))
     return found
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from atlas.explore.background import Background
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
-from atlas.explore.patches import Job, Task
+from atlas.explore.patches import Errand
 from atlas.explore.plot import quiet_axis
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Subject
@@ -66,27 +66,16 @@ class Grid:
         return {"x0": [x - 0.5 * width], "y0": [y - 0.5 * height]} | size
 
 
-@dataclass(frozen=True, eq=False)
-class BasinJob(Job):
-    """Some rows of a plane of initial states to be solved for somebody, who is told in another thread."""
+def basin_job(
+    grid: Grid, rows: slice, take: Callable[[Grid, slice, NDArray[np.int32]], None], refuse: Callable[[str], None]
+) -> Errand:
+    """Some rows of a plane of initial states to be solved."""
 
-    grid: Grid
-    rows: slice
-    told: Callable[[Grid, slice, NDArray[np.int32]], None]
-    refused: Callable[[str], None]
-
-    def make(self) -> Task | None:
-        """See ``Job``."""
-        return solve_rows, (self.grid, self.rows)
-
-    def solved(self, argument: Any, found: NDArray[np.int32]) -> int:
-        """See ``Job``."""
-        self.told(self.grid, self.rows, found)
+    def taken(found: NDArray[np.int32]) -> int:
+        take(grid, rows, found)
         return found.size
 
-    def failed(self, why: str) -> None:
-        """See ``Job``."""
-        self.refused(why)
+    return Errand((solve_rows, (grid, rows)), taken, refuse)
 
 
 def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:
@@ -155,7 +144,7 @@ class BasinsPanel:
         self._says.update(text="solving initial states", visible=True)
         self._plot.visible, self._button.visible = True, False
         rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
-        jobs = [BasinJob(grid, each, partial(self._told, cell), self._refuse) for each in rows]
+        jobs = [basin_job(grid, each, partial(self._told, cell), self._refuse) for each in rows]
         self._explorer.patches.want(self, jobs)
 
     def _refused(self, why: str) -> None:

@@ -23,6 +23,8 @@ Cut = tuple[float, float, float, float]
 """A line over the plane, from (x, y) to (x, y)."""
 
 _OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut")
+ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
+"""What an address has besides parameters; ``token`` is the server's."""
 
 
 @dataclass(frozen=True)

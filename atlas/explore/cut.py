@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.explore.chosen import Cut
 from atlas.explore.patch import Patch, packed, solve_patch
-from atlas.explore.patches import Job, Task
+from atlas.explore.patches import Errand
 from atlas.explore.subject import Plane, Subject
 from atlas.query.machine import gap_rows
 from workers.results import ERROR, LARGEST, SECTION
@@ -95,39 +95,29 @@ class Cells:
         return Cells(index, results)
 
 
-@dataclass(frozen=True)
-class CutJob(Job):
-    """Points of a line to be solved for somebody, who is told in another thread."""
+def cut_job(
+    line: Line, part: tuple[int, ...], take: Callable[[Line, Cells], None], refuse: Callable[[str], None]
+) -> Errand:
+    """Points of a line to be solved: the diagonal of a grid of their values."""
+    subject, index = line.subject, np.array(part)
+    points = line.points(index)
+    settings = replace(subject.settings, section_samples=SAMPLES)
+    x, y = ((name, tuple(values.tolist())) for name, values in zip(subject.axes, points, strict=True))
+    diagonal = packed(np.eye(len(part), dtype=bool))
+    patch = Patch(subject.system, dict(line.plane.parameters), settings, x, y, diagonal)
 
-    line: Line
-    part: tuple[int, ...]
-    told: Callable[[Line, Cells], None]
-    refused: Callable[[str], None]
-
-    def make(self) -> Task | None:
-        """See ``Job``. The points are the diagonal of a grid of their values."""
-        x, y = self.line.points(np.array(self.part))
-        subject, diagonal = self.line.subject, np.eye(len(self.part), dtype=bool)
-        settings = replace(subject.settings, section_samples=SAMPLES)
-        sides = (subject.axes[0], tuple(x.tolist())), (subject.axes[1], tuple(y.tolist()))
-        return solve_patch, Patch(subject.system, dict(self.line.plane.parameters), settings, *sides, packed(diagonal))
-
-    def solved(self, argument: Patch, found: dict[str, NDArray[Any]]) -> int:
-        """See ``Job``."""
-        index = np.array(self.part)
-        values: dict[str, float | Array] = dict(self.line.plane.parameters)
-        values.update(zip(self.line.subject.axes, self.line.points(index), strict=True))
-        rows = gap_rows(self.line.subject.system, values)
+    def taken(found: dict[str, NDArray[Any]]) -> int:
+        values: dict[str, float | Array] = dict(line.plane.parameters)
+        values.update(zip(subject.axes, points, strict=True))
+        rows = gap_rows(subject.system, values)
         section = found.pop(SECTION.name)
         gap = np.einsum("ni,nki->nk", rows, section[..., : rows.shape[1]])
         period = found["period"][:, None]
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
-        self.told(self.line, Cells(index, found | {"gap": gap}))
-        return len(self.part)
+        take(line, Cells(index, found | {"gap": gap}))
+        return len(part)
 
-    def failed(self, why: str) -> None:
-        """See ``Job``."""
-        self.refused(f"part of the cut: {why}")
+    return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), (line, part, take))
 
 
 @dataclass(frozen=True)
@@ -138,27 +128,16 @@ class Branches:
     events: tuple[tuple[str, float, float], ...]
 
 
-@dataclass(frozen=True, eq=False)
-class BranchJob(Job):
-    """The branches through the periodic cells of a line, followed for somebody."""
+def branch_job(
+    line: Line, sweep: "xr.Dataset", take: Callable[[Line, Branches], None], refuse: Callable[[str], None]
+) -> Errand:
+    """The branches through the periodic cells of a line, which is this sweep, to be followed."""
 
-    line: Line
-    sweep: "xr.Dataset"
-    told: Callable[[Line, Branches], None]
-    refused: Callable[[str], None]
-
-    def make(self) -> Task | None:
-        """See ``Job``."""
-        return follow, self.sweep
-
-    def solved(self, argument: Any, found: Branches) -> int:
-        """See ``Job``."""
-        self.told(self.line, found)
+    def taken(found: Branches) -> int:
+        take(line, found)
         return 0
 
-    def failed(self, why: str) -> None:
-        """See ``Job``."""
-        self.refused(why)
+    return Errand((follow, sweep), taken, refuse)
 
 
 def follow(sweep: "xr.Dataset") -> Branches:

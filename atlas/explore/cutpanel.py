@@ -23,8 +23,9 @@ from bokeh.plotting import figure
 from atlas.errors import InputError
 from atlas.explore.background import Background
 from atlas.explore.chosen import Cut
-from atlas.explore.cut import Branches, BranchJob, Cells, CutJob, Line, exponents, section, sweep_of
+from atlas.explore.cut import Branches, Cells, Line, branch_job, cut_job, exponents, section, sweep_of
 from atlas.explore.explorer import Explorer
+from atlas.explore.patches import Errand
 from atlas.explore.plot import quiet_axis
 from atlas.explore.state import State, Store
 from atlas.explore.style import CUT, TEXT
@@ -129,10 +130,10 @@ class CutPanel:
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
         self._explorer.patches.want(self, self._missing(line))
 
-    def _missing(self, line: Line) -> list[CutJob]:
+    def _missing(self, line: Line) -> list[Errand]:
         """What solves the points of a line that are not known."""
         known = set() if self._cells is None else {*self._cells.index.tolist()}
-        return [CutJob(line, part, self._told, self._refuse) for part in line.parts() if not known.issuperset(part)]
+        return [cut_job(line, part, self._told, self._refuse) for part in line.parts() if not known.issuperset(part)]
 
     def _take(self, line: Line, cells: Cells) -> None:
         """Show more cells of the line."""
@@ -148,7 +149,7 @@ class CutPanel:
         if line is None or cells is None:
             return
         try:
-            job = BranchJob(line, sweep_of(line, cells), self._branched, partial(self._unbranched, line))
+            job = branch_job(line, sweep_of(line, cells), self._branched, partial(self._unbranched, line))
         except InputError as error:
             self._ended(line, str(error))
             return

@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
@@ -63,6 +63,30 @@ class Job(Protocol):
     def dropped(self) -> None:
         """Let go of what was made, if that is held: ``make`` is called again if the job is still wanted."""
         return
+
+
+@dataclass(frozen=True)
+class Errand(Job):
+    """A job for one who waits: ``take`` gets what the worker found and returns how many cells it has, ``refuse`` why
+    the job is given up, both in a thread of this service. Errands of one key are one job.
+    """
+
+    task: Task = field(compare=False)
+    take: Callable[[Any], int] = field(compare=False)
+    refuse: Callable[[str], None] = field(compare=False)
+    key: Hashable = field(default_factory=object)
+
+    def make(self) -> Task | None:
+        """See ``Job``."""
+        return self.task
+
+    def solved(self, argument: Any, found: Any) -> int:
+        """See ``Job``."""
+        return self.take(found)
+
+    def failed(self, why: str) -> None:
+        """See ``Job``."""
+        self.refuse(why)
 
 
 class Patches:

@@ -38,16 +38,16 @@ class Store:
         self.now = state
         self._listeners: list[Callable[[State, State], None]] = []
 
-    def listen(self, told: Callable[[State, State], None]) -> None:
-        """Have somebody told of every change."""
-        self._listeners.append(told)
+    def listen(self, listener: Callable[[State, State], None]) -> None:
+        """Call a listener after every change."""
+        self._listeners.append(listener)
 
     def set(self, **fields: Any) -> None:
         """Change fields of the state."""
         old, self.now = self.now, replace(self.now, **fields)
         if old != self.now:
-            for told in self._listeners:
-                told(old, self.now)
+            for listener in self._listeners:
+                listener(old, self.now)
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
         """Change fields of what is chosen; what was said against the last choice no longer holds."""

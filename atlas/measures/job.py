@@ -13,13 +13,12 @@ from atlas.errors import InputError
 from atlas.measures.table import LINEAR, SHOCKS, Arrays, check_names
 from atlas.spec.spec import Spec
 from atlas.store.groups import STABILITY
-from atlas.store.outage import LONG
-from atlas.store.parts import get_part, put_part
 from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once
+from atlas.task.part import Site, stored_part
 from atlas.task.solving import kernels_of
-from atlas.task.task import RefusedError, check_claim, checked_header, file_errors
+from atlas.task.task import file_errors
 from atlas.text import plural
 from workers.results import LARGEST, REGIME
 
@@ -33,8 +32,7 @@ AT_ONCE = {LINEAR: 2048, SHOCKS: 4}
 class MeasureJob:
     """Some cells of a tile, in C order from ``first`` to before ``last``, and the part that is to hold their measures.
 
-    ``claim`` is the token of the claim of the store: where that is lost, nothing is kept. ``measure_and_keep`` does it
-    by hand.
+    ``measure_and_keep`` does it by hand.
     """
 
     index: tuple[int, ...]
@@ -44,11 +42,7 @@ class MeasureJob:
     first: int
     last: int
     norm: tuple[tuple[str, float], ...]
-    store: str
-    run_id: str
-    solver_version: int
-    patience: float = LONG
-    claim: str = ""
+    site: Site
 
 
 @dataclass(frozen=True)
@@ -69,17 +63,10 @@ def pieces(header: Header, family: str) -> Iterator[tuple[str, tuple[int, ...], 
             yield f"{family}-{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
 
 
-def prepare(store: str, run_id: str, solver_version: int, patience: float) -> None:
-    """Check what any job needs of this worker, and see to it that its kernels are compiled."""
-    with file_errors(store):
-        header = checked_header(store, run_id, solver_version, patience)
-    compile_once(*kernels_of(header.spec))
-
-
 def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
     """Measure some cells and keep the measures as a part of the store."""
-    with file_errors(job.store):
-        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+    header = job.site.header()
+    with file_errors(job.site.store):
         cells = stored_cells(header, job.tile)
     compile_once(*kernels_of(header.spec))
     begin = time.thread_time()
@@ -87,18 +74,13 @@ def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
     found = _measured(header.spec, job, params_of(header.spec, slices), cells)
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **found)
-    with file_errors(job.store):
-        check_claim(header.place, job.claim)
-        put_part(header, STABILITY, job.name, file.getvalue())
+    job.site.keep(header, STABILITY, job.name, file.getvalue())
     return MeasureReceipt(job.index, job.name, job.last - job.first, time.thread_time() - begin)
 
 
 def read_measured(header: Header, name: str) -> Arrays:
     """The measures that a part holds; RefusedError if there is none."""
-    data = get_part(header, STABILITY, name)
-    if data is None:
-        raise RefusedError(f"{header.place}: has no part {name}; is the path the same on all hosts?")
-    with np.load(io.BytesIO(data)) as arrays:
+    with np.load(io.BytesIO(stored_part(header, STABILITY, name))) as arrays:
         return dict(arrays)
 
 

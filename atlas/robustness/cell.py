@@ -1,18 +1,17 @@
 """Stability measures of all attractors of one cell."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
-from atlas.spec.attractors import checked_attractors, resolved_attractors
+from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters
 from atlas.spec.system import checked_system
 from workers import Settings
-from workers.attractors.starts import MOST_KEPT, Starts, unseen_share, wilson
+from workers.attractors.starts import Starts, unseen_share, wilson
 from workers.model.system import DEFAULT, System
 from workers.results import REASON, REASONS, REGIME, REGIMES
 
@@ -59,8 +58,7 @@ def stability(
     if settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
     parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
-    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
-    assert search is not None
+    search = cell_attractors(starts, record, settings)
     table = Table(record, parameters, settings, search)
     w = weights_of(weights, record, float(table.oscillators.period[0]))
     tried = int(table.tried[0])
@@ -76,8 +74,7 @@ def stability(
         own = table.own.result(0)
         found |= {"regime": _NAMES[int(own[REGIME.name])], "reason": REASONS[int(own[REASON.name])].text}
     each = [_measured(table, place, w, shocks) for place in range(len(table.attractors))]
-    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
-    return record.resolved() | described | found | {"coexisting": each}
+    return resolved_search(record, parameters, settings, search) | found | {"coexisting": each}
 
 
 def _measured(table: "Table", place: int, weights: "Array", shocks: bool) -> dict[str, Any]:

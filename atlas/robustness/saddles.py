@@ -1,18 +1,17 @@
 """The saddles between the basins of the attractors of one cell, and for one mass their stable manifolds."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
-from atlas.spec.attractors import checked_attractors, resolved_attractors
+from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters
 from atlas.spec.system import checked_system, refuse_drift
 from workers import Settings
-from workers.attractors.starts import MOST_KEPT, Starts
+from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
 
 if TYPE_CHECKING:
@@ -57,8 +56,7 @@ def saddles(
     """
     record, settings = checked_system(system), settings or Settings()
     parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
-    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
-    assert search is not None
+    search = cell_attractors(starts, record, settings)
     return saddles_between(record, parameters, settings, search, weights, manifolds, box)
 
 
@@ -88,9 +86,10 @@ def saddles_between(
             branches = manifold_of(table, saddle, ends)
             entry["manifold"] = [(piece / w).tolist() for branch in branches for piece in branch.pieces]
             entry["ends"] = [branch.end for branch in branches]
-    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
     found = {"norm": dict(zip(record.states, w.tolist(), strict=True)), "attractors": len(table.attractors)}
-    return record.resolved() | described | found | {"saddles": each, "troubles": tracked.troubles}
+    return (
+        resolved_search(record, parameters, settings, search) | found | {"saddles": each, "troubles": tracked.troubles}
+    )
 
 
 def _described(saddle: "Saddle") -> dict[str, Any]:

@@ -1,9 +1,10 @@
 """Workers for jobs whose results are parts of a store: those of a client, or processes that the first job starts."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from atlas.errors import RunError
@@ -14,7 +15,11 @@ from atlas.service.lease import Claim
 from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
+from atlas.store.store import Header
+from atlas.task.part import Site, prepare
+from atlas.task.task import forget
 from atlas.text import plural
+from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -24,25 +29,35 @@ if TYPE_CHECKING:
 class Crew:
     """The workers of a store that is claimed; processes of this machine live until ``stack`` is closed.
 
-    kernels   those that the jobs take
+    kernels   that the jobs take
     threads   threads of the workers: those asked for, or as many as were seen
     begin     when the jobs began, by the monotonic clock
     """
 
-    kernels: Iterable[str]
+    header: Header
+    kernels: tuple[str, ...]
     options: RunOptions
     claim: Claim
     stack: ExitStack
     threads: int
     client: "Client | None"
     begin: float = field(default_factory=time.monotonic)
-    told: float = 0.0
+    reported: float = 0.0
     last: str = ""
 
+    @cached_property
+    def site(self) -> Site:
+        """The store as the jobs get it."""
+        header = self.header
+        return Site(str(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
+
     def do(
-        self, labour: Labour[J, R], jobs: Sequence[J], take: Callable[[R], None], doing: Callable[[], Progress]
+        self, work: Callable[[J], R], jobs: Sequence[J], take: Callable[[R], None], doing: Callable[[], Progress]
     ) -> None:
-        """Do jobs; ``take`` gets each receipt, ``doing`` says how far they are. RunError if a job fails for good."""
+        """Have ``work`` done on each job; ``take`` gets each receipt, ``doing`` says how far they are.
+
+        RunError if a job fails for good.
+        """
         if not jobs:
             return
         if self.client is None:
@@ -50,6 +65,9 @@ class Crew:
             self.options.report(Progress(f"starting {plural(self.threads, 'worker')}"))
             self.client = self.stack.enter_context(local_cluster(self.threads))
             self.begin = time.monotonic()
+        site = self.site
+        leave = partial(forget, site.store, site.run_id, site.patience)
+        labour = Labour(site.store, work, partial(prepare, site, self.kernels), leave)
         with workforce(self.client, labour, self.options.timing) as force:
 
             def tick(workers: Workers) -> None:
@@ -69,7 +87,7 @@ class Crew:
         """Report how far the jobs are; in a log once every few seconds."""
         now = time.monotonic()
         stage = trouble or progress.stage
-        passing = now - self.told < LOG_INTERVAL or stage == self.last
+        passing = now - self.reported < LOG_INTERVAL or stage == self.last
         if not passing:
-            self.told, self.last = now, stage
+            self.reported, self.last = now, stage
         self.options.report(replace(progress, stage=stage, passing=passing))

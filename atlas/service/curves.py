@@ -3,35 +3,27 @@
 import os
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.curves.finish import edge_share, finished
-from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, prepare, read_part
+from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
 from atlas.curves.plane import plane_of
 from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
 from atlas.measures.table import MARGIN, drop_family
-from atlas.service.batches import Labour
-from atlas.service.cluster import leave_if_bootstrapping
 from atlas.service.crew import Crew
-from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
 from atlas.service.progress import Progress
-from atlas.service.run import check_client, claimed_place, joined, worker_count
+from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.groups import CURVES
-from atlas.store.location import place_of, waiting
 from atlas.store.parts import drop_parts, kept_parts, part_names
-from atlas.store.store import Header, read_header
+from atlas.store.store import Header
 from atlas.task.compile import ORBITS, kernels_for
-from atlas.task.task import forget
 from atlas.text import duration, plural
-from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -98,12 +90,7 @@ def find_curves(
     The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
     Raises InputError if the store is not a finished plane; see also ``run``.
     """
-    options = options.updated(**fields)
-    leave_if_bootstrapping()
-    check_client(client, options)
-    with reporting(options.on_progress) as report, ExitStack() as stack:
-        options = replace(options, on_progress=report)
-        header = read_header(waiting(place_of(store), options.patience))
+    with called(store, client, options.updated(**fields)) as (header, options, stack):
         settings = settings or CurveSettings()
         search = Search(plane_of(header), settings)
         digest = settings.digest(search.plane)
@@ -114,8 +101,8 @@ def find_curves(
         client = joined(client, options, stack)
         workers = worker_count(client, options)
         claim = stack.enter_context(claimed_place(header.place, options))
-        crew = Crew(kernels_for(header.spec.record, ORBITS), options, claim, stack, workers, client)
-        return _Coordinator(header, search, digest, options, crew).run()
+        crew = Crew(header, kernels_for(header.spec.record, ORBITS), options, claim, stack, workers, client)
+        return _Coordinator(header, search, digest, crew).run()
 
 
 def _stored(header: Header, digest: str) -> Curves | None:
@@ -138,7 +125,6 @@ class _Coordinator:
     header: Header
     search: Search
     digest: str
-    options: RunOptions
     crew: Crew
     tasks: int = 0
     processor_seconds: float = 0.0
@@ -148,7 +134,7 @@ class _Coordinator:
         kept = kept_parts(self.header, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
-            self.crew.do(self._labour, jobs, self._count, self._progress)
+            self.crew.do(do_and_keep, jobs, self._count, self._progress)
             self.search.take([read_part(self.header, name) for name in tasks])
         found = finished(self.search)
         self.crew.claim.confirm(self.header.place)
@@ -159,16 +145,8 @@ class _Coordinator:
         return CurvesSummary(str(self.header.place), found, seconds, self.processor_seconds, workers, self.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
-        header, settings = self.header, self.search.settings
-        index, store = (self.search.stage, number), str(header.place)
-        run, patience = (header.run_id, SOLVER_VERSION), self.options.patience
-        return CurveJob(index, name, task, settings, self.digest, store, *run, patience, self.crew.claim.token)
-
-    @property
-    def _labour(self) -> Labour[CurveJob, CurveReceipt]:
-        store, run_id, patience = str(self.header.place), self.header.run_id, self.options.patience
-        ready = partial(prepare, store, run_id, SOLVER_VERSION, patience)
-        return Labour(store, do_and_keep, ready, partial(forget, store, run_id, patience))
+        index = self.search.stage, number
+        return CurveJob(index, name, task, self.search.settings, self.digest, self.crew.site)
 
     def _count(self, receipt: CurveReceipt) -> None:
         self.tasks += 1

@@ -4,9 +4,7 @@ import hashlib
 import os
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -19,7 +17,6 @@ from atlas.measures.job import (
     check_store,
     measure_and_keep,
     pieces,
-    prepare,
     read_measured,
 )
 from atlas.measures.plane import checked_scale, margin_request, margins_hold, margins_of
@@ -38,21 +35,16 @@ from atlas.measures.table import (
     write_measures,
 )
 from atlas.robustness.norm import checked_weights
-from atlas.service.batches import Labour
-from atlas.service.cluster import leave_if_bootstrapping
 from atlas.service.crew import Crew
-from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
 from atlas.service.progress import Progress
-from atlas.service.run import check_client, claimed_place, joined, worker_count
+from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
 from atlas.store.groups import STABILITY
-from atlas.store.location import place_of, waiting
 from atlas.store.parts import drop_parts, kept_parts
-from atlas.store.store import Header, read_header
+from atlas.store.store import Header
 from atlas.store.tiles import read_tile
 from atlas.task.solving import kernels_of
-from atlas.task.task import forget
 from atlas.text import duration, plural
 from workers import SOLVER_VERSION
 
@@ -111,12 +103,7 @@ def measure_attractors(
     ``margin`` these are kept if the cells, and the curves, are the same.
     Raises InputError if the store is not a finished atlas; see also ``run``.
     """
-    options = options.updated(**fields)
-    leave_if_bootstrapping()
-    check_client(client, options)
-    with reporting(options.on_progress) as report, ExitStack() as stack:
-        options = replace(options, on_progress=report)
-        header = read_header(waiting(place_of(store), options.patience))
+    with called(store, client, options.updated(**fields)) as (header, options, stack):
         check_store(header)
         weights = checked_weights(norm, header.spec.record)
         of_margin = margin_request(header, checked_scale(header, scale)) if margin else None
@@ -138,8 +125,8 @@ def measure_attractors(
         if MARGIN in missing:
             found.arrays.update(margins_of(header, wanted[MARGIN]["scale"]))
         if families:
-            crew = Crew(kernels_of(header.spec), options, claim, stack, workers, client)
-            job = _Measuring(header, options, crew, tuple(weights.items()))
+            crew = Crew(header, kernels_of(header.spec), options, claim, stack, workers, client)
+            job = _Measuring(header, crew, tuple(weights.items()))
             found.arrays.update(job.run(families, _digest({name: wanted[name] for name in families})))
             busy, tasks = job.processor_seconds, job.tasks
         found.requests.update({family: wanted[family] for family in missing})
@@ -191,7 +178,6 @@ class _Measuring:
     """Attractors being measured in a store that is claimed."""
 
     header: Header
-    options: RunOptions
     crew: Crew
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
@@ -206,16 +192,12 @@ class _Measuring:
         parts = [(family, *piece) for family in families for piece in pieces(header, family)]
         self.cells = sum(last - first for *_, first, last in parts)
         self.done = sum(last - first for _, name, _, first, last in parts if name in kept)
-        token, store, patience = self.crew.claim.token, str(header.place), self.options.patience
         jobs = [
-            MeasureJob((k,), name, family, tile, first, last, self.norm, store, header.run_id, SOLVER_VERSION, patience,
-                       token)
+            MeasureJob((k,), name, family, tile, first, last, self.norm, self.crew.site)
             for k, (family, name, tile, first, last) in enumerate(parts)
             if name not in kept
-        ]  # fmt: skip
-        ready = partial(prepare, store, header.run_id, SOLVER_VERSION, patience)
-        labour = Labour(store, measure_and_keep, ready, partial(forget, store, header.run_id, patience))
-        self.crew.do(labour, jobs, self._count, self._progress)
+        ]
+        self.crew.do(measure_and_keep, jobs, self._count, self._progress)
         many = (header.spec.attractors.keep,) if header.spec.coexistence and header.spec.attractors else ()
         found: Arrays = {}
         for family in families:

@@ -281,6 +281,21 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 
 
 @contextmanager
+def called(
+    store: str | os.PathLike[str], client: "Client | None", options: RunOptions
+) -> Iterator[tuple[Header, RunOptions, ExitStack]]:
+    """A call that works on a store: its header, the options with what reports progress, and what ends with the call.
+
+    InputError for a client that does not go with the options, and if there is no atlas.
+    """
+    leave_if_bootstrapping()
+    check_client(client, options)
+    with reporting(options.on_progress) as report, ExitStack() as stack:
+        options = replace(options, on_progress=report)
+        yield read_header(waiting(place_of(store), options.patience)), options, stack
+
+
+@contextmanager
 def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
     """Hold the claim of a store. Leftovers of dead runs are removed when it begins, their notes when it ends.
 

@@ -1,11 +1,12 @@
 """The table ``[attractors]`` of a spec: from which initial states the attractors of each cell are sought."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import number
-from workers.attractors.starts import Starts
+from workers.attractors.starts import MOST_KEPT, Starts
 from workers.model.system import System
 from workers.settings import Settings
 
@@ -36,6 +37,21 @@ def checked_attractors(given: object, record: System, settings: Settings) -> Sta
             f"(solve.max_periods and survival); together they must be at most {MOST_COST}"
         )
     return made
+
+
+def cell_attractors(starts: int, record: System, settings: Settings) -> Starts:
+    """The initial states of a search for the attractors of one cell, which keeps all; InputError as above."""
+    found = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
+    assert found is not None
+    return found
+
+
+def resolved_search(
+    record: System, parameters: Mapping[str, float], settings: Settings, search: Starts
+) -> dict[str, Any]:
+    """The system, parameters, settings and search of one cell in full, as plain JSON."""
+    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
+    return record.resolved() | described
 
 
 def resolved_attractors(starts: Starts) -> dict[str, Any]:

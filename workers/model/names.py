@@ -22,8 +22,8 @@ NAMES = frozenset((
     "coexisting", "difference", "distance", "event", "extreme", "impacts", "kappa", "kind", "leaving", "multiplier",
     "unstable", "value",
     # arguments of calls and of addresses that take parameters by name as well
-    "along", "dpi", "font_size", "height", "legend", "log", "overlay", "path", "self", "style", "switch_branches",
-    "title", "variable", "vmax", "vmin", "width", "window",
+    "along", "axes", "cell", "cut", "dpi", "font_size", "height", "layer", "legend", "log", "overlay", "path", "pin",
+    "self", "style", "switch_branches", "title", "token", "variable", "vmax", "vmin", "width", "window", "without",
 ))  # fmt: skip
 
 

@@ -25,14 +25,14 @@ const say = (text) => { by("readout").textContent = text || "\u00a0"; };
 
 function remember(asNew) {
   const parts = [];
-  if (state.map !== atlas.maps[0]) parts.push(`map=${state.map.name}`);
+  if (state.map !== atlas.maps[0]) parts.push(`kind=${state.map.name}`);
   whole().forEach((full, along) => {
     const [low, high] = state.window[along];
     if (low !== full[0] || high !== full[1])
       parts.push(`${axes[along].name}=${[low, high].map((end) => Number(axes[along].from(end).toPrecision(12))).join(":")}`);
   });
   if (state.cell) parts.push(`cell=${axes.map(({ values }, along) => values[state.cell[along]]).join(":")}`);
-  if (state.ends) parts.push(`scale=${state.ends.join(":")}`);
+  if (state.ends) parts.push(`vmin=${state.ends[0]}`, `vmax=${state.ends[1]}`);
   if (state.hidden.size) parts.push(`without=${[...state.hidden].join(",")}`);
   const address = `#${parts.join("&")}`;
   if (address === (location.hash || "#")) return;
@@ -49,16 +49,16 @@ function recall() {
     const found = (given.get(name) || "").split(":").map(Number);
     return found.length === 2 && found.every(Number.isFinite) ? found : null;
   };
-  const cell = pair("cell"), ends = pair("scale");
+  const cell = pair("cell"), ends = ["vmin", "vmax"].map((name) => given.get(name) ? Number(given.get(name)) : NaN);
   const window = whole().map((full, along) => {
     const found = pair(axes[along].name);
     return found && found[0] < found[1] ? inside(along, found.map(axes[along].to)) : full;
   });
   change({
-    map: atlas.maps.find(({ name }) => name === given.get("map")) || atlas.maps[0],
+    map: atlas.maps.find(({ name }) => name === given.get("kind")) || atlas.maps[0],
     window,
     cell: cell && cell.map((value, along) => nearest(along, value)),
-    ends: ends && ends[0] < ends[1] ? ends : null,
+    ends: ends.every(Number.isFinite) && ends[0] < ends[1] ? ends : null,
     hidden: new Set((given.get("without") || "").split(",").filter(Boolean)),
   }, null);
 }
