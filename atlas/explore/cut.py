@@ -190,7 +190,7 @@ def exponents(line: Line, cells: Cells) -> dict[str, Array]:
     return {"x": x, "largest": largest, "low": largest - error, "high": largest + error}
 
 
-def section(line: Line, cells: Cells) -> dict[str, NDArray[np.float32]]:
+def section(line: Line, cells: Cells) -> dict[str, NDArray[np.floating]]:
     """The gap coordinate of section states along a line, by the parameter ``x``, as columns."""
     x, gap = line.points(cells.index)[line.along], cells.results["gap"]
     known = np.isfinite(gap)

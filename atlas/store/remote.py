@@ -79,15 +79,16 @@ class PackedStore(ZipStore):
 
     def __init__(self, place: ZipPlace) -> None:
         super().__init__(place.path, mode="r")
+        self.file = place.path
 
     async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
-        with reading(self.path):
+        with reading(self.file):
             return await super().get(key, prototype, byte_range)
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        with reading(self.path):
+        with reading(self.file):
             return await super().get_partial_values(prototype, key_ranges)
 
 

@@ -70,8 +70,9 @@ def solve_basins(
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or Starts()
     for name, value in params.items():
-        if name not in record.states and np.size(value) and np.ptp(value) > 0.0:
-            raise ValueError(f"{name}: found {np.min(value):g} to {np.max(value):g}, basins are of one machine")
+        given = np.asarray(value, dtype=np.float64)
+        if name not in record.states and given.size and np.ptp(given) > 0.0:
+            raise ValueError(f"{name}: found {given.min():g} to {given.max():g}, basins are of one machine")
     machine = tuple(fixed_values(record, params).items())
     table = reference_table(json.dumps(record.resolved()), machine, settings, starts)
     variables, at_once = record.variables(settings, basins=True), motions_at_once(settings, len(record.states))

@@ -108,10 +108,10 @@ def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tu
         low[:, k], high[:, k] = first, last
     for row, upper, lower in oscillators.rigid_stops:
         (alone,) = np.nonzero((row != 0.0).sum(axis=1) == 1)
-        k = np.argmax(row[alone] != 0.0, axis=1)
-        ends = np.stack([lower[alone], upper[alone]]) / row[alone, k]
-        low[alone, k] = np.maximum(low[alone, k], ends.min(axis=0))
-        high[alone, k] = np.minimum(high[alone, k], ends.max(axis=0))
+        at = np.argmax(row[alone] != 0.0, axis=1)
+        ends = np.stack([lower[alone], upper[alone]]) / row[alone, at]
+        low[alone, at] = np.maximum(low[alone, at], ends.min(axis=0))
+        high[alone, at] = np.minimum(high[alone, at], ends.max(axis=0))
     return low, high
 
 
