@@ -49,14 +49,11 @@ def _part(name: str, low: float, high: float) -> Colormap:
     return LinearSegmentedColormap.from_list(name, colormaps[name](np.linspace(low, high, 64)), N=512)
 
 
-def _two_colours() -> LinearSegmentedColormap:
-    # The step of hue at zero keeps the border of chaos sharp where exponents on both sides are small.
-    stable = list(zip(np.linspace(0.0, 0.5, len(STABLE)), STABLE, strict=True))
-    chaotic = list(zip(np.linspace(0.5, 1.0, len(CHAOTIC_COLORS)), CHAOTIC_COLORS, strict=True))
-    return LinearSegmentedColormap.from_list("exponent", stable + chaotic, N=1024)
-
-
-EXPONENT = _two_colours()
+# The step of hue at zero keeps the border of chaos sharp where exponents on both sides are small.
+_PLACES = [*np.linspace(0.0, 0.5, len(STABLE)), *np.linspace(0.5, 1.0, len(CHAOTIC_COLORS))]
+EXPONENT = LinearSegmentedColormap.from_list(
+    "exponent", list(zip(_PLACES, (*STABLE, *CHAOTIC_COLORS), strict=True)), N=1024
+)
 CHAOS = colormap_of(CHAOTIC_COLORS)
 ERRORS = {
     "periodic": (_part("YlGnBu", 0.12, 0.95), (NO_IMPACT, PERIODIC)),
@@ -64,9 +61,6 @@ ERRORS = {
     "torus": (_part("PuRd", 0.2, 1.0), (QUASIPERIODIC,)),
 }
 """Colours and regimes of each kind of error: they differ by ten decades, and one scale would show none of them."""
-
-
-# Exponents
 
 
 def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
@@ -104,9 +98,6 @@ def combined(view: View) -> Painted:
     named = words.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
     legend = [each for each in painted.legend if each.get_label() != named]
     return Painted(painted.rgba, legend, [Bar(CHAOS, norm, largest, view.kind.scale.label)])
-
-
-# Any number
 
 
 def number(view: View) -> Painted:
@@ -206,9 +197,6 @@ def error(view: View) -> Painted:
             rgba[cells] = on_scale(values, norm, colormap)[cells]
             bars.append(Bar(colormap, norm, values, view.kind.scale.label, name))
     return Painted(rgba, maps.paint_regimes(rgba, regime, np.isnan(known)), bars)
-
-
-# Bars
 
 
 def draw_bars(
