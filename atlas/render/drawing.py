@@ -207,10 +207,10 @@ def check_units(*atlases: "xr.Dataset") -> None:
 def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "Page") -> None:
     """Note above a map that it is coarser than its atlas, and the exact shares of doubtful cells."""
     shares = fractions(ds)
-    doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
+    names = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
+    doubtful = {name: shares[name] for name in names if name in shares}
     # A share below 0.01 % is not worth its digits, but that there is one is.
-    percent = {name: f"{100 * share:.2g} %" if share >= 1e-4 else "< 0.01 %" for name, share in shares.items()}
-    listed = "".join(f",  {name} {percent[name]}" for name in doubtful if name in percent)
-    cells = " × ".join(map(str, block))
+    listed = [f"{name} {100 * part:.2g} %" if part >= 1e-4 else f"{name} < 0.01 %" for name, part in doubtful.items()]
+    text = ",  ".join([f"one cell drawn for {' × '.join(map(str, block))} computed", *listed])
     with page.context():
-        ax.set_title(f"{ax.get_title('left')}\none cell drawn for {cells} computed{listed}".strip(), loc="left")
+        ax.set_title(f"{ax.get_title('left')}\n{text}".strip(), loc="left")

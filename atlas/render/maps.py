@@ -18,7 +18,6 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
 from atlas.query.plane import Axis, Cells, Plane
 from atlas.query.resample import view as in_view
 from atlas.query.room import places
@@ -142,10 +141,7 @@ def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
     """
     names = [*kind.variables] if wanted.variable is None else [wanted.variable]
     names += [LARGEST.name] if "isolines" in wanted.overlays else []
-    for name in names:
-        if name not in ds:
-            hint = f"; {kind.lacking}" if kind.lacking else ""
-            raise InputError(f"kind {kind.name!r} draws the variable {name!r}, which this atlas does not hold{hint}")
+    kind.require(ds, names)
     plane = Plane.of(in_view(ds, names, pixels=wanted.pixels or wanted.page.map_pixels), names)
     return View(kind, ds, plane, wanted)
 

@@ -21,6 +21,7 @@ from atlas.query.plane import Axis, Meaning, rising
 from atlas.query.tidy import runs, turns
 from atlas.query.window import spec_of_axis
 from atlas.render import classes, maps, style, words
+from atlas.render.kinds import TABLE
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
 from atlas.spec.system import stored_system
@@ -70,11 +71,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
 
 def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The sweep with all exponents as a figure; InputError where the atlas does not hold them."""
-    if SPECTRUM.name not in ds:
-        raise InputError(
-            "kind 'spectrum' draws the variable 'spectrum', which this atlas does not hold; "
-            'see [solve] exponents = "spectrum"'
-        )
+    TABLE["spectrum"].require(ds, [SPECTRUM.name])
     panels: dict[str, Panel] = dict.fromkeys(held([SECTION.name], ds), _draw_section)
     panels[SPECTRUM.name] = _draw_spectrum
     read = line(ds, list(panels))
