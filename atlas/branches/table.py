@@ -114,6 +114,22 @@ class Branches:
             if states is not None:
                 yield np.einsum("ni,nki->nk", rows, states[..., : rows.shape[1]])
 
+    def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
+        """Lines (N, 2) of the gap coordinate over the parameter, of mirror images too, each after its stability."""
+        for branch in self.traced:
+            for values in self.gap_values(branch):
+                for stable, part in branch.parts:
+                    yield from ((stable, np.column_stack([branch.values[part], one])) for one in values[part].T)
+
+    def places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Where each event lies over the parameter, (n, 2), at its mirror image too, after its kind."""
+        for branch in self.traced:
+            at = {id(point): k for k, point in enumerate(branch.run.points)}
+            for values in self.gap_values(branch):
+                for event in branch.run.events:
+                    k = at[id(event.point)]
+                    yield event.kind, np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
+
     @property
     def decided_by(self) -> dict[str, Any]:
         """All that decides these branches: the system, where they are followed, and from which orbit."""

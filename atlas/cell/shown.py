@@ -64,6 +64,26 @@ def chatter(orbit: CellOrbit) -> slice | None:
     return None
 
 
+def enlarged(orbit: CellOrbit, chatter: slice) -> tuple[Array, Array, tuple[float, float], float]:
+    """Times (N,) around a chatter, in forcing periods, the distance (N,) from its stop at each, the ends of that
+    stretch, and the largest distance between the first impact and the last.
+    """
+    impacts, side = orbit.impacts[chatter, 0] / orbit.period, float(orbit.impacts[chatter.start, 1])
+    first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)
+    times, away = orbit.times / orbit.period, np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
+    highest = away[(times >= impacts[0]) & (times <= impacts[-1])].max()
+    inside = (times >= first) & (times <= last)
+    return times[inside], away[inside], (first, last), highest
+
+
+def exponent_ends(running: Array, written: Array) -> tuple[float, float]:
+    """Ends between which averages (N, n) end, and go most of their way: the first periods may lie far off."""
+    later = running[min(9, len(running) - 1) :]
+    ends = np.concatenate([later[np.isfinite(later)], written[np.isfinite(written)], [0.0]])
+    room = 0.08 * float(np.ptp(ends)) or 1.0
+    return ends.min() - room, ends.max() + room
+
+
 def is_few(x: Array, y: Array) -> bool:
     """Whether section values are few points: of thousands of states many may be one, where an orbit closes late."""
     extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, shown
+from atlas.query.plane import Plane
 from atlas.query.resample import view
 from atlas.query.window import Window, axis_names, axis_values, cell_widths, columns, inside, within
 from atlas.spec.points import POINT
@@ -74,6 +75,14 @@ class Comparison:
     def has_exponents(self) -> bool:
         """Whether both atlases hold exponents."""
         return LARGEST.name in self.one and LARGEST.name in self.other
+
+    def planes(self, pixels: tuple[int, int]) -> list[Plane]:
+        """Both planes, of the same cells: overviews for these pixels where both have them, else the cells."""
+        names = [LARGEST.name] if self.has_exponents else []
+        read = [view(ds, names, pixels=pixels) for ds in (self.one, self.other)]
+        if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
+            read = [view(ds, names) for ds in (self.one, self.other)]
+        return [Plane.of(ds, names) for ds in read]
 
     @cached_property
     def difference(self) -> "xr.DataArray":

@@ -1,6 +1,6 @@
 """Where a name has room in a region of cells, and which lines run side by side. Lengths are in points."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -135,6 +135,16 @@ def dense(line: Array) -> tuple[Array, Array]:
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
     at = np.linspace(0.0, along[-1], 2 + int(along[-1] / _STEP))
     return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)]), at
+
+
+def crossed(places: Iterable[Array], size: tuple[float, float], cells: tuple[int, ...]) -> Cells:
+    """The cells (y, x) in which points (N, 2) lie, and those beside them, on a plane of a size (width, height)."""
+    inside = np.zeros(cells, dtype=bool)
+    for place in places:
+        share = place / np.array(size)
+        columns, rows = (share[np.all((share >= 0.0) & (share < 1.0), axis=1)] * cells[::-1]).astype(int).T
+        inside[rows, columns] = True
+    return np.asarray(ndimage.binary_dilation(inside, np.ones((3, 3))))
 
 
 def crowded_parts(

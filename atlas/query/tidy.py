@@ -1,5 +1,7 @@
 """Cells as lines around and along them show them: without clouds of small regions, without dust, without noise."""
 
+from collections.abc import Callable, Iterator, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -59,6 +61,31 @@ def smooth(values: Array, width: float) -> Array:
     weight = ndimage.gaussian_filter(known.astype(float), width, mode="nearest")
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), width, mode="nearest")
     return np.where(known & (weight > 0.8), total / np.maximum(weight, 1e-12), np.nan)
+
+
+def isolines(
+    x: Array, y: Array, values: Array, ticks: Callable[[float, float], Sequence[float]]
+) -> Iterator[tuple[float, Array]]:
+    """Lines (N, 2) of equal values (y, x) in rising order, each after its level; ``ticks`` gives levels between two
+    ends.
+
+    Each sign on its own: between them exponents jump, and lines there would show the jump and nothing else.
+    """
+    from contourpy import contour_generator
+
+    if min(values.shape) < 2:
+        return
+    shown, levels = np.full(values.shape, np.nan), set()
+    for sign, width in ((-1.0, 1.5), (1.0, 2.5)):
+        size = np.where(np.isfinite(values) & (sign * values > 0.0), np.abs(values), np.nan)
+        even = smooth(size, width)
+        if np.isfinite(even).sum() >= 4:
+            shown = np.where(np.isfinite(even), sign * even, shown)
+            found = np.asarray(ticks(0.0, float(np.nanpercentile(size, 98))))
+            levels |= {sign * level for level in found[(found > np.nanmin(even)) & (found < np.nanmax(even))]}
+    lines = contour_generator(x, y, np.ma.masked_invalid(shown))
+    for level in sorted(levels):
+        yield from ((level, np.asarray(line)) for line in lines.lines(level))
 
 
 def filled(cells: Cells, times: int) -> Cells:

@@ -192,9 +192,6 @@ def attractors(view: View) -> Painted:
     return colored(view.plane.regime, classes, beside="")
 
 
-# Attractors by their labels
-
-
 def labels(view: View) -> Painted:
     """Which branch the attractor of each cell is on, that with the largest share unless another one was selected.
 

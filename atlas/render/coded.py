@@ -5,9 +5,10 @@ A code stands for a colour of its own, or for a scale, on which the page places 
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm, to_hex
 from matplotlib.markers import MarkerStyle
 from numpy.typing import NDArray
@@ -16,16 +17,13 @@ from atlas.errors import InputError
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.plane import Plane
 from atlas.query.window import axis_names
-from atlas.render import scales, style, words
+from atlas.render import maps, scales, style, words
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
 from atlas.render.maps import Bar, Painted, View
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
 from atlas.text import plain
-from workers.results import ATTRACTOR, NO_IMPACT, PENDING
-
-if TYPE_CHECKING:
-    import xarray as xr
+from workers.results import NO_IMPACT
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class CodedMap:
     described: dict[str, Any]
 
 
-def coded_maps(ds: "xr.Dataset", seen: "xr.Dataset") -> Iterator[CodedMap]:
+def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
     """Every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable as numbers."""
     held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*TABLE[name].variables}]
     for name in held:
@@ -67,7 +65,7 @@ def text_of(label: str) -> str:
     return " ".join(shown.split())
 
 
-def curves_over(ds: "xr.Dataset") -> dict[str, Any]:
+def curves_over(ds: xr.Dataset) -> dict[str, Any]:
     """The curves that the store of an atlas keeps of this plane, with the looks of their kinds; empty without any."""
     from atlas.curves import asking
 
@@ -79,7 +77,7 @@ def curves_over(ds: "xr.Dataset") -> dict[str, Any]:
         return {}
     corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})
     return {
-        "looks": {kind: _line_look(kind) for kind in style.LOOKS if any(curve.kind == kind for curve in found)},
+        "looks": {kind: _line_look(look) for kind, look in style.LOOKS.items() if found.of_kind(kind)},
         "lines": [
             {"kind": curve.kind, "orbit": curve.label, "points": line.ravel().tolist()}
             for curve in found
@@ -91,9 +89,8 @@ def curves_over(ds: "xr.Dataset") -> dict[str, Any]:
     }
 
 
-def _line_look(kind: str) -> dict[str, Any]:
-    look = style.LOOKS[kind]
-    return {"label": look.label, "color": look.color, "dashes": [] if look.dashes == "solid" else list(look.dashes[1])}
+def _line_look(look: style.Look) -> dict[str, Any]:
+    return {"label": look.label, "color": look.color, "dashes": [] if look.dashes == "solid" else [*look.dashes[1]]}
 
 
 def _mark_look(kind: str) -> dict[str, Any]:
@@ -113,7 +110,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
     for key in keys.tolist():
         source, texture = divmod(key, len(patterns) + 1)
         entries.append(looks[source] | (patterns[texture - 1] if texture else {}))
-    legend = [*painted.legend, *(each.entry for each in painted.textures if each.entry is not None)]
+    maps.explain_pending(painted.entries, view.ds)
     described = {
         "name": name,
         "needs": list(needs),
@@ -122,7 +119,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
         "entries": entries,
         "bars": [_bar(bar, view.plane[needs[0]], needs[0]) for bar in painted.bars],
         "title": text_of(painted.beside or ""),
-        "legend": [_entry(each) | _pending(view, each) for each in legend],
+        "legend": [_entry(each) for each in painted.entries],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
@@ -178,13 +175,6 @@ def _bar(bar: Bar, stored: NDArray[Any], variable: str) -> dict[str, Any]:
 
 
 _SCALES: Mapping[type, str] = {Normalize: "linear", LogNorm: "log", TwoSlopeNorm: "two-sided"}
-
-
-def _pending(view: View, entry: Any) -> dict[str, str]:
-    """The name of cells without a result in an atlas of all attractors: they may have too few for the one chosen."""
-    place = int(view.ds.attrs.get(ATTRACTOR, 0))
-    named = entry.get_label() == words.name_of(PENDING)
-    return {"label": f"not more than {place}"} if place and named else {}
 
 
 def _entry(entry: Any) -> dict[str, Any]:

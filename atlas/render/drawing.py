@@ -18,7 +18,7 @@ from atlas.render.provenance import check_path, provenance_of, save
 from atlas.spec.spec import MOST_AXES
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import ATTRACTOR, FAILED, INVALID, LARGEST, PENDING, REGIMES, UNDETERMINED
+from workers.results import FAILED, INVALID, LARGEST, PENDING, REGIMES, UNDETERMINED
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,7 +52,7 @@ def figure(
     another there, which. The orbit of a cell: its portrait. Branches: section values over the parameter.
 
     ``window`` gives, for any axis, the (low, high) ends of the part to draw. ``pixels`` is the size, (x, y), of the
-    plot area that a map's cells are to fill, where it is not that of a file. ``options`` as in ``options.MEANINGS``;
+    plot area that a map's cells are to fill, where it is not that of a file. ``options`` as in ``options.MapLook``;
     with ``ax``, axes of yours to draw into, those are returned in place of a figure, and keep their size and type.
     Raises InputError, in one line, for another suffix and a path that cannot be written, for a kind that does not fit
     the number of axes, and where the atlas does not hold what the kind draws.
@@ -60,13 +60,15 @@ def figure(
     as large as pixels. A file's metadata carry the atlas's digest; the same atlas gives the same bytes with the same
     software.
     """
+    from atlas.render.page import page  # with it matplotlib
+
     if path is not None:
         check_path(path)
     look: dict[str, Any] = dict(options)
     overlay, curves = look.pop("overlay", ()), chosen_curves(look.pop("curves", None))
     own = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
     lines = (overlay,) if isinstance(overlay, str) else tuple(overlay)
-    wanted = Wanted(_page(look), kind, window, lines, curves, pixels=pixels, **own)
+    wanted = Wanted(page(**look), kind, window, lines, curves, pixels=pixels, **own)
     drawn = _drawn(subject, wanted, titles)
     if path is not None:
         save(drawn, Path(path), provenance_of(*_sources(subject, wanted)), wanted.page)
@@ -102,33 +104,27 @@ def portrait(
     >>> import atlas
     >>> figure = atlas.portrait({"omega": 4.0, "b": 0.1}, path="cell.png", width="85mm")
     """
+    from atlas.render.page import page
+
     if path is not None:
         check_path(path)
-    _page(look).refuse_ends("a portrait")  # before the cell is solved
+    page(**look).refuse_ends("a portrait")  # before the cell is solved
     drawn: Figure = figure(cell_orbit(given or {}, system, settings), path=path, **look)
     return drawn
-
-
-def _page(look: Mapping[str, Any]) -> "Page":
-    from atlas.render.page import page  # with it matplotlib
-
-    return page(**look)
 
 
 def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure":
     import xarray as xr
 
+    from atlas.render import orbit, sweep, together
+
     page = wanted.page
     if isinstance(subject, xr.Dataset):
         drawn = _of_atlas(subject, wanted)
     elif isinstance(subject, CellOrbit):
-        from atlas.render import orbit
-
         page.refuse_ends("a portrait")
         drawn = orbit.figure(subject, page)
     elif isinstance(subject, Comparison | Sequence):
-        from atlas.render import together
-
         if page.given:
             raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
         atlases = _sources(subject, wanted)
@@ -138,8 +134,6 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
         else:
             drawn = together.side_by_side(atlases, wanted.kind, wanted.window, titles, page)
     else:
-        from atlas.render import sweep
-
         page.refuse_ends("branches are lines")
         drawn = sweep.figure_of_branches(subject, page)
     page.fit(drawn)
@@ -174,8 +168,6 @@ def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
             from atlas.render.maps import draw_map
 
             drawn = draw_map(kind, shown, wanted)
-    if ds.attrs.get(ATTRACTOR, 0):
-        _explain_pending(drawn, ds.attrs[ATTRACTOR])
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     return drawn
@@ -212,21 +204,13 @@ def check_units(*atlases: "xr.Dataset") -> None:
             raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw it as stored")
 
 
-def _explain_pending(drawn: "Figure", place: int) -> None:
-    """Explain in the legends that cells without a result may have too few attractors for this place."""
-    for legend in [*drawn.legends, *(ax.get_legend() for ax in drawn.axes)]:
-        for label in legend.get_texts() if legend is not None else ():
-            if label.get_text() == "pending":
-                label.set_text(f"not more than {place}")
-
-
 def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "Page") -> None:
     """Note above a map that it is coarser than its atlas, and the exact shares of doubtful cells."""
     shares = fractions(ds)
-    doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
+    names = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
+    doubtful = {name: shares[name] for name in names if name in shares}
     # A share below 0.01 % is not worth its digits, but that there is one is.
-    percent = {name: f"{100 * share:.2g} %" if share >= 1e-4 else "< 0.01 %" for name, share in shares.items()}
-    listed = "".join(f",  {name} {percent[name]}" for name in doubtful if name in percent)
-    cells = " × ".join(map(str, block))
+    listed = [f"{name} {100 * part:.2g} %" if part >= 1e-4 else f"{name} < 0.01 %" for name, part in doubtful.items()]
+    text = ",  ".join([f"one cell drawn for {' × '.join(map(str, block))} computed", *listed])
     with page.context():
-        ax.set_title(f"{ax.get_title('left')}\none cell drawn for {cells} computed{listed}".strip(), loc="left")
+        ax.set_title(f"{ax.get_title('left')}\n{text}".strip(), loc="left")

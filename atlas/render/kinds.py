@@ -72,6 +72,15 @@ class Kind:
         module, function = self.paint.split(".")
         return getattr(import_module(f"atlas.render.{module}"), function)
 
+    def require(self, ds: "xr.Dataset", names: Sequence[str]) -> None:
+        """InputError, with what to do, where an atlas lacks one of these variables."""
+        for name in names:
+            if name not in ds:
+                hint = f"; {self.lacking}" if self.lacking else ""
+                raise InputError(
+                    f"kind {self.name!r} draws the variable {name!r}, which this atlas does not hold{hint}"
+                )
+
 
 BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
 """The kinds that are drawn of planes of initial states, of labelled attractors, and of a variable that is named."""
@@ -139,7 +148,7 @@ TABLE = {
         Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", "sweep.figure",
              _EXPONENTS),
         Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents",
-             "sweep.figure_of_all", _EXPONENTS),
+             "sweep.figure_of_all", _EXPONENTS, lacking='see [solve] exponents = "spectrum"'),
         Kind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
              "sweep.figure_of_two", _EXPONENTS, atlases=2),
     )

@@ -1,7 +1,7 @@
 """The way from a plane of cells to its map: read, paint, frame, draw, overlays, bars, legend, names."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,17 +18,15 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
 from atlas.query.plane import Axis, Cells, Plane
 from atlas.query.resample import view as in_view
 from atlas.query.room import places
 from atlas.query.tidy import borders, runs, specks
 from atlas.render import style, words
-from atlas.render.fit import TITLE
 from atlas.render.kinds import Kind
 from atlas.render.options import Wanted
 from atlas.render.page import Page
-from workers.results import FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
+from workers.results import ATTRACTOR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, REGIMES, UNDETERMINED
 
 Colors = NDArray[np.uint8]
 
@@ -43,7 +41,7 @@ _ARROW = {
     "color": "#555555",
 }  # fmt: skip
 """The arrow from a name to its region."""
-_WITH_TEXTURE = (QUASIPERIODIC, INVALID, FAILED)
+_WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
 _MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
@@ -112,6 +110,11 @@ class Painted:
     over: Callable[[Axes], list[Artist]] | None = None
     names: Sequence[tuple[Cells, str, str]] = ()
 
+    @property
+    def entries(self) -> list[Artist]:
+        """All entries of its legend."""
+        return [*self.legend, *(each.entry for each in self.textures if each.entry is not None)]
+
 
 def draw_map(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The map of a kind as a figure, with its overlays; InputError where the atlas does not hold what it draws."""
@@ -120,8 +123,9 @@ def draw_map(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
     view, page = read(kind, ds, wanted), wanted.page
     painted: Painted = kind.painter(view)
     with page.context():
-        drawn, ax = frame(ds, page)
-        entries = [*lay(ax, view, painted), *overlays.draw(ax, view)]
+        drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(ds))
+        entries = [*lay(ax, view.plane, painted, page), *overlays.draw(ax, view)]
+        explain_pending(entries, ds)
         scales.draw_bars(drawn, [ax], painted.bars, page)
         page.legend(drawn, entries, beside=painted.beside)
         if painted.names and wanted.names:
@@ -137,27 +141,14 @@ def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
     """
     names = [*kind.variables] if wanted.variable is None else [wanted.variable]
     names += [LARGEST.name] if "isolines" in wanted.overlays else []
-    names = [name for name in dict.fromkeys(names) if name != REGIME.name]
-    for name in names:
-        if name not in ds:
-            hint = f"; {kind.lacking}" if kind.lacking else ""
-            raise InputError(f"kind {kind.name!r} draws the variable {name!r}, which this atlas does not hold{hint}")
+    kind.require(ds, names)
     plane = Plane.of(in_view(ds, names, pixels=wanted.pixels or wanted.page.map_pixels), names)
     return View(kind, ds, plane, wanted)
 
 
-def frame(ds: xr.Dataset, page: Page) -> tuple[Figure, Axes]:
-    """A figure with one plot area, or the axes that are given, under the title line of the fixed parameters."""
-    figure, (ax,) = page.panels(page.map_height, 1)
-    if page.title:
-        ax.set_title(words.title_line(ds), loc="left", gid=TITLE)
-    return figure, ax
-
-
-def lay(ax: Axes, view: View, painted: Painted) -> list[Artist]:
+def lay(ax: Axes, plane: Plane, painted: Painted, page: Page) -> list[Artist]:
     """Draw what was painted into a plot, and return its legend entries."""
-    plane = view.plane
-    enlarged = draw_cells(ax, plane, painted.rgba, view.page)
+    enlarged = draw_cells(ax, plane, painted.rgba, page)
     for entry in painted.legend:
         if entry.get_label() in enlarged:
             entry.set_label(f"{entry.get_label()},\nsingle cells enlarged")
@@ -165,8 +156,14 @@ def lay(ax: Axes, view: View, painted: Painted) -> list[Artist]:
         hatch(ax, plane, each.cells, each.hatch, each.ink)
         if each.outlined is not None:
             outline(ax, plane, each.outlined, "#1a2433", 0.3)
-    textured = [each.entry for each in painted.textures if each.entry is not None]
-    return [*painted.legend, *textured, *(painted.over(ax) if painted.over else [])]
+    return [*painted.entries, *(painted.over(ax) if painted.over else [])]
+
+
+def explain_pending(entries: Iterable[Artist], ds: xr.Dataset) -> None:
+    """Say in a legend that cells without a result may have too few attractors for the one that the dataset holds."""
+    for entry in entries:
+        if ds.attrs.get(ATTRACTOR, 0) and entry.get_label() == words.name_of(PENDING):
+            entry.set_label(f"not more than {ds.attrs[ATTRACTOR]}")
 
 
 def paint_regimes(rgba: Colors, regime: NDArray[np.int8], where: Cells) -> list[Patch]:
@@ -205,7 +202,7 @@ def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: Page) -> set[str]:
         ax.imshow(rgba, origin="lower", extent=extent, aspect="auto", interpolation="nearest")
     else:
         ax.pcolormesh(x.edges, y.edges, rgba, rasterized=True)
-    scale_axes(ax, plane)
+    scale_axes(ax, x=x, y=y)
     enlarged = set()
     for code in (*_WITH_TEXTURE, UNDETERMINED):
         shown = (plane.regime == code) & (rgba == style.rgb(style.COLORS[code])).all(axis=-1)
@@ -251,30 +248,17 @@ def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> N
     return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
 
 
-def scale_axes(ax: Axes, plane: Plane) -> None:
-    """Give both axes of a map their scales, limits, ticks and labels."""
-    scale_x(ax, plane.x)
-    if plane.y.log:
-        ax.set_yscale("log")
-        _log_ticks(ax.yaxis, plane.y)
-    ax.set_ylim(plane.y.edges[0], plane.y.edges[-1])
-    ax.set_ylabel(words.axis_label(plane.y.name, plane.y.meaning))
-
-
-def scale_x(ax: Axes, x: Axis, label: bool = True) -> None:
-    """Give the horizontal axis its scale, limits and ticks, and its label if asked."""
-    if x.log:
-        ax.set_xscale("log")
-        _log_ticks(ax.xaxis, x)
-    ax.set_xlim(x.edges[0], x.edges[-1])
-    if label:
-        ax.set_xlabel(words.axis_label(x.name, x.meaning))
-
-
-def _log_ticks(axis: mpl_axis.Axis, scale: Axis) -> None:
-    # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.
-    if math.log10(scale.values[-1] / scale.values[0]) <= 3.0:
-        plain_ticks(axis, (1.0, 2.0, 5.0))
+def scale_axes(ax: Axes, labels: bool = True, **axes: Axis) -> None:
+    """Give the axes ``x`` and ``y`` of a plot their scales, limits and ticks, and their labels if asked."""
+    for each, axis in axes.items():
+        if axis.log:
+            ax.set(**{f"{each}scale": "log"})
+            # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.
+            if math.log10(axis.values[-1] / axis.values[0]) <= 3.0:
+                plain_ticks(getattr(ax, f"{each}axis"), (1.0, 2.0, 5.0))
+        ax.set(**{f"{each}lim": (axis.edges[0], axis.edges[-1])})
+        if labels:
+            ax.set(**{f"{each}label": words.axis_label(axis.name, axis.meaning)})
 
 
 def plain_ticks(axis: mpl_axis.Axis, steps: Sequence[float]) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar
 
 from atlas.errors import InputError
 from atlas.query.window import Window
@@ -21,55 +21,46 @@ T = TypeVar("T")
 
 
 class Sheet(TypedDict, total=False):
-    """The options of every picture."""
+    """The options of every picture, each with its meaning."""
 
-    width: float | str | None
-    height: float | str | None
-    font_size: float | None
-    dpi: float | None
-    title: bool
-    legend: bool
-    style: str | Path | None
+    width: Annotated[
+        float | str | None,
+        'width of the picture: inches as a number, or a text such as "85mm", "8.5cm" or "3.35in"; default: 7 in',
+    ]
+    height: Annotated[float | str | None, "height of the picture, given likewise; default: by the width"]
+    font_size: Annotated[float | None, "points of the type; default: by the width"]
+    dpi: Annotated[float | None, "dots per inch; default: 300"]
+    title: Annotated[bool, "whether the fixed parameters stand above"]
+    legend: Annotated[bool, "whether there is a legend"]
+    style: Annotated[str | Path | None, "a matplotlib style: a file, or the name of one of matplotlib's own"]
 
 
 class Look(Sheet, total=False):
     """The options of every picture that has a scale."""
 
-    vmin: float | None
-    vmax: float | None
+    vmin: Annotated[float | None, "lower end of the scale of numbers, or of the axis of exponents in a sweep"]
+    vmax: Annotated[float | None, "its upper end"]
 
 
-class MapLook(Look, total=False):
+class _OfAtlas(TypedDict, total=False):
+    """What a picture of one atlas has besides."""
+
+    overlay: Annotated[str | Sequence[str], "lines over a map or a sweep, one or several of OVERLAYS"]
+    curves: Annotated[
+        str | Sequence[str] | None, 'kinds of exact curves to draw, of CURVES, "fold,graze" or a list; default: all'
+    ]
+    names: Annotated[bool, "whether names of points and motions, and levels of lines, stand on a map"]
+    against: Annotated["xr.Dataset | None", "a second sweep of the same axis, for hysteresis"]
+    variable: Annotated[str | None, "the number of each cell to map, such as max_impact_speed"]
+    log: Annotated[bool, "whether on a logarithmic scale, with variable"]
+    ax: Annotated[
+        "Axes | Sequence[Axes] | None",
+        "matplotlib axes to draw into, for a sweep one for each of its plots; they are returned",
+    ]
+
+
+class MapLook(_OfAtlas, Look, total=False):
     """The options of a picture of one atlas."""
-
-    overlay: str | Sequence[str]
-    curves: str | Sequence[str] | None
-    names: bool
-    against: "xr.Dataset | None"
-    variable: str | None
-    log: bool
-    ax: "Axes | Sequence[Axes] | None"
-
-
-MEANINGS = {
-    "overlay": "lines over a map or a sweep, one or several of OVERLAYS",
-    "curves": 'kinds of exact curves to draw, of CURVES, "fold,graze" or a list; default: all',
-    "names": "whether names of points and motions, and levels of lines, stand on a map",
-    "against": "a second sweep of the same axis, for hysteresis",
-    "variable": "the number of each cell to map, such as max_impact_speed",
-    "log": "whether on a logarithmic scale, with variable",
-    "ax": "matplotlib axes to draw into, for a sweep one for each of its plots; they are returned",
-    "width": 'width of the picture: inches as a number, or a text such as "85mm", "8.5cm" or "3.35in"; default: 7 in',
-    "height": "height of the picture, given likewise; default: by the width",
-    "font_size": "points of the type; default: by the width",
-    "dpi": "dots per inch; default: 300",
-    "title": "whether the fixed parameters stand above",
-    "legend": "whether there is a legend",
-    "style": "a matplotlib style: a file, or the name of one of matplotlib's own",
-    "vmin": "lower end of the scale of numbers, or of the axis of exponents in a sweep",
-    "vmax": "its upper end",
-}
-"""What each option says."""
 
 
 @dataclass(frozen=True)
@@ -100,14 +91,13 @@ def takes(options: type, others: bool = False) -> Callable[[Callable[P, T]], Cal
     A call with another one raises InputError, which lists all that are possible, unless the function takes ``others``.
     """
     asked: dict[str, Any] = options.__annotations__
-    names = [name for name in MEANINGS if name in asked]
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
         parameters = signature.parameters.values()
         own = [each for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
         rest = [each for each in parameters if each not in own and others]
-        possible = [each.name for each in own if each.name != "self"] + names
+        possible = [each.name for each in own if each.name != "self"] + [*asked]
 
         @wraps(function)
         def call(*args: P.args, **given: P.kwargs) -> T:
@@ -117,11 +107,13 @@ def takes(options: type, others: bool = False) -> Callable[[Callable[P, T]], Cal
             return function(*args, **given)
 
         added = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS.get(name), annotation=asked[name])
-            for name in names
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS.get(name), annotation=each.__origin__
+            )
+            for name, each in asked.items()
         ]
         call.__signature__ = signature.replace(parameters=[*own, *added, *rest])  # type: ignore[attr-defined]
-        listed = "\n".join(f"    {name:9} {MEANINGS[name]}" for name in names)
+        listed = "\n".join(f"    {name:9} {each.__metadata__[0]}" for name, each in asked.items())
         call.__doc__ = f"{inspect.getdoc(function)}\n\nOptions::\n\n{listed}\n"
         return call
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from atlas.cell import shown as selection
 from atlas.cell.orbit import CellOrbit, describe
 from atlas.render import style, words
-from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
 from atlas.render.sweep import color_of
 from workers.results import REGIME, UNDETERMINED
@@ -39,13 +38,9 @@ class Shown(NamedTuple):
     rate: str
     stops: tuple[float, ...]
 
-    def of(self, states: Array) -> Array:
-        """The displacement (N,) in states (N, 2n)."""
-        return np.asarray(states[:, : self.row.size] @ self.row)
-
-    def rate_of(self, states: Array) -> Array:
-        """The velocity (N,) in states (N, 2n)."""
-        return np.asarray(states[:, self.row.size :] @ self.row)
+    def of(self, states: Array) -> tuple[Array, Array]:
+        """The displacement and the velocity (N,) in states (N, 2n)."""
+        return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
 
 def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
@@ -62,10 +57,8 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
             height += 1.2 * (chatter is not None)
         drawn = page.figure(height)
         drawn.set_layout_engine("constrained", hspace=pad, wspace=pad)
-        if page.title:
-            title = f"{words.system_line(orbit.system, orbit.parameters)}\n{describe(orbit)}"
-            size = mpl.rcParams["font.size"]
-            drawn.suptitle(title, fontsize=size, ha="left", x=0.012, linespacing=1.4).set_gid(TITLE)
+        title = f"{words.system_line(orbit.system, orbit.parameters)}\n{describe(orbit)}"
+        page.head(drawn, title, linespacing=1.4)
         rows, heights = _mosaic(page.wide, len(masses), len(planes), chatter is not None, many)
         plots: dict[str, Axes] = drawn.subplot_mosaic(rows, height_ratios=heights)  # type: ignore[arg-type]
         for k, mass in enumerate(masses):
@@ -116,7 +109,7 @@ def _shown(orbit: CellOrbit, row: Array) -> Shown:
 def _history(ax: Axes, orbit: CellOrbit, shown: Shown) -> None:
     count = selection.periods(orbit)
     times, states = selection.path(orbit, count)
-    values = shown.of(states)
+    values, _ = shown.of(states)
     ax.plot(times / orbit.period, values, color=LINE, linewidth=0.9)
     for stop in shown.stops:
         ax.axhline(stop, **_STOP)
@@ -131,17 +124,12 @@ def _history(ax: Axes, orbit: CellOrbit, shown: Shown) -> None:
 def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
     """The distance from the stop through a chatter: flights that become ever shorter and lower."""
     impacts, side = orbit.impacts[chatter, 0] / orbit.period, float(orbit.impacts[chatter.start, 1])
-    first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)
-    times, away = orbit.times / orbit.period, np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
-    highest = away[(times >= impacts[0]) & (times <= impacts[-1])].max()
-    inside = (times >= first) & (times <= last)
-    ax.plot(times[inside], away[inside], color=LINE, linewidth=0.9)
+    times, away, ends, highest = selection.enlarged(orbit, chatter)
+    ax.plot(times, away, color=LINE, linewidth=0.9)
     _mark_impacts(ax, side, impacts, 0.0 * impacts)
-    ax.set_xlim(first, last)
-    ax.set_ylim(-0.06 * highest, 1.25 * highest)
     ax.xaxis.set_major_locator(MaxNLocator(3))
     ax.yaxis.set_major_locator(MaxNLocator(4))
-    ax.set(xlabel="time $t/T$", ylabel="from the stop")
+    ax.set(xlim=ends, ylim=(-0.06 * highest, 1.25 * highest), xlabel="time $t/T$", ylabel="from the stop")
     ax.set_title("chatter, enlarged", loc="left")
 
 
@@ -152,7 +140,8 @@ def _mark_impacts(ax: Axes, side: float, at: Array, values: Array) -> None:
 
 def _phase_plane(ax: Axes, orbit: CellOrbit, shown: Shown, other: Shown | None = None) -> None:
     """A displacement against its velocity, or two displacements against each other."""
-    across, up = shown.of(orbit.states), other.of(orbit.states) if other else shown.rate_of(orbit.states)
+    across, rate = shown.of(orbit.states)
+    up = other.of(orbit.states)[0] if other else rate
     closed = bool(orbit.cell["period"])
     ax.plot(across, up, color=LINE, linewidth=0.9 if closed else 0.25, alpha=1.0 if closed else 0.75)
     for stop in shown.stops:
@@ -166,15 +155,15 @@ def _phase_plane(ax: Axes, orbit: CellOrbit, shown: Shown, other: Shown | None =
 def _section(ax: Axes, orbit: CellOrbit) -> None:
     """The gap coordinate and its velocity at the section."""
     shown = _shown(orbit, orbit.gap_row)
-    x, y = shown.of(orbit.section), shown.rate_of(orbit.section)
+    x, y = shown.of(orbit.section)
     few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
         # One point has no extent of its own: the orbit's gives the picture its scale.
-        for axis, values in ((ax.set_xlim, shown.of(orbit.states)), (ax.set_ylim, shown.rate_of(orbit.states))):
+        for name, values in zip(("xlim", "ylim"), shown.of(orbit.states), strict=True):
             reach = 0.55 * float(np.ptp(values)) or 1.0
             middle = 0.5 * float(values.min() + values.max())
-            axis(middle - reach, middle + reach)
+            ax.set(**{name: (middle - reach, middle + reach)})
     ax.set_xlabel(f"{shown.label} at $t = kT$")
     ax.set_ylabel(shown.rate, labelpad=1.0)
     ax.ticklabel_format(useOffset=False)
@@ -193,11 +182,7 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
         if np.isfinite(value):
             dashes = (0, (2, 2)) if orbit.exact else (0, (1, 3))
             ax.axhline(value, color=color_of(i), linewidth=0.8, linestyle=dashes)
-    # Limits that show where averages end and most of their way: the first periods may lie far off.
-    later = values[min(9, len(values) - 1) :]
-    ends = np.concatenate([later[np.isfinite(later)], written[np.isfinite(written)], [0.0]])
-    room = 0.08 * float(np.ptp(ends)) or 1.0
-    ax.set(xscale="log", xlim=(1, periods[-1]), ylim=(ends.min() - room, ends.max() + room))
+    ax.set(xscale="log", xlim=(1, periods[-1]), ylim=selection.exponent_ends(values, written))
     ax.set(xlabel="forcing periods averaged over", ylabel=r"$\lambda_i$ [per forcing period]")
 
 
@@ -229,6 +214,6 @@ def _legend(orbit: CellOrbit) -> list[Line2D]:
     entries = [Line2D([], [], color=LINE, linewidth=1.2, label="motion"), Line2D([], [], label="stop", **_STOP)]
     for side, (marker, ink, name) in IMPACTS.items():
         if np.any(orbit.impacts[:, 1] == side):
-            look: Any = {"linestyle": "", "marker": marker, "markersize": 4.5, "color": ink, "markeredgewidth": 0}
+            look = style.mark(marker, 4.5, ink, ink, 0.0)
             entries.append(Line2D([], [], label=f"impact on the {name} stop", **look))
     return entries

@@ -1,5 +1,5 @@
-"""Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal, and the
-exact curves with their points of codimension two and their ends.
+"""Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal, the exact
+curves with their points of codimension two and their ends, and over basins the saddles with their stable manifolds.
 
 A curve is drawn where its orbit is otherwise stable: there it bounds a region with attractors. The rest passes through
 regions without changing them, and is left out.
@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from contourpy import contour_generator
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -17,15 +16,17 @@ from matplotlib.contour import ContourSet
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from atlas.curves import asking
 from atlas.curves.table import Curve
 from atlas.errors import InputError
 from atlas.query import machine
+from atlas.query.basins import saddles_in
 from atlas.query.grazing import grazing_lines
 from atlas.query.room import crowded_parts, dense
-from atlas.query.tidy import outlined, smooth
+from atlas.query.tidy import isolines, outlined
 from atlas.query.window import axis_names
 from atlas.render import maps, style
 from atlas.render.kinds import OverlayError
@@ -90,25 +91,11 @@ def _boundaries(ax: Axes, view: View) -> list[Artist]:
 
 
 def _isolines(ax: Axes, view: View) -> list[Artist]:
-    plane, largest = view.plane, view.plane.known(LARGEST.name)
-    if min(largest.shape) < 2:
-        return []
-    shown, levels = np.full(largest.shape, np.nan), set()
-    # Each sign on its own: between them exponents jump, and lines there would show the jump and nothing else.
-    for sign, width in ((-1.0, 1.5), (1.0, 2.5)):
-        size = np.where(np.isfinite(largest) & (sign * largest > 0.0), np.abs(largest), np.nan)
-        even = smooth(size, width)
-        if np.isfinite(even).sum() >= 4:
-            shown = np.where(np.isfinite(even), sign * even, shown)
-            ticks = np.asarray(MaxNLocator(5).tick_values(0.0, float(np.nanpercentile(size, 98))))
-            levels |= {sign * tick for tick in ticks[(ticks > np.nanmin(even)) & (ticks < np.nanmax(even))]}
-    kept: dict[float, list[Array]] = {}
-    lines = contour_generator(plane.x.values, plane.y.values, np.ma.masked_invalid(shown))
-    for level in sorted(levels):
-        for line in map(np.asarray, lines.lines(level)):
-            _, along = dense(maps.in_points(ax, line, view.page.map_size))
-            if along[-1] >= _LEAST_LINE:
-                kept.setdefault(level, []).append(line)
+    plane, kept = view.plane, dict[float, list[Array]]()
+    for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
+        _, along = dense(maps.in_points(ax, line, view.page.map_size))
+        if along[-1] >= _LEAST_LINE:
+            kept.setdefault(level, []).append(line)
     if not kept:
         return []
     drawn = ContourSet(ax, [*kept], [*kept.values()], colors="white", linewidths=0.7, linestyles="solid", zorder=2.5)
@@ -143,28 +130,30 @@ def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, flo
     Where curves crowd, lines and casings are thinner, for the map to be seen between them.
     """
     size, scale = view.page.map_size, view.page.scale
-    every = [(curve.kind, line) for curve in found for line in curve.stable_lines if _is_in_view(ax, line)]
+    every = [(curve.kind, line) for curve in found for line in curve.stable_lines]
+    every = [(kind, line) for kind, line in every if ax.viewLim.overlaps(Bbox([line.min(axis=0), line.max(axis=0)]))]
     if not every:
         return [Line2D([], [], linestyle="", label="curves: none in this window")]
-    lines = [line for _, line in every]
-    drawn: dict[str, list[tuple[Array, bool]]] = {}
-    for number, part, crowded in crowded_parts(lines, [maps.in_points(ax, line, size) for line in lines], _BESIDE):
-        drawn.setdefault(every[number][0], []).append((part, crowded))
-    entries: list[Artist] = []
+    lines, entries = [line for _, line in every], list[Artist]()
+    parts = list(crowded_parts(lines, [maps.in_points(ax, line, size) for line in lines], _BESIDE))
     for kind, look in style.LOOKS.items():
-        parts, widths = drawn.get(kind, []), np.array([_WIDTHS[crowded] for _, crowded in drawn.get(kind, [])])
-        if not parts:
+        own = [(part, crowded) for number, part, crowded in parts if every[number][0] == kind]
+        if not own:
             continue
-        segments = [part for part, _ in parts]
+        segments, widths = [part for part, _ in own], np.array([_WIDTHS[crowded] for _, crowded in own])
         if casing:
-            wide = widths + [casing[crowded] for _, crowded in parts]
+            wide = widths + [casing[crowded] for _, crowded in own]
             ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
-        front = LineCollection(segments, colors=look.color, linewidths=widths, linestyles=[look.dashes], zorder=3.2)
-        front.set_gid(kind)
-        ax.add_collection(front, autolim=False)
+        shown: Any = {
+            "colors": look.color,
+            "linewidths": widths,
+            "linestyles": [look.dashes],
+            "zorder": 3.2,
+            "gid": kind,
+        }
+        ax.add_collection(LineCollection(segments, **shown), autolim=False)
         entries.append(style.line_entry(kind, _WIDTHS[False]))
-    kinds = view.wanted.curves
-    if kinds is None or "codimension_two" in kinds:
+    if view.wanted.curves is None or "codimension_two" in view.wanted.curves:
         corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})
         looks = {kind: style.corner_look(kind, _MARK * scale) for kind, _, _ in corners}
         for kind in sorted(looks, key=[*style.CORNERS, *looks].index):
@@ -187,17 +176,18 @@ def _draw_marks(
     return [Line2D([], [], **look)] if seen else []
 
 
-def _is_in_view(ax: Axes, line: Array) -> bool:
-    """Whether the box around a line meets the limits of the axes."""
-    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
-    (x0, y0), (x1, y1) = line.min(axis=0), line.max(axis=0)
-    return bool(x1 >= left and x0 <= right and y1 >= low and y0 <= high)
-
-
 def _saddles(ax: Axes, view: View) -> list[Artist]:
-    from atlas.render import saddles  # with it Numba
-
-    return saddles.draw(ax, view)
+    box = {axis.name: (float(axis.edges[0]), float(axis.edges[-1])) for axis in (view.plane.x, view.plane.y)}
+    found, manifolds = saddles_in(view.ds, asking.header_of(view.ds).spec, box)
+    for color, width in (("white", 2.2), ("black", 0.9)):
+        ax.add_collection(LineCollection(manifolds, colors=color, linewidths=width, zorder=3.2), autolim=False)
+    look = style.mark("X", 7.0, "black", "white", 0.8)
+    for states in found:
+        ax.plot(*states.T, zorder=4.2, scalex=False, scaley=False, gid="saddle", **look)
+    if not found:
+        return [Line2D([], [], linestyle="", label="no saddle found between basins")]
+    manifold = Line2D([], [], color="black", linewidth=0.9, label="stable manifold of a saddle")
+    return [Line2D([], [], label="saddle: unstable orbit", **look), manifold]
 
 
 DRAW: dict[str, Callable[[Axes, View], list[Artist]]] = {

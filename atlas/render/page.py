@@ -20,7 +20,7 @@ from matplotlib.legend import Legend
 from matplotlib.transforms import ScaledTranslation
 
 from atlas.errors import InputError, shown
-from atlas.render.fit import fit
+from atlas.render.fit import TITLE, fit
 from atlas.render.options import Look
 from atlas.render.style import DPI, house
 
@@ -121,14 +121,24 @@ class Page:
         FigureCanvasAgg(drawn)
         return drawn
 
-    def panels(self, height: float, count: int) -> tuple[Figure, list[Axes]]:
-        """A figure with ``count`` plots over one shared axis, or the given axes; InputError for another number."""
-        if not self.given:
-            drawn = self.figure(height)
-            return drawn, list(drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
-        if len(self.given) != count:
+    def panels(self, height: float, count: int, title: str) -> tuple[Figure, list[Axes]]:
+        """A figure with ``count`` plots over one shared axis, or the given axes, under a title.
+
+        InputError for another number of axes.
+        """
+        if self.given and len(self.given) != count:
             raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
-        return _root(self.given[0]), list(self.given)
+        drawn = _root(self.given[0]) if self.given else self.figure(height)
+        plots = list(self.given or drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+        if self.title:
+            plots[0].set_title(title, loc="left", gid=TITLE)
+        return drawn, plots
+
+    def head(self, drawn: Figure, title: str, **look: Any) -> None:
+        """A title over all plots of a figure."""
+        if self.title:
+            size = mpl.rcParams["font.size"]
+            drawn.suptitle(title, fontsize=size, ha="left", x=0.012, **look).set_gid(TITLE)
 
     def ends(self, low: float, high: float) -> tuple[float, float]:
         """The ends of a scale: those asked for, else these; InputError unless they rise."""
@@ -171,17 +181,17 @@ class Page:
             made.remove()
 
     def _one_legend(self, drawn: Figure, entries: Sequence[Artist], aside: bool, look: dict[str, Any]) -> Legend:
-        handles = list(entries)
+        host: Any = drawn if not self.given else self.given[0 if aside else -1]
+        place: dict[str, Any]
         if not self.given:
-            if aside:
-                return drawn.legend(handles=handles, loc="outside right upper", **look)
-            return drawn.legend(handles=handles, loc="outside lower center", **{"columnspacing": 1.4, **look})
-        if aside:
-            return self.given[0].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
-        under = self.given[-1]
-        drop = under.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(under).dpi_scale_trans)
-        look = {"bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0, **look}
-        return under.legend(handles=handles, loc="upper left", **look)
+            place = {"loc": "outside right upper"} if aside else {"loc": "outside lower center", "columnspacing": 1.4}
+        elif aside:
+            place = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.0)}
+        else:
+            drop = host.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(host).dpi_scale_trans)
+            place = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0}
+        made: Legend = host.legend(handles=list(entries), **place | look)
+        return made
 
     def _grow(self, drawn: Figure, dots: float) -> None:
         if dots > 0.0 and not self.given and self.height is None:

@@ -5,17 +5,13 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy import ndimage
 
-from atlas.curves.table import Curve
 from atlas.query import machine
 from atlas.query.motions import regions
-from atlas.query.plane import Cells
-from atlas.query.room import dense
+from atlas.query.room import crossed, dense
 from atlas.query.tidy import filled
-from atlas.render import maps, overlays
+from atlas.render import maps, overlays, words
 from atlas.render.kinds import TABLE
 from atlas.render.options import Wanted
 
@@ -25,6 +21,8 @@ _MOST = 4
 """Regions of one name that get it, at most: the largest."""
 _FINE = 1.0
 """Points between the places at which room for a name is looked for."""
+_CORNER = 3.0 * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+"""What the mark of a point of codimension two covers around its middle, in points."""
 _TITLE = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
 _SIDES = "\ns: symmetric, u: unsymmetric"
 
@@ -38,8 +36,8 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
     twins = machine.twins_everywhere(ds, {plane.x.name: plane.x.values, plane.y.name: plane.y.values})
     rest = replace(wanted, overlays=tuple(name for name in wanted.overlays if name != "curves"))
     with page.context():
-        drawn, ax = maps.frame(ds, page)
-        maps.scale_axes(ax, plane)
+        drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(ds))
+        maps.scale_axes(ax, x=plane.x, y=plane.y)
         entries: list[Artist] = [*overlays.draw_curves(ax, found, view), *overlays.draw(ax, replace(view, wanted=rest))]
         title = _TITLE + (_SIDES if wanted.names and sides and twins else "")
         page.legend(drawn, entries, beside=title, handlelength=2.6)
@@ -48,21 +46,10 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
         page.settle(drawn)
         times = max(1, round(max(np.array(size) / plane.regime.shape[::-1]) / _FINE))
         fine = plane.finer(times)
-        taken = _crossed(ax, fine.regime.shape, found, size)
+        marked = [np.asarray(each.get_xydata()) for each in ax.lines if each.get_gid() == "corner"]
+        places = [dense(maps.in_points(ax, line, size))[0] for curve in found for line in curve.stable_lines]
+        places += [maps.in_points(ax, at, size) + _CORNER for at in marked]
+        taken = crossed(places, size, fine.regime.shape)
         named = [(filled(cells, times) & ~taken, name, "white") for name, cells in regions(fine, twins)]
         maps.name_regions(ax, fine, named, [each * page.scale for each in _TYPE], _MOST, ~taken)
     return drawn
-
-
-def _crossed(ax: Axes, cells: tuple[int, ...], found: list[Curve], size: tuple[float, float]) -> Cells:
-    """The cells (y, x), all drawn equally large, that a drawn curve or a mark runs through or beside."""
-    inside = np.zeros(cells, dtype=bool)
-    marked = [np.asarray(each.get_xydata()) for each in ax.lines if each.get_gid() == "corner"]
-    reach = 3.0 * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-    places = [dense(maps.in_points(ax, line, size))[0] for curve in found for line in curve.stable_lines]
-    places += [maps.in_points(ax, at, size) + reach for at in marked]
-    for place in places:
-        share = place / np.array(size)
-        columns, rows = (share[np.all((share >= 0.0) & (share < 1.0), axis=1)] * cells[::-1]).astype(int).T
-        inside[rows, columns] = True
-    return ndimage.binary_dilation(inside, np.ones((3, 3)))

@@ -21,9 +21,7 @@ from atlas.errors import InputError
 from atlas.query.ends import number_ends, scale_ends
 from atlas.query.extremes import regimes_with
 from atlas.query.tidy import without_dust
-from atlas.render import classes, maps, style, words
-from atlas.render.kinds import CHAOTIC as CHAOTIC_COLORS
-from atlas.render.kinds import SCALAR, STABLE, TABLE
+from atlas.render import classes, kinds, maps, style, words
 from atlas.render.maps import Bar, Colors, Painted, Texture, View
 from atlas.render.page import STANDARD, Page
 from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC
@@ -49,24 +47,18 @@ def _part(name: str, low: float, high: float) -> Colormap:
     return LinearSegmentedColormap.from_list(name, colormaps[name](np.linspace(low, high, 64)), N=512)
 
 
-def _two_colours() -> LinearSegmentedColormap:
-    # The step of hue at zero keeps the border of chaos sharp where exponents on both sides are small.
-    stable = list(zip(np.linspace(0.0, 0.5, len(STABLE)), STABLE, strict=True))
-    chaotic = list(zip(np.linspace(0.5, 1.0, len(CHAOTIC_COLORS)), CHAOTIC_COLORS, strict=True))
-    return LinearSegmentedColormap.from_list("exponent", stable + chaotic, N=1024)
-
-
-EXPONENT = _two_colours()
-CHAOS = colormap_of(CHAOTIC_COLORS)
+# The step of hue at zero keeps the border of chaos sharp where exponents on both sides are small.
+_PLACES = [*np.linspace(0.0, 0.5, len(kinds.STABLE)), *np.linspace(0.5, 1.0, len(kinds.CHAOTIC))]
+EXPONENT = LinearSegmentedColormap.from_list(
+    "exponent", list(zip(_PLACES, (*kinds.STABLE, *kinds.CHAOTIC), strict=True)), N=1024
+)
+CHAOS = colormap_of(kinds.CHAOTIC)
 ERRORS = {
     "periodic": (_part("YlGnBu", 0.12, 0.95), (NO_IMPACT, PERIODIC)),
     "chaotic": (_part("YlOrRd", 0.10, 1.0), (CHAOTIC,)),
     "torus": (_part("PuRd", 0.2, 1.0), (QUASIPERIODIC,)),
 }
 """Colours and regimes of each kind of error: they differ by ten decades, and one scale would show none of them."""
-
-
-# Exponents
 
 
 def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
@@ -76,7 +68,7 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
     """
     regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
-    painted = _scaled(regime, largest, Bar(EXPONENT, norm, largest, TABLE["exponent"].scale.label))
+    painted = _scaled(regime, largest, Bar(EXPONENT, norm, largest, kinds.TABLE["exponent"].scale.label))
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
         return painted
@@ -104,9 +96,6 @@ def combined(view: View) -> Painted:
     named = words.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
     legend = [each for each in painted.legend if each.get_label() != named]
     return Painted(painted.rgba, legend, [Bar(CHAOS, norm, largest, view.kind.scale.label)])
-
-
-# Any number
 
 
 def number(view: View) -> Painted:
@@ -177,7 +166,7 @@ def color_norm(values: Array, log: bool, page: Page = STANDARD) -> Normalize:
     return LogNorm(low, high) if log else Normalize(low, high)
 
 
-def signed_colormap(norm: Normalize, above: tuple[str, ...] = TABLE[SCALAR].scale.colors) -> Colormap:
+def signed_colormap(norm: Normalize, above: tuple[str, ...] = kinds.TABLE[kinds.SCALAR].scale.colors) -> Colormap:
     """The colours of a scale: zero between its ends is pale, and equally far from it both sides are equally dark."""
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if not low < 0.0 < high:
@@ -206,9 +195,6 @@ def error(view: View) -> Painted:
             rgba[cells] = on_scale(values, norm, colormap)[cells]
             bars.append(Bar(colormap, norm, values, view.kind.scale.label, name))
     return Painted(rgba, maps.paint_regimes(rgba, regime, np.isnan(known)), bars)
-
-
-# Bars
 
 
 def draw_bars(

@@ -50,10 +50,7 @@ def screen(
     key_width: int,
     *,
     overlays: Sequence[str] = (),
-    variable: str | None = None,
-    log: bool = False,
-    vmin: float | None = None,
-    vmax: float | None = None,
+    **look: Any,
 ) -> Screen:
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
@@ -68,24 +65,21 @@ def screen(
         canvas = FigureCanvasAgg(drawn)
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
-        look: Any = {"title": False, "vmin": vmin, "vmax": vmax}
-        figure(ds, kind, overlay=overlays, pixels=size, variable=variable, log=log, ax=ax, **look)
+        figure(ds, kind, pixels=size, **look, overlay=overlays, ax=ax, title=False)
         _bare(ax, ds)
         ax.set_position(area)
         bars = [each for each in drawn.axes if each is not ax]
         low = _move_legend(drawn, ax, (width + GAP) / whole)
         tall = 0.92 - low
+        room = 0.96 * (1.0 - low) * height  # above the legend
         for bar in bars:  # of the proportions that a bar with pointed ends insists on
             bar.set_position(((width + GAP) / whole, low + 0.04, tall * height / BAR_ASPECT / whole, tall))
-        room = 0.96 * (1.0 - low) * height  # above the legend
-        for label in [bar.yaxis.label for bar in bars]:
-            share = room / label.get_window_extent().height
-            label.set_fontsize(float(label.get_fontsize()) * min(1.0, share))
+            label = bar.yaxis.label
+            label.set_fontsize(float(label.get_fontsize()) * min(1.0, room / label.get_window_extent().height))
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())
-        low_end, high_end = bars[0].get_ylim() if len(bars) == 1 else (0.0, 0.0)
-    ends = (float(low_end), float(high_end)) if len(bars) == 1 else None
-    return Screen(pixels[:, :width].copy(), pixels[:, width:].copy(), ends)
+    ends = [(float(first), float(last)) for first, last in (bar.get_ylim() for bar in bars)]
+    return Screen(pixels[:, :width].copy(), pixels[:, width:].copy(), ends[0] if len(ends) == 1 else None)
 
 
 def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:

@@ -17,27 +17,15 @@ from atlas.errors import InputError
 from atlas.query import hysteresis, machine
 from atlas.query.attractors import branches as branches_of
 from atlas.query.attractors import leading
-from atlas.query.plane import Axis, rising
-from atlas.query.tidy import turns
+from atlas.query.plane import Axis, Meaning, rising
+from atlas.query.tidy import runs, turns
 from atlas.query.window import spec_of_axis
 from atlas.render import classes, maps, style, words
-from atlas.render.fit import TITLE
+from atlas.render.kinds import TABLE
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
 from atlas.spec.system import stored_system
-from workers.results import (
-    ATTRACTOR,
-    ERROR,
-    LABEL,
-    LARGEST,
-    NO_IMPACT,
-    PENDING,
-    PERIODIC,
-    REGIME,
-    REGIMES,
-    SECTION,
-    SPECTRUM,
-)
+from workers.results import ATTRACTOR, ERROR, LABEL, LARGEST, NO_IMPACT, PENDING, PERIODIC, REGIME, SECTION, SPECTRUM
 
 if TYPE_CHECKING:
     from atlas.branches.table import Branches
@@ -83,11 +71,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
 
 def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The sweep with all exponents as a figure; InputError where the atlas does not hold them."""
-    if SPECTRUM.name not in ds:
-        raise InputError(
-            "kind 'spectrum' draws the variable 'spectrum', which this atlas does not hold; "
-            'see [solve] exponents = "spectrum"'
-        )
+    TABLE["spectrum"].require(ds, [SPECTRUM.name])
     panels: dict[str, Panel] = dict.fromkeys(held([SECTION.name], ds), _draw_section)
     panels[SPECTRUM.name] = _draw_spectrum
     read = line(ds, list(panels))
@@ -115,14 +99,12 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
 
     def panel(ax: Axes, name: str) -> None:
         for what, color in SHADES.items():
-            change = np.diff(np.pad(found == what, 1).astype(np.int8))
-            for low, high in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
-                ax.axvspan(x.edges[low], x.edges[high], color=color, linewidth=0, zorder=0)
-        for number, each in enumerate((first, second)):
-            values = machine.gap_values(each, x.name, each[name]) if name == SECTION.name else each[name].values
-            # The second on top and smaller, so that both are seen where they agree.
-            size = point_size(x, _FEW, wanted.page) * (1.5, 0.8)[number]
-            draw_points(ax, x, values, COLORS[number], size, zorder=2 + number)
+            for stretch in runs(found[None] == what, x.edges, np.arange(2.0)):
+                ax.axvspan(*stretch[:2, 0], color=color, linewidth=0, zorder=0)
+        # The second on top and smaller, so that both are seen where they agree.
+        for each, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
+            size = point_size(x, _FEW, wanted.page) * larger
+            draw_points(ax, x, _values(each, x, name), color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
             ax.set_ylabel(LARGEST_LABEL)
@@ -130,9 +112,9 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
     legend: list[Artist] = [_dot(color, _direction(each, x.name), size) for color, each, size in sweeps]
-    for what, meaning in ((hysteresis.MIRRORED, "mirror images"), (hysteresis.DIFFERENT, "different motions")):
+    for (what, color), meaning in zip(SHADES.items(), ("mirror images", "different motions"), strict=True):
         if np.any(found == what):
-            legend.append(Patch(facecolor=SHADES[what], edgecolor="#a9a4b8", linewidth=0.4, label=meaning))
+            legend.append(Patch(facecolor=color, edgecolor="#a9a4b8", linewidth=0.4, label=meaning))
     return stack(ds, (first, x), panels, legend, wanted)
 
 
@@ -162,17 +144,13 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
 def figure_of_branches(branches: "Branches", page: Page = STANDARD) -> Figure:
     """Branches as a figure of their own, under the title line of the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
+    meaning = Meaning(parameter.meaning, parameter.symbol, parameter.unit)
+    shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
     with page.context():
-        drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1)
+        drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1, words.system_line(system, shown))
         entries = draw_branches(ax, branches, page)
-        symbol = words.shown_symbol(parameter.symbol, parameter.name)
-        ax.set_xlabel(f"{parameter.meaning.split(':')[0]} ${symbol}${words.unit_ending(parameter.unit)}")
-        ax.set_ylabel(words.gap_label(system))
-        ax.set_xlim(*branches.window)
+        ax.set(xlabel=words.axis_label(parameter.name, meaning), ylabel=words.gap_label(system), xlim=branches.window)
         ax.margins(y=0.06)
-        if page.title:
-            shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
-            ax.set_title(words.system_line(system, shown), loc="left", gid=TITLE)
         page.legend(drawn, entries)
     return drawn
 
@@ -192,11 +170,7 @@ def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, Axis]:
 
 
 def stack(
-    ds: xr.Dataset,
-    read: tuple[xr.Dataset, Axis],
-    panels: Mapping[str, Panel],
-    legend: Sequence[Artist],
-    wanted: Wanted,
+    ds: xr.Dataset, read: tuple[xr.Dataset, Axis], panels: Mapping[str, Panel], legend: Sequence[Artist], wanted: Wanted
 ) -> Figure:
     """Panels over one shared axis, under the title line of the fixed parameters; branches over the section."""
     page, (cells, x), (least, share) = wanted.page, read, _HEIGHT[len(panels)]
@@ -212,7 +186,7 @@ def stack(
 
         branches = Branches.of(tree_through(sweeps))
     with page.context():
-        drawn, plots = page.panels(least + share * page.width, len(panels))
+        drawn, plots = page.panels(least + share * page.width, len(panels), words.title_line(ds))
         for ax, (name, panel) in zip(plots, panels.items(), strict=True):
             panel(ax, cells, x, page)
             if name != SECTION.name:
@@ -220,33 +194,29 @@ def stack(
             else:
                 ax.set_ylabel(words.gap_label(stored_system(ds.attrs)))
                 legend = [*legend, *(draw_branches(ax, branches, page) if branches else [])]
-            maps.scale_x(ax, x, label=ax is plots[-1])
+            maps.scale_axes(ax, ax is plots[-1], x=x)
         drawn.align_ylabels(plots)
-        if page.title:
-            plots[0].set_title(words.title_line(ds), loc="left", gid=TITLE)
         page.legend(drawn, legend, handlelength=0.8)
     return drawn
 
 
 def _draw_section(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
-    regime = ds[REGIME.name].values
-    section = machine.gap_values(ds, x.name, ds[SECTION.name])
+    regime, section = ds[REGIME.name].values, _values(ds, x, SECTION.name)
     for code in np.unique(regime[regime != PENDING]):
         least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
-        shown = np.where((regime == code)[:, None], section, np.nan)
-        draw_points(ax, x, shown, style.INK[int(code)], point_size(x, least, page))
+        draw_points(ax, x, section, style.INK[int(code)], point_size(x, least, page), cells=regime == code)
 
 
 def _draw_largest(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
-    regime, largest = ds[REGIME.name].values, ds[LARGEST.name].values
+    largest = ds[LARGEST.name].values
     finite = np.where(np.isfinite(largest), largest, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     if ERROR.name in ds:
         error = np.nan_to_num(ds[ERROR.name].values)
         ax.fill_between(x.values, finite - error, finite + error, color="#b0b0b0", linewidth=0, zorder=1.5)
     ax.plot(x.values, finite, color="#a6a6a6", linewidth=0.5, zorder=2)
-    for code in np.unique(regime[regime != PENDING]):
-        draw_points(ax, x, np.where(regime == code, finite, np.nan), style.INK[int(code)], point_size(x, _FEW, page))
+    for cells, color in _groups(ds, None):
+        draw_points(ax, x, finite, color, point_size(x, _FEW, page), cells=cells)
     _mark_lost(ax, x, np.isneginf(largest), LARGEST_LABEL, r"(▾: $-\infty$)")
 
 
@@ -268,17 +238,15 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
 
     def draw(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
-            here, section = ds.isel({ATTRACTOR: k}), name == SECTION.name
-            values = machine.gap_values(here, x.name, here[name]) if section else here[name].values
-            size = point_size(x, 0.6 * _POINT if section else _POINT, page)
+            here = ds.isel({ATTRACTOR: k})
+            values, size = _values(here, x, name), point_size(x, (0.6 if name == SECTION.name else 1.0) * _POINT, page)
             for cells, color in _groups(here, known):
                 if name == "share" and INTERVAL[0] in here:
                     shown = np.isfinite(values) & cells
                     low, high = (here[end].values[shown] for end in INTERVAL)
                     look: dict[str, Any] = {"color": color, "linewidth": 0.7, "alpha": _PALE, "rasterized": True}
                     ax.vlines(x.values[shown], low, high, zorder=2, **look)
-                own = np.where(cells[:, None] if section else cells, values, np.nan)
-                draw_points(ax, x, own, color, size, "o")
+                draw_points(ax, x, values, color, size, "o", cells=cells)
         ax.set_ylabel(LABELS.get(name, ""))
 
     return draw
@@ -305,29 +273,19 @@ def _mark_lost(ax: Axes, x: Axis, lost: Any, label: str, note: str) -> None:
 
 def draw_branches(ax: Axes, branches: "Branches", page: Page) -> list[Artist]:
     """Draw branches, those of mirror images too, with their events, and return the legend entries of what is there."""
-    lines: dict[bool, list[Array]] = {True: [], False: []}
-    events: dict[str, list[Array]] = {}
-    for branch in branches.traced:
-        at = {id(point): k for k, point in enumerate(branch.run.points)}
-        for values in branches.gap_values(branch):
-            for stable, part in branch.parts:
-                lines[stable] += [np.column_stack([branch.values[part], column]) for column in values[part].T]
-            for event in branch.run.events:
-                k = at[id(event.point)]
-                places = np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
-                events.setdefault(event.kind, []).append(places)
-    entries: list[Artist] = []
+    lines, places, entries = list(branches.lines()), list(branches.places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
-        if lines[stable]:
-            width, dashes = _WIDTHS[stable] * page.scale, DASHES[stable]
-            ax.add_collection(
-                LineCollection(lines[stable], colors=INK, linewidths=width, linestyles=[dashes], zorder=4)
-            )
-            entries.append(Line2D([], [], color=INK, linewidth=width, linestyle=dashes, label=label))
-    for kind in [kind for kind in style.LOOKS if kind in events]:
-        look = style.event_look(kind, _MARKER * page.scale)
-        ax.plot(*np.concatenate(events[kind]).T, zorder=5, **look)
-        entries.append(Line2D([], [], **look))
+        shown, width, dashes = [one for each, one in lines if each is stable], _WIDTHS[stable], DASHES[stable]
+        if shown:
+            look = {"color": INK, "linewidth": width * page.scale, "linestyle": dashes}
+            ax.add_collection(LineCollection(shown, zorder=4, **look))
+            entries.append(Line2D([], [], label=label, **look))
+    for kind in style.LOOKS:
+        at = [place for each, place in places if each == kind]
+        if at:
+            mark = style.event_look(kind, _MARKER * page.scale)
+            ax.plot(*np.concatenate(at).T, zorder=5, **mark)
+            entries.append(Line2D([], [], **mark))
     ax.autoscale_view()
     return entries
 
@@ -343,18 +301,22 @@ def point_size(x: Axis, least: float, page: Page) -> float:
 
 
 def draw_points(
-    ax: Axes, x: Axis, values: Array, color: str, size: float, marker: str = ".", zorder: float = 3
+    ax: Axes, x: Axis, values: Array, color: str, size: float, marker: str = ".", zorder: float = 3, cells: Any = True
 ) -> None:
-    """Draw the values of cells (N,) or (N, n) that are finite as points, ``size`` in points."""
-    at = np.broadcast_to(x.values if values.ndim == 1 else x.values[:, None], values.shape)
-    shown = np.isfinite(values)
+    """Draw the finite values (N,) or (N, n) of these cells (N,), by default of all, as points, ``size`` in points."""
+    at, shown = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
     look: Any = {"color": color, "markersize": size, "markeredgewidth": 0, "zorder": zorder, "rasterized": True}
     ax.plot(at[shown], values[shown], marker, **look)
 
 
+def _values(ds: xr.Dataset, x: Axis, name: str) -> Array:
+    """The values of a variable along a sweep; of sections those of the gap coordinate."""
+    return machine.gap_values(ds, x.name, ds[name]) if name == SECTION.name else np.asarray(ds[name].values)
+
+
 def regime_legend(regime: NDArray[np.int8]) -> list[Artist]:
     """Legend entries for the regimes of points."""
-    codes = [each.code for each in REGIMES if each.code != PENDING and np.any(regime == each.code)]
+    codes = np.unique(regime[regime != PENDING]).tolist()
     return [_dot(style.INK[code], words.name_of(code), 4.0) for code in codes]
 
 

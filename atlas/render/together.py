@@ -5,14 +5,12 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
@@ -20,15 +18,14 @@ from atlas.query.compare import Comparison, differences, differing
 from atlas.query.ends import scale_ends
 from atlas.query.plane import Plane
 from atlas.query.reads import counted
-from atlas.query.resample import view as in_view
 from atlas.query.window import Window, axis_names, within
 from atlas.render import maps, scales, style, words
-from atlas.render.fit import OWN_TITLE, TITLE
+from atlas.render.fit import OWN_TITLE
 from atlas.render.kinds import TABLE
-from atlas.render.maps import Colors
+from atlas.render.maps import Painted
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
-from workers.results import LARGEST, PENDING, REGIME, REGIMES
+from workers.results import LARGEST, PENDING, REGIMES
 
 KINDS = ("exponent", "period")
 """The kinds of map that are drawn side by side."""
@@ -56,11 +53,17 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
     count = 2 if compared.has_exponents else 1
     sheet = _Sheet(page, count, most=2)
     with counted() as reads, page.context():
-        here, there = _same_cells(compared, sheet.panel.map_pixels)
+        here, there = compared.planes(sheet.panel.map_pixels)
         drawn, panels = sheet.draw()
-        _head(drawn, page, _title(compared), max(reads.block))
-        entries = _draw_difference(drawn, panels[0], here, there, sheet.panel) if count == 2 else []
-        entries = [*_draw_changes(panels[-1], here, there, sheet.panel), *entries]
+        page.head(drawn, _title(compared) + _coarseness(max(reads.block)))
+        shown = [(there, "another regime", _changes(here, there))]
+        if compared.has_exponents:
+            shown.append((here, "difference of exponents", _difference(here, there, page)))
+        entries: list[Artist] = []
+        for ax, (plane, title, painted) in zip(reversed(panels), shown, strict=True):
+            entries += maps.lay(ax, plane, painted, sheet.panel)
+            ax.set_title(title, loc="left")
+            scales.draw_bars(drawn, [ax], painted.bars, sheet.panel, below=True)
         sheet.label_outside(panels)
         page.legend(drawn, entries)
     return drawn
@@ -88,26 +91,25 @@ def side_by_side(
         views = [maps.read(chosen, ds, Wanted(sheet.panel)) for ds in shown]
         drawn, panels = sheet.draw()
         changed = differing(shown)
-        _head(drawn, page, words.title_line(shown[0].drop_vars(changed)), max(reads.block))
-        known = norm = None
+        page.head(drawn, words.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
+        bars = []
         if chosen.name == "exponent":
             known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
             norm = scales.two_sided(page, *scale_ends(known))
+            bars = [maps.Bar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
         entries: dict[str, Artist] = {}
         for k, (ax, view) in enumerate(zip(panels, views, strict=True)):
             title = sheet.panel_title(shown[k], changed, names[k] if names else f"{k + 1}")
             ax.set_title(title, loc="left", gid=OWN_TITLE)
-            painted = chosen.painter(view) if norm is None else chosen.painter(view, norm)
-            for entry in maps.lay(ax, view, painted):
+            painted = chosen.painter(view, *(bar.norm for bar in bars))
+            for entry in maps.lay(ax, view.plane, painted, view.page):
                 entries.setdefault(str(entry.get_label()), entry)
         sheet.label_outside(panels)
         # The axes are shared, so that these limits are those of all.
         planes = [view.plane for view in views]
         panels[0].set_xlim(min(each.x.edges[0] for each in planes), max(each.x.edges[-1] for each in planes))
         panels[0].set_ylim(min(each.y.edges[0] for each in planes), max(each.y.edges[-1] for each in planes))
-        if norm is not None and known is not None:
-            bar = maps.Bar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")
-            scales.draw_bars(drawn, panels, [bar], page, below=not page.wide)
+        scales.draw_bars(drawn, panels, bars, page, below=not page.wide)
         page.legend(drawn, list(entries.values()))
     return drawn
 
@@ -202,25 +204,13 @@ def _title(compared: Comparison) -> str:
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
 
-def _head(drawn: Figure, page: Page, title: str, block: int) -> None:
-    """The title over all maps, with a word about cells that stand for several."""
-    if not page.title:
-        return
-    text = f"{title}\none cell drawn for {block} × {block} computed" if block > 1 else title
-    drawn.suptitle(text, fontsize=mpl.rcParams["font.size"], ha="left", x=0.012).set_gid(TITLE)
+def _coarseness(block: int) -> str:
+    """What stands below a title where cells stand for several."""
+    return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
-def _same_cells(compared: Comparison, pixels: tuple[int, int]) -> list[Plane]:
-    """Both planes, of the same cells: overviews where both have them, else the cells themselves."""
-    names, both = [LARGEST.name] if compared.has_exponents else [], (compared.one, compared.other)
-    read = [in_view(ds, names, pixels=pixels) for ds in both]
-    if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
-        read = [in_view(ds, names) for ds in both]
-    return [Plane.of(ds, names) for ds in read]
-
-
-def _draw_difference(drawn: Figure, ax: Axes, here: Plane, there: Plane, page: Page) -> list[Patch]:
-    """Draw the differences of exponents, with their scale; legend entries."""
+def _difference(here: Plane, there: Plane, page: Page) -> Painted:
+    """The differences of exponents, with their scale."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
     known, pending = ~np.isnan(change), _pending(here, there)
     most = float(np.percentile(np.abs(change[known]), 100.0 - _SHARE)) if known.any() else 0.0
@@ -228,18 +218,15 @@ def _draw_difference(drawn: Figure, ax: Axes, here: Plane, there: Plane, page: P
     given = [end for end in (page.vmax, page.vmin) if end is not None]
     end = abs(given[0]) if given else most or 1.0
     norm = scales.two_sided(page, -end, end)
-    rgba: Colors = DIFFERENCE(norm(np.where(known, change, 0.0)), bytes=True)
+    rgba = scales.on_scale(change, norm, DIFFERENCE)
     rgba[~known] = style.rgb(WITHOUT)
     rgba[pending] = 0
-    maps.draw_cells(ax, here, rgba, page)
-    ax.set_title("difference of exponents", loc="left")
-    label = r"change of $\lambda_1$ [per forcing period]"
-    scales.draw_bars(drawn, [ax], [maps.Bar(DIFFERENCE, norm, change[known], label)], page, below=True)
-    return [style.swatch(WITHOUT, "without an exponent in one")] if np.any(~known & ~pending) else []
+    legend = [style.swatch(WITHOUT, "without an exponent in one")] if np.any(~known & ~pending) else []
+    return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, r"change of $\lambda_1$ [per forcing period]")])
 
 
-def _draw_changes(ax: Axes, here: Plane, there: Plane, page: Page) -> list[Patch]:
-    """Draw the regimes there of cells that have another one here; legend entries."""
+def _changes(here: Plane, there: Plane) -> Painted:
+    """The regimes there of cells that have another one here."""
     rgba, pending = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8), _pending(here, there)
     entries = [style.swatch(SAME, "same regime")]
     for each in REGIMES:
@@ -248,11 +235,9 @@ def _draw_changes(ax: Axes, here: Plane, there: Plane, page: Page) -> list[Patch
             rgba[cells] = style.rgb(each.color)
             entries.append(maps.regime_entry(each.code, f"{words.name_of(each.code)} instead"))
     rgba[pending] = 0
-    maps.draw_cells(ax, there, rgba, page)
-    ax.set_title("another regime", loc="left")
     if pending.any():
         entries.append(style.swatch("white", words.name_of(PENDING), style.HATCH[PENDING]))
-    return entries
+    return Painted(rgba, entries)
 
 
 def _pending(here: Plane, there: Plane) -> NDArray[np.bool_]:
