@@ -21,7 +21,7 @@ from workers.model.system import System
 LENT = {"seen_later"}
 """Kernels that return what they borrow: parts of others, which nothing in workers calls from Python."""
 
-BORROWING = ("borrowed(", "lend(", "row_of(", "whole(")
+BORROWING = ("borrowed(", "lend(", "row_of(", "whole(", "with_phase(")
 """What gives a kernel arrays that count no references."""
 
 

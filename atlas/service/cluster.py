@@ -1,6 +1,5 @@
 """The Dask cluster that a run works on: one on this machine, or one that is reached by its address."""
 
-import asyncio
 import logging
 import multiprocessing
 import os
@@ -46,6 +45,8 @@ def _security(tls: Tls | None) -> "Security":
 @contextmanager
 def connected(scheduler: str, tls: Tls | None = None, timing: Timing = TIMING) -> Iterator["Client"]:
     """A client of the scheduler at an address; InputError if none answers within ``timing.connect`` seconds."""
+    import asyncio  # here, since most commands need none
+
     from distributed import Client
 
     with _quiet():

@@ -204,6 +204,8 @@ class Course:
         A second average is to be as long as the first should have been.
         """
         cells = self.cells
+        if not len(rows):
+            return
         averages.begin(cells, rows)
         self.stage[rows], self.weighted[rows] = AVERAGING, math.nan
         earlier = cells.earlier.periods[rows]

@@ -70,7 +70,7 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     orbits = no_orbits(*h.shape[:2])._replace(h=steady, exponents=exponents, tally=tally, error=error)
     defect = _defect(oscillators, np.sum(exponents, axis=1), tally, 0.0)
     reach = free_range(oscillators, steady)
-    _put_orbits(cells, rows, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)
+    _put_orbits(cells, rows, oscillators, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:
@@ -89,8 +89,9 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         contacts = cells.oscillators.table.machines.sizes[1]
         regime = np.where(free & (contacts > 0), results.NO_IMPACT, results.PERIODIC)
     else:
-        put_impact_free(cells, rows[free], orbits.h[free])
-        rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
+        if free.any():
+            put_impact_free(cells, rows[free], orbits.h[free])
+            rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
         regime = np.full(len(rows), results.PERIODIC)
     if not len(rows):
         return
@@ -105,11 +106,11 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     error = np.fmax(np.maximum(orbits.error, chatter), np.abs(defect))
     orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))
     reach = impact_range(oscillators, tally, orbits.h, orbits.contact, orbits.period)
-    _put_orbits(cells, rows, orbits, regime=regime, sum_law_defect=defect, peak_to_peak=reach)
+    _put_orbits(cells, rows, oscillators, orbits, regime=regime, sum_law_defect=defect, peak_to_peak=reach)
 
 
-def _put_orbits(cells: Cells, rows: Rows, orbits: Orbits, **more: Any) -> None:
-    """Write what the orbits of these cells show, and some more."""
+def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbits, **more: Any) -> None:
+    """Write what the orbits of these cells show, and some more; ``oscillators`` are those of the rows."""
     exponents, tally, period = orbits.exponents, orbits.tally, orbits.period
     impacts = np.where(tally[:, motion.STUCK, None] > 0.0, -1.0, tally[:, [motion.UPPER, motion.LOWER]])
     put(
@@ -127,7 +128,7 @@ def _put_orbits(cells: Cells, rows: Rows, orbits: Orbits, **more: Any) -> None:
         **more,
     )
     put_contacts(cells, rows, tally, period, impact_count(tally) / period)
-    put_states(cells, rows, orbits.h, orbits.contact, period)
+    put_states(cells, rows, oscillators, orbits.h, orbits.contact, period)
 
 
 def put_averaged(cells: Cells, rows: Rows) -> None:
@@ -151,7 +152,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     put(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
     put(cells, rows, periods_used=cells.used[rows])
-    put_states(cells, rows, motions.h[rows], motions.contact[rows], 0 * rows)
+    put_states(cells, rows, taken(cells.oscillators, rows), motions.h[rows], motions.contact[rows], 0 * rows)
 
 
 def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
@@ -231,12 +232,12 @@ def put_by_average(
     put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear)
 
 
-def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) -> None:
+def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, contact: Rows, period: Rows) -> None:
     """Write the physical state of these cells, given in blocks, and the sections from it on.
 
     The next K states; an orbit of known ``period`` repeats its own. NaN from where the motion cannot be followed.
     """
-    oscillators, motions, every = taken(cells.oscillators, rows), motion.motions_at(h, contact), np.arange(len(rows))
+    motions, every = motion.motions_at(h, contact), np.arange(len(rows))
     cells.contact[rows] = contact[:, 0]
     put(cells, rows, state=physical_states(oscillators, motions, every))
     K = cells.settings.section_samples

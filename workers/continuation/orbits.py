@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
 from workers.continuation.departure import first_departure
-from workers.continuation.equations import (
-    ImpactMotion,
-    Motion,
-    check_orbits,
-    motion_at,
-    motion_of,
-    motion_of_unknowns,
-)
+from workers.continuation.equations import ImpactMotion, Motion, check_orbits, motion_at, motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Itinerary, Orbit, in_one_turn, many_orbits
 from workers.continuation.newton import newton
 from workers.continuation.oscillator import Family, Machine, ModalOscillator, family_of, modal

@@ -14,7 +14,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 from workers.model.oscillator import each
 
-__all__ = ["borrowed", "row_of", "without_counts"]
+__all__ = ["borrowed", "row_of", "row_type", "row_value", "without_counts"]
 
 Given = TypeVar("Given")
 
@@ -48,34 +48,25 @@ def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 
 def row_of(record: Given, r: int) -> Given:
-    """Row r of a record of many; in kernels borrowed from it."""
+    """Row r of a record of many; in kernels lent, see lend.py, and borrowed from it."""
     found: Given = each(record, lambda field: field[r])
     return found
 
 
-def _row_type(kind: Any) -> Any:
+def row_type(kind: Any) -> Any:
+    """The type of a row of a record of many of this type."""
     if isinstance(kind, types.NamedTuple):
-        return types.NamedTuple([_row_type(field) for field in kind], kind.instance_class)
+        return types.NamedTuple([row_type(field) for field in kind], kind.instance_class)
     if isinstance(kind, types.Array):
         return kind.dtype if kind.ndim == 1 else kind.copy(ndim=kind.ndim - 1)
     return kind
 
 
-@type_callable(row_of)
-def _row_typed(context: Any) -> Any:
-    return lambda record, r: _row_type(record) if isinstance(record, types.NamedTuple) else None
-
-
-@lower_builtin(row_of, types.NamedTuple, types.Integer)
-def _row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    r = context.cast(builder, arguments[1], signature.args[1], types.intp)
-    return _row(context, builder, signature.args[0], arguments[0], r)
-
-
-def _row(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
+def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
+    """Row r of a record of many of this type."""
     if isinstance(kind, types.NamedTuple):
-        fields = [_row(context, builder, part, builder.extract_value(value, i), r) for i, part in enumerate(kind)]
-        return context.make_tuple(builder, _row_type(kind), fields)
+        fields = [row_value(context, builder, part, builder.extract_value(value, i), r) for i, part in enumerate(kind)]
+        return context.make_tuple(builder, row_type(kind), fields)
     if not isinstance(kind, types.Array):
         return value
     many = make_array(kind)(context, builder, value)
@@ -83,6 +74,6 @@ def _row(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
     place = pointer_add(builder, many.data, builder.mul(r, strides[0]))
     if kind.ndim == 1:
         return context.unpack_value(builder, kind.dtype, place)
-    row = make_array(_row_type(kind))(context, builder)
+    row = make_array(row_type(kind))(context, builder)
     populate_array(row, place, shape[1:], strides[1:], many.itemsize, meminfo=None)
     return row._getvalue()

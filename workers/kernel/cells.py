@@ -12,14 +12,7 @@ from workers.kernel.borrow import borrowed, row_of
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend
-from workers.kernel.motion import (
-    FREE,
-    OVERDRAFT,
-    RUNNING,
-    STATUS,
-    WORK,
-    motion_with,
-)
+from workers.kernel.motion import FREE, OVERDRAFT, RUNNING, STATUS, WORK, motion_alone, motion_with
 from workers.kernel.period import advance, propagate
 from workers.kernel.signal import derivative_bounds
 from workers.kernel.tangent import reset_frame
@@ -47,9 +40,10 @@ def scale_of(blocks, h):
 @kernel
 def start_motions(oscillators, motions, states, cells):
     """Start motions at physical section states (N, 2n), with the contact that each shows; the scale of each (N,)."""
+    oscillators, motions = lend(oscillators), lend(motions)
     scales = np.zeros(len(states))
     for r in cells:
-        osc, h = lend(row_of(oscillators, r)), motions.h[r]
+        osc, h = row_of(oscillators, r), motions.h[r]
         motions.contact[r, 0] = start_at(osc, states[r], h)
         scales[r] = scale_of(osc.gap.blocks, h)
     return scales
@@ -68,14 +62,14 @@ def put_inside(row, upper, lower, states):
         if y != stop:
             for i in range(n):
                 states[r, i] += row[r, i] / square * (stop - y)
-            put_on_stop(row[r], stop, states[r], 0)
+            put_on_stop(row[r], stop, states[r])
 
 
 @kernel
 def impact_free(oscillators, motions, cells):
     """Of which of these cells no impact is possible from this section on: the bound of |y| stays inside both stops."""
-    gap, head = oscillators.gap, oscillators.head
-    found = np.zeros(len(cells), dtype=np.bool_)
+    gap, head, motions = lend(oscillators).gap, oscillators.head, lend(motions)
+    found = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
         reach = derivative_bounds(gap.blocks[r], gap.numbers[r], motions.h[r])[0] * (1.0 + 1e-12)
@@ -87,6 +81,7 @@ def impact_free(oscillators, motions, cells):
 @kernel
 def reset_frames(blocks, motions, cells):
     """Make the frames orthonormal and count their growth."""
+    motions = lend(motions)
     for r in cells:
         reset_frame(blocks[r], row_of(motions, r))
 
@@ -94,10 +89,11 @@ def reset_frames(blocks, motions, cells):
 @kernel
 def physical_states(oscillators, motions, cells):
     """Physical section states of these cells."""
+    oscillators, motions = lend(oscillators), lend(motions)
     states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        leave_blocks(lend(row_of(oscillators, r)), motions.h[r], motions.contact[r, 0], states[e])
+        leave_blocks(row_of(oscillators, r), motions.h[r], motions.contact[r, 0], states[e])
     return states
 
 
@@ -118,9 +114,9 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
     ``allowance`` (N,) evaluations.
     """
     found = np.full((len(periods), 2), np.nan)
-    n = h.shape[1]
+    oscillators, n = lend(oscillators), h.shape[1]
     for r in cells:
-        osc = lend(row_of(oscillators, r))
+        osc = row_of(oscillators, r)
         motion = motion_with(h[r], contact[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
         motion.tally[WORK] = allowance[r] - OVERDRAFT
         for _ in range(periods[r]):
@@ -138,11 +134,12 @@ def states_within(oscillators, r, states, times):
     NaN where a motion cannot be followed.
     """
     found = np.full((len(states), len(times), states.shape[1]), np.nan)
+    osc = row_of(lend(oscillators), r)
     for i in range(len(states)):
-        osc, h = lend(row_of(oscillators, r)), np.zeros((states.shape[1] // 2, 2))
+        h = np.zeros((states.shape[1] // 2, 2))
         contact = start_at(osc, states[i], h)
         for k in range(len(times)):
-            motion = motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
+            motion = motion_alone(h, contact)
             propagate(osc, borrowed(motion), times[k])
             if motion.tally[STATUS] == RUNNING:
                 found[i, k] = 0.0

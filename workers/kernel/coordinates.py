@@ -84,8 +84,8 @@ def placed(y, v, y_error, v_error, upper, lower):
 
 
 @kernel
-def put_on_stop(row, stop, state, first):
-    """Set the coordinate that weighs most in g . x, those of x from place ``first`` of the state, so that g . x = stop.
+def put_on_stop(row, stop, x):
+    """Set the coordinate that weighs most in g . x, the first numbers of x (n or more,), so that g . x = stop.
 
     g . x is the stop to rounding then, see ROUNDING, and exactly where it is one coordinate with weight +-1.
     """
@@ -95,8 +95,8 @@ def put_on_stop(row, stop, state, first):
             k = i
     for i in range(len(row)):
         if i != k:
-            others += row[i] * state[first + i]
-    state[first + k] = (stop - others) / row[k]
+            others += row[i] * x[i]
+    x[k] = (stop - others) / row[k]
 
 
 @kernel
@@ -123,12 +123,12 @@ def leave_blocks(osc, h, contact, state):
         y += row[i] * state[i]
         size += abs(row[i]) * terms[i]
     if contact != FREE:
-        put_on_stop(row, upper if contact > 0 else lower, state, 0)
-        put_on_stop(row, 0.0, state, n)
+        put_on_stop(row, upper if contact > 0 else lower, state)
+        put_on_stop(row, 0.0, state[n:])
     else:
         stop = min(max(y, lower), upper)
         if y != stop and abs(y - stop) <= 1e-12 * size:
-            put_on_stop(row, stop, state, 0)
+            put_on_stop(row, stop, state)
 
 
 @kernel

@@ -7,6 +7,7 @@ depend on what was compiled or loaded before it, nor on the processor.
 import inspect
 from collections.abc import Callable
 from functools import cached_property, partial, update_wrapper, wraps
+from types import ModuleType
 from typing import Any
 
 from numba import config, njit, types
@@ -15,12 +16,14 @@ from numba.extending import overload, typeof_impl
 from workers.kernel.apart import load
 from workers.kernel.cache import CACHE
 from workers.kernel.lend import Lent
+from workers.model.oscillator import Block, Head, Numbers
 
-__all__ = ["for_modes", "inline_always", "inlined", "kernel"]
+__all__ = ["for_modes", "inline_always", "inlined", "kernel", "named_constants"]
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
-_NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True}
+_PART: Any = _HOW | {"no_cpython_wrapper": True}
+"""How parts are compiled, all alike: what they call of Numba's own, such as ``np.zeros``, is compiled for each way."""
 
 _WITHIN: dict[bool, dict[str, Any]] = {False: {}, True: {"inline": "always"}}
 
@@ -44,7 +47,7 @@ class Kernel:
     @cached_property
     def part(self) -> Any:
         """What other kernels call; made at first use, which compiles one of them."""
-        return njit(**self._how, **_NO_ENTRY, **_WITHIN[self._within])(self.py_func)
+        return njit(**(_PART | self._how), **_WITHIN[self._within])(self.py_func)
 
     @property
     def targetoptions(self) -> Any:
@@ -63,6 +66,23 @@ def _(kernel: Kernel, context: Any) -> types.Dispatcher:
     load()
     return types.Dispatcher(kernel.part)
 
+
+def named_constants(*kinds: Any) -> None:
+    """Make records of these kinds to kernels what a module is: names of constants.
+
+    As a tuple a record would be compiled with all its numbers wherever one of them is used.
+    """
+
+    def module_of(record: Any, context: Any) -> types.Module:
+        module = ModuleType(type(record).__name__)
+        vars(module).update(record._asdict())
+        return types.Module(module)
+
+    for kind in kinds:
+        typeof_impl.register(kind)(module_of)
+
+
+named_constants(Block, Numbers, Head)
 
 kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""
@@ -96,7 +116,7 @@ def for_modes(act: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
         pick.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
         if not config.DISABLE_JIT:  # type: ignore[attr-defined]
-            overload(chosen, jit_options={"error_model": "numpy"})(pick)
+            overload(chosen, jit_options=_PART)(pick)
         return chosen
 
     return decorate

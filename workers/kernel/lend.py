@@ -12,9 +12,9 @@ from numba.core.datamodel import models
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, register_model, type_callable
 
-from workers.kernel.borrow import without_counts
+from workers.kernel.borrow import row_of, row_type, row_value, without_counts
 
-__all__ = ["lend", "lend_value", "lent_as", "whole"]
+__all__ = ["lend", "lend_value", "lent_as", "whole", "with_phase"]
 
 Given = TypeVar("Given")
 
@@ -27,6 +27,11 @@ def lend(given: Given) -> Given:
 def whole(given: Given) -> Given:
     """The same record or array; in kernels by value, where it was lent."""
     return given
+
+
+def with_phase(osc: Any, tau: Any) -> Any:
+    """An oscillator with another forcing phase at a section; in kernels lent."""
+    return osc._replace(tau=tau)
 
 
 class Lent(types.Type):
@@ -78,9 +83,38 @@ def _lend_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -
     return lend_value(context, builder, signature.args[0], arguments[0])
 
 
+def given_value(builder: Any, kind: types.Type, value: Any) -> Any:
+    """The value of a record or array of this type, which may be lent."""
+    return builder.load(value) if isinstance(kind, Lent) else value
+
+
 def lend_value(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
     """The value of this type as ``lent_as`` has it."""
     return alloca_once_value(builder, value) if lent_as(kind) != kind else value
+
+
+@type_callable(row_of)
+def _row_typed(context: Any) -> Any:
+    return lambda record, r: Lent(row_type(lent_as(record).kind))
+
+
+@lower_builtin(row_of, types.Any, types.Integer)
+def _row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    record, r = given_value(builder, signature.args[0], arguments[0]), signature.args[1]
+    r = context.cast(builder, arguments[1], r, types.intp)
+    return alloca_once_value(builder, row_value(context, builder, lent_as(signature.args[0]).kind, record, r))
+
+
+@type_callable(with_phase)
+def _phase_typed(context: Any) -> Any:
+    return lambda osc, tau: lent_as(osc)
+
+
+@lower_builtin(with_phase, types.Any, types.Float)
+def _phase_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    osc = given_value(builder, signature.args[0], arguments[0])
+    place = signature.return_type.kind.fields.index("tau")
+    return alloca_once_value(builder, builder.insert_value(osc, arguments[1], place))
 
 
 @type_callable(whole)
@@ -90,5 +124,5 @@ def _whole_typed(context: Any) -> Any:
 
 @lower_builtin(whole, types.Any)
 def _whole_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    value = builder.load(arguments[0]) if isinstance(signature.args[0], Lent) else arguments[0]
+    value = given_value(builder, signature.args[0], arguments[0])
     return without_counts(context, builder, signature.return_type, value)

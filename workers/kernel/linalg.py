@@ -19,6 +19,15 @@ MOST_SWEEPS = 60
 
 
 @kernel
+def identity(size):
+    """The unit matrix of this size."""
+    found = np.zeros((size, size))
+    for k in range(size):
+        found[k, k] = 1.0
+    return found
+
+
+@kernel
 def solution(matrix, right):
     """x with matrix x = right, by elimination with pivots; both are overwritten. Not finite where there is none."""
     size = len(right)

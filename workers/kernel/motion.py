@@ -8,7 +8,7 @@ from numba.extending import register_jitable, typeof_impl
 from numpy.typing import NDArray
 
 from workers.kernel.apart import FLOATS
-from workers.kernel.jit import inline_always
+from workers.kernel.jit import inline_always, kernel
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.oscillator import Held, Mode, Oscillator, each
 
@@ -109,24 +109,22 @@ def count_contact(tally, contacts, t, which, speed):
         tally[RECORDED] += 1.0
 
 
-@register_jitable
-def motion_with(
-    h: NDArray[np.float64],
-    contact: int,
-    V: NDArray[np.float64],
-    growth: NDArray[np.float64],
-    triangle: NDArray[np.float64],
-    record: int = 0,
-    watched: bool = False,
-) -> Motion:
+@kernel
+def motion_with(h, contact, V, growth, triangle, record=0, watched=False):
     """A motion that starts at block state h (n, 2) with this contact and these tangent vectors; see Motion."""
     tally = NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
-    contacts = np.full(1, contact)
-    extremes = np.full(2 if watched else 0, np.inf)
+    contacts, extremes = np.empty(1, dtype=np.int64), np.empty(2 if watched else 0)
+    contacts[0] = contact
     if watched:
-        extremes[1] = -np.inf
+        extremes[0], extremes[1] = np.inf, -np.inf
     return Motion(h.copy(), contacts, V, growth, triangle, tally, np.zeros((record, 3)), extremes, np.zeros(h.shape))
+
+
+@kernel
+def motion_alone(h, contact):
+    """A motion without tangent vectors."""
+    return motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
 
 
 @register_jitable
@@ -144,10 +142,11 @@ def motions_at(
     """Motions that start at block states h (N, n, 2) with contacts (N, 1); tangent vectors are the block axes."""
     N, n = h.shape[:2]
     one = motion_at(np.zeros((n, 2)), FREE, vectors, record)
-    many: Motion = each(one, lambda field: np.repeat(field[None], N, axis=0))
+    many: Motion = each(one, lambda field: field[None].repeat(N, axis=0))
     return many._replace(h=h.copy(), contact=many.contact if contact is None else contact.copy())
 
 
 def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
-    return motion_with(h, contact, axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0)), record)
+    found: Motion = motion_with.py_func(h, contact, axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0)), record)
+    return found

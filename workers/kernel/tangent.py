@@ -61,7 +61,8 @@ def orthonormalise(blocks, V, growth, triangle, rank):
 @inlined
 def log_length(blocks, V, growth):
     """Log of the length of the first vector, with what was taken out of it so far."""
-    return growth[0] + 0.5 * log(inner(blocks, V, 0, V, 0))
+    first = np.int64(0)  # no literal, as in run_batch
+    return growth[0] + 0.5 * log(inner(blocks, V, first, V, first))
 
 
 @kernel

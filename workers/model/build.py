@@ -3,10 +3,9 @@
 What one oscillator is made of does not depend on the others, to the bit.
 """
 
-import math
 from collections.abc import Collection
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from workers.model.free import (
     OF_STRUCTURE,
     AtRest,
     Flow,
+    Loading,
     Structure,
     against,
     centred,
@@ -25,6 +25,7 @@ from workers.model.free import (
     free_motion,
     loading_of,
     mode_of,
+    numbers_of,
     phase_of,
     structure_of,
     times,
@@ -43,11 +44,14 @@ STRUCTURES_KEPT = 64
 class HeldStructure(NamedTuple):
     """What the structure of N machines alone decides of their motion at a stop, where x = d y + null q.
 
-    flow of q; null (N, n, n - 1), d (N, n); down, up: see Held, without what rest positions add; pulls (N, n), the
-    acceleration of y that each displacement makes.
+    flow of q, its loading by the force, and direct (N, H): what the force adds to the acceleration of y itself;
+    null (N, n, n - 1), d (N, n); down, up: see Held, without what rest positions add; pulls (N, n), the acceleration of
+    y that each displacement makes.
     """
 
     flow: Flow
+    loading: Loading
+    direct: Any
     null: Array
     d: Array
     down: Array
@@ -113,9 +117,10 @@ def faults(machines: Machines, fields: Collection[str] = Machines._fields) -> ND
         reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
     if not {"upper", "lower", "R"}.isdisjoint(fields):
         reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
-    stops = np.isnan(machines.upper) | np.isnan(machines.lower)  # which may be infinitely far away
     others = [getattr(machines, name) for name in fields if name not in NO_STOP]
-    reasons[stops | ~finite(others)] = OUT_OF_DOUBLES
+    reasons[np.isnan(machines.upper) | np.isnan(machines.lower)] = OUT_OF_DOUBLES  # they may be infinitely far away
+    if others:
+        reasons[~finite(others)] = OUT_OF_DOUBLES
     return reasons
 
 
@@ -125,8 +130,7 @@ def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     Machines of a kind differ at most in forcing frequency, phase and restitution: a plane has few kinds as a rule, and
     what is made of matrices is made once for each of them.
     """
-    fields = [getattr(machines, name) for name in OF_KIND]
-    bits = np.concatenate([field.reshape(len(field), math.prod(field.shape[1:])) for field in fields], axis=1)
+    bits = numbers_of([getattr(machines, name) for name in OF_KIND])
     whole = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0]
     _, first, kind = np.unique(whole, return_index=True, return_inverse=True)
     return first, kind
@@ -182,6 +186,8 @@ def _held_structure(machines: Machines, structure: Structure) -> HeldStructure:
     spread, gather = np.kron(np.eye(2), null), np.kron(np.eye(2), flow.inverse_mass @ across @ mass)
     return HeldStructure(
         flow=flow,
+        loading=loading_of(flow, machines.force @ null, np.zeros((N, n - 1))),
+        direct=(machines.force @ accelerance[..., None])[..., 0],
         null=null,
         d=accelerance / structure.inverse_gap_mass[:, None],
         down=flow.modes.to_blocks @ gather @ free.to_physical,
@@ -206,25 +212,25 @@ def _held(
     mass, damping, stiffness = machines.mass, machines.damping, machines.stiffness
     N, n = machines.gap_row.shape
     accelerance, free = structure.accelerance, structure.flow.modes
-    flow, null, d, down, up, pulls = held
+    flow, loading, direct, null, d, down, up, pulls = held
     across = np.ascontiguousarray(null.swapaxes(1, 2))
-    into, out, pushes = np.zeros((N, 2 * n - 2, 2)), np.zeros((N, 2 * n, 2)), np.zeros((N, 2))
     drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]  # what no rest position balances
     load = times(drift[:, n:], mass) + times(drift[:, :n], damping)  # both are symmetric
     coasts = free.to_blocks[:, :, n:] @ drift[:, :n, None]
-    for side, position in enumerate((at_rest.b_upper, -at_rest.b_lower)):
-        y = np.where(np.isfinite(position), position, 0.0)[:, None]
-        pull = load - times(d, stiffness) * y  # K is symmetric
-        q = stacked(np.linalg.solve, (N, n - 1, 1), across @ stiffness @ null, (across @ pull[..., None]))[..., 0]
-        rest = flow.modes.to_blocks[:, :, : n - 1] @ q[..., None]
-        into[..., side] = (down @ coasts - rest)[..., 0]
-        out[..., side] = (up @ rest + free.to_blocks[:, :, :n] @ (d * y)[..., None] - coasts)[..., 0]
-        pushes[:, side] = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q[..., None])[..., 0])
-    loading = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1))), kind)
-    flow, direct = taken(flow, kind), (machines.force @ accelerance[..., None])[kind, :, 0]
-    mode, resonant = mode_of(flow, loading, omega, direct)
-    ways = np.concatenate([down, into], axis=2), np.concatenate([up, out], axis=2)
-    found = Held(mode, *(field[kind] for field in (*ways, pushes)))
+    position = np.array([at_rest.b_upper, -at_rest.b_lower])  # of either stop; so all that follows
+    y = np.where(np.isfinite(position), position, 0.0)[..., None]
+    pull = load - times(d, stiffness) * y  # K is symmetric
+    held_by = np.array([across @ stiffness @ null] * 2).reshape(2 * N, n - 1, n - 1)
+    q = stacked(np.linalg.solve, (2 * N, n - 1, 1), held_by, (across @ pull[..., None]).reshape(2 * N, n - 1, 1))
+    q = q.reshape(2, N, n - 1, 1)
+    rest = flow.modes.to_blocks[:, :, : n - 1] @ q
+    into = down @ coasts - rest
+    out = up @ rest + free.to_blocks[:, :, :n] @ (d * y)[..., None] - coasts
+    pushes = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q)[..., 0])
+    flow = taken(flow, kind)
+    mode, resonant = mode_of(flow, taken(loading, kind), omega, direct[kind])
+    ways = np.concatenate([down, *into], axis=2), np.concatenate([up, *out], axis=2)
+    found = Held(mode, *(field[kind] for field in (*ways, pushes.T)))
     return found, against(flow.modes, resonant, flow.modes.rigid > 0)
 
 

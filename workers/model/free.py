@@ -3,6 +3,7 @@
 What one oscillator is made of does not depend on the others, to the bit.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,10 +126,11 @@ def mode_of(flow: Flow, loading: Loading, omega: Array, direct: Any = 0.0) -> tu
     blocks[..., COLUMN.rest0 :] = loading.rest
     row = blocks[..., COLUMN.c0 : COLUMN.c1 + 1].reshape(N, 1, 2 * n)
     parts = (row @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
-    waves = np.stack([direct.real + parts[..., 0], direct.imag + parts[..., 1]], axis=-1)
+    waves, numbers = np.empty((N, H, 2)), np.empty((N, 5))
+    waves[..., 0], waves[..., 1] = direct.real + parts[..., 0], direct.imag + parts[..., 1]
     sizes = np.hypot(waves[..., 0], waves[..., 1])
-    numbers = (omega, *np.sum([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-1))
-    return Mode(blocks, waves, np.stack(numbers, axis=-1), forced), resonant
+    numbers.T[:] = omega, *np.sum([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-1)
+    return Mode(blocks, waves, numbers, forced), resonant
 
 
 def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask]:
@@ -147,7 +149,8 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask
     resonant = (push != 0.0) & (size * np.sqrt(square) < 1e-13 * (lam + w**2))
     Z = np.where(push != 0.0, push / (square * unit), 0.0) * (re - 1j * im)
     rate = 1j * w * Z - l0
-    response = np.ascontiguousarray(np.stack([Z, rate], axis=-1).transpose(0, 2, 3, 1))  # (N, n, 2, H)
+    response = np.empty((len(w), lam.shape[2], 2, w.shape[1]), dtype=np.complex128)
+    response[:, :, 0], response[:, :, 1] = Z.swapaxes(1, 2), rate.swapaxes(1, 2)
     return response.view(np.float64).reshape(*response.shape, 2), np.any(resonant, axis=(1, 2))
 
 
@@ -233,12 +236,17 @@ def balanced(machines: Machines) -> Mask:
 
 def finite(record: Any) -> Mask:
     """Which of many records hold finite numbers only."""
+    return np.asarray(np.isfinite(numbers_of(record)).all(axis=1))
+
+
+def numbers_of(record: Any) -> Any:
+    """All numbers of N records (N, .), a row each."""
     fields = [
-        finite(field) if isinstance(field, tuple) else np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
+        numbers_of(field) if isinstance(field, tuple) else field.reshape(len(field), math.prod(field.shape[1:]))
         for field in record
         if field is not None
     ]
-    return np.asarray(np.logical_and.reduce(fields))
+    return np.concatenate(fields, axis=1)
 
 
 def derivative(row: Array, modes: Modes) -> Array:

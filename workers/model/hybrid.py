@@ -13,17 +13,7 @@ from workers.model.hybrid_machines import HybridMachines, hybrid_faults
 from workers.model.hybrid_modes import OPEN, Code, Pieces, along_contacts, code_of, null_space, pieces_of
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, undamped_modes
-from workers.model.oscillator import (
-    COLUMN,
-    NUMBER,
-    Array,
-    Head,
-    Mode,
-    Oscillator,
-    Rows,
-    make_blocks,
-    taken,
-)
+from workers.model.oscillator import COLUMN, NUMBER, Array, Head, Mode, Oscillator, Rows, make_blocks, taken
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
 

@@ -2,11 +2,11 @@
 
 import difflib
 import math
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
-
-import numpy as np
 
 OMEGA, TAU = "omega", "tau"
 """The forcing frequency and the phase of the force at t = 0: every system has these two parameters."""
@@ -36,11 +36,17 @@ class Parameter:
         above = f" {'<' if self.high_open else '<='} {self.high:g}" if math.isfinite(self.high) else ""
         return f"{below}{self.name}{above}" if below or above else "any finite number"
 
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """The least and the greatest double inside the valid range."""
+        low = math.nextafter(self.low, math.inf) if self.low_open else self.low
+        high = math.nextafter(self.high, -math.inf) if self.high_open else self.high
+        return max(low, -sys.float_info.max), min(high, sys.float_info.max)
+
     def admits(self, value: Any) -> Any:
         """Whether a value, or each of many, is finite and inside the valid range."""
-        above_low = value > self.low if self.low_open else value >= self.low
-        below_high = value < self.high if self.high_open else value <= self.high
-        return np.isfinite(value) & above_low & below_high
+        low, high = self.ends
+        return (value >= low) & (value <= high)
 
     def table(self) -> dict[str, Any]:
         """All of it but its name, as a TOML file has it."""

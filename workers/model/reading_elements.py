@@ -4,15 +4,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from workers.model.elements import NO_STOP, PAD, RELEASES, RUB, STOP, Changes, Contact, Friction, Phase
-from workers.model.entries import (
-    DefinitionError,
-    check_name,
-    fault,
-    read_entries,
-    read_table,
-    read_tables,
-    read_text,
-)
+from workers.model.entries import DefinitionError, check_name, fault, read_entries, read_table, read_tables, read_text
 from workers.model.expression import Expression
 from workers.model.parameter import unknown_name
 

@@ -156,8 +156,8 @@ class System:
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
         """These reasons (N,), but where values (N,) of parameters are out of their ranges."""
-        for name, value in values.items():
-            reasons[~self.parameter(name).admits(value)] = OUT_OF_RANGE
+        admitted = [self.parameter(name).admits(value) for name, value in values.items()]
+        reasons[~np.logical_and.reduce(admitted)] = OUT_OF_RANGE
         return reasons
 
     def parameter(self, name: str) -> Parameter:

@@ -20,6 +20,7 @@ from workers.kernel.apart import FLOATS, apart
 from workers.kernel.cells import energy_norm
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import whole
+from workers.kernel.linalg import identity
 from workers.model.oscillator import COLUMN
 from workers.orbit.map import squares
 
@@ -39,7 +40,7 @@ def deviation(h, fixed):
     return d
 
 
-@inline_always
+@kernel
 def add_product(found, left, right):
     """Add the product of two square matrices to a third one, in place."""
     size = len(found)
@@ -60,9 +61,9 @@ def shrinking_norm(blocks, J, contraction):
     The sum to 2K is P + (A^K)' P A^K: all terms are squares, so that nothing cancels.
     """
     size = len(J)
-    weight, A, P = np.ones(size), np.empty((size, size)), np.eye(size)
+    weight, A, P = np.empty(size), np.empty((size, size)), identity(size)
     for j in range(len(blocks)):
-        weight[2 * j] = math.sqrt(blocks[j, COLUMN.metric])
+        weight[2 * j], weight[2 * j + 1] = math.sqrt(blocks[j, COLUMN.metric]), 1.0
     for i in range(size):
         for k in range(size):
             A[i, k] = J[i, k] * weight[i] / (weight[k] * (1.0 - 0.5 * contraction))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.linalg import highest, moduli
+from workers.kernel.linalg import highest, identity, moduli
 from workers.kernel.motion import LOST, RUNNING, STATUS, axes
 from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
@@ -49,7 +49,10 @@ def spread_of(logs, ends):
     """The largest difference of logarithms within one block."""
     spread, start = 0.0, 0
     for end in ends:
-        spread = max(spread, np.ptp(logs[start:end]))
+        least = logs[start]
+        for i in range(start + 1, end):
+            least = min(least, logs[i])
+        spread = max(spread, highest(logs, start, end) - least)
         start = end
     return spread
 
@@ -91,7 +94,7 @@ def floquet(osc, point, steps, half, most):
     turns = 0
     for turn in range(1, most + 1):
         m = frame.shape[0]
-        motion = iterate(osc, point.h, point.contact, frame.copy(), np.zeros(m), np.eye(m), steps, half)
+        motion = iterate(osc, point.h, point.contact, frame.copy(), np.zeros(m), identity(m), steps, half)
         if motion.tally[STATUS] != RUNNING:
             break
         reset_frame(osc.gap.blocks, motion)

@@ -46,7 +46,7 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
     return motion
 
 
-@inline_always
+@kernel
 def iterate_alone(osc, h, contact, steps, half):
     """The image of h alone, without tangent vectors."""
     return iterate(osc, h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
@@ -55,10 +55,14 @@ def iterate_alone(osc, h, contact, steps, half):
 @kernel
 def jacobian_of(V):
     """The Jacobian (2n, 2n) that has tangent vectors V (2n, n, 2) for columns."""
-    return np.ascontiguousarray(V.reshape((V.shape[0], V.shape[0])).T)
+    J = np.empty((len(V), len(V)))
+    for i in range(len(V)):
+        for k in range(len(V)):
+            J[i, k] = V[k, i // 2, i % 2]
+    return J
 
 
-@inline_always
+@kernel
 def map_with_jacobian(osc, h, contact, steps, half):
     """The motion that ``steps`` of the map make of h, and the Jacobian (2n, 2n) of the map there."""
     motion = iterate(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)

@@ -220,7 +220,7 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 
     Relative to the motion's scale. The number of returns is fixed, since on a torus more of them come nearer.
     """
-    found = np.zeros(len(cells), dtype=np.bool_)
+    found = np.empty(len(cells), dtype=np.bool_)
     last = sections.shape[1] - 1
     for e in range(len(cells)):
         r = cells[e]
@@ -247,7 +247,7 @@ def settle(osc, motion, sections, near, longest, budget):
     shift, h, contact, flown = 0.0, motion.h.copy(), motion.contact[0], 0
     if len(returns) > 0 and budget > RESERVED_TURNS:
         shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
-    there = lend(seen_later(osc, shift))
+    there = seen_later(osc, shift)
     none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), 0.0)
     spent, nearest = 2 * flown, NOTHING
     for p in returns:
@@ -305,13 +305,14 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
     An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest.
     Fills in the rows of orbits and spent (N,) of these cells; returns which of them were found.
     """
-    settled = np.zeros(len(cells), dtype=np.bool_)
+    oscillators, motions, orbits = lend(oscillators), lend(motions), lend(orbits)
+    settled = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        osc = lend(row_of(oscillators, r))
+        osc = row_of(oscillators, r)
         known = sections[r, sections.shape[1] - kept[r] :]
         result, orbit, shift, spent[r] = settle(osc, row_of(motions, r), known, near[r], longest, budgets[r])
-        there = lend(seen_later(osc, shift))
+        there = seen_later(osc, shift)
         settled[e] = result == SETTLED
         if settled[e] and highest(orbit.exponents, 0, len(orbit.exponents)) == -np.inf:
             settled[e] = is_followed(there, orbit.h, orbit.contact, orbit.steps)
@@ -323,7 +324,10 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
         for _ in range(int(turn.tally[NEUTRAL])):
-            orbit.exponents[np.argmin(orbit.exponents)] = 0.0
+            least = 0
+            for k in range(1, len(orbit.exponents)):
+                least = k if orbit.exponents[k] < orbit.exponents[least] else least
+            orbit.exponents[least] = 0.0
         sort_down(orbit.exponents)
         copy_into(orbits.h[r], here.h)
         copy_into(orbits.tally[r], turn.tally)

@@ -57,10 +57,11 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
     a motion does not come to such a section in K - 1 periods, or a disturbance grows FOLLOWED times on the way, where
     doubles cannot tell whether it does. Returns the periods gone (N,).
     """
-    gone = np.zeros(len(oscillators.tau), dtype=np.int64)
+    oscillators, motions = lend(oscillators), lend(motions)
+    gone = np.zeros(len(sections), dtype=np.int64)
     K = sections.shape[1]
     for r in cells:
-        osc, moved = lend(row_of(oscillators, r)), row_of(motions, r)
+        osc, moved = row_of(oscillators, r), row_of(motions, r)
         n, kept[r] = moved.h.shape[0], 0
         scale = scale_of(osc.gap.blocks, moved.h)
         motion = motion_with(moved.h, moved.contact[0], axes(n), np.zeros(0), np.zeros((0, 0)))

@@ -7,14 +7,11 @@ and multipliers of an orbit are the same on every section.
 
 import math
 
-import numpy as np
-
-from workers.kernel.borrow import borrowed
 from workers.kernel.jit import for_modes, inline_always, kernel
-from workers.kernel.lend import lend, whole
-from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_with
+from workers.kernel.lend import with_phase
+from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_alone
 from workers.kernel.period import propagate
-from workers.model.oscillator import HEAD, Oscillator
+from workers.model.oscillator import HEAD
 
 SHIFT = 0.3819660112501051
 """Of the first section that is tried, by the golden ratio; the next ones are multiples of it, less whole periods."""
@@ -29,18 +26,16 @@ AT_SECTION = 1e-12
 """Share of a period after the section t = k T within which an impact counts as past there."""
 
 
-@kernel
+@inline_always
 def seen_later(osc, shift):
     """The oscillator as it is seen from the section t = shift T; one with modes from t = 0, where its phases begin."""
-    o = whole(osc)
-    tau = o.tau + 2.0 * math.pi * shift
-    return borrowed(Oscillator(o.gap, o.to_physical, o.to_blocks, o.gap_row, o.head, tau, o.held, o.table))
+    return with_phase(osc, osc.tau + 2.0 * math.pi * shift)
 
 
-@inline_always
+@kernel
 def moved(osc, h, contact, shift):
     """The motion that block state h (n, 2) has come to after ``shift`` < 1 periods."""
-    motion = motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
+    motion = motion_alone(h, contact)
     propagate(osc, motion, shift * osc.head[HEAD.period])
     return motion
 
@@ -63,9 +58,9 @@ def quiet_section(osc, h, contact):
         motion = moved(osc, h, contact, shift - MARGIN)
         before = motion.contact[0]
         motion.tally[MAX_SPEED] = 0.0
-        propagate(lend(seen_later(osc, shift - MARGIN)), motion, MARGIN * osc.head[HEAD.period])
+        propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.head[HEAD.period])
         there, at = motion.h.copy(), motion.contact[0]
-        propagate(lend(seen_later(osc, shift)), motion, MARGIN * osc.head[HEAD.period])
+        propagate(seen_later(osc, shift), motion, MARGIN * osc.head[HEAD.period])
         same = before == at and at == motion.contact[0]
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break
@@ -78,6 +73,6 @@ def back_at_section(osc, shift, h, contact):
 
     An impact at that section counts as past, also one that rounding puts up to AT_SECTION T after it.
     """
-    motion = moved(lend(seen_later(osc, shift)), h, contact, 1.0 - shift)
+    motion = moved(seen_later(osc, shift), h, contact, 1.0 - shift)
     after = moved(osc, motion.h, motion.contact[0], AT_SECTION)
     return after if after.tally[MAX_SPEED] > 0.0 else motion

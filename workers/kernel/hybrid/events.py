@@ -11,14 +11,7 @@ starts on in the next mode, and the order of its first derivative that is not ze
 import numpy as np
 
 from workers.kernel.contact import REST, impact_outcome, load_at_rest
-from workers.kernel.hybrid.state import (
-    damping_along,
-    guard_value,
-    number_of,
-    product,
-    reset,
-    slot_of,
-)
+from workers.kernel.hybrid.state import damping_along, guard_value, number_of, product, reset, slot_of
 from workers.kernel.jit import kernel
 from workers.kernel.signal import derivative_bounds
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS

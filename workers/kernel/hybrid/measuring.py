@@ -17,7 +17,6 @@ from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
 from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side
 from workers.kernel.jit import kernel
-from workers.kernel.lend import lend
 from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Array
@@ -242,8 +241,8 @@ def read_motions(oscillators, meters, readings, states, codes, done, periods, cl
     """
     status = np.full(len(states), RUNNING)
     for r in cells:
-        table = lend(row_of(oscillators, r)).table
-        meter, reading = lend(row_of(meters, r)), lend(row_of(readings, r))
+        table = row_of(oscillators, r).table
+        meter, reading = row_of(meters, r), row_of(readings, r)
         period, turn = 2.0 * math.pi / table.omega, closes[r] > 0
         tally, marks = NOTHING_COUNTED.copy(), np.empty(2)
         while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:

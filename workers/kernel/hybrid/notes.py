@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from workers.kernel.jit import inline_always
+from workers.kernel.jit import inline_always, named_constants
 
 
 class Leg(NamedTuple):
@@ -27,6 +27,7 @@ class Leg(NamedTuple):
 
 
 LEG = Leg(*range(len(Leg._fields)))
+named_constants(Leg)
 LEG_STATE = len(LEG)
 """Column of the first component of the state that a leg starts from."""
 

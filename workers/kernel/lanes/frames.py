@@ -161,7 +161,7 @@ def workspace(m, n):
         room_for_vectors(m * STRIDE).reshape((m, STRIDE)),
         room_for_vectors(size),
         room_for_vectors(STRIDE),
-        np.zeros(STRIDE, dtype=np.uint32),
+        np.empty(STRIDE, dtype=np.uint32),
         room_for_vectors(2 * STRIDE),
     )
 
@@ -205,7 +205,7 @@ def orthonormalise_due(a, count, frames, growths, space, blocks):
     U, growing, metric, rank, lanes, partial = space
     m = len(frames)
     for e in range(count):
-        i = lanes[e]
+        i = np.int64(lanes[e])
         rank[e] = a[LANE.rank + i]
         for j in range(blocks):
             metric[entry(j, 0, e)] = a[at(j, BLOCK.metric, i)]
@@ -229,7 +229,7 @@ def gather_vector(lanes, count, blocks, u, growth, w, growing):
         growing[e] = growth[lanes[e]]
     for j in range(blocks):
         for e in range(count):
-            i = lanes[e]
+            i = np.int64(lanes[e])
             w[entry(j, 0, e)], w[entry(j, 1, e)] = u[entry(j, 0, i)], u[entry(j, 1, i)]
 
 
@@ -240,7 +240,7 @@ def scatter_vector(lanes, count, blocks, w, growing, u, growth):
         growth[lanes[e]] = growing[e]
     for j in range(blocks):
         for e in range(count):
-            i = lanes[e]
+            i = np.int64(lanes[e])
             u[entry(j, 0, i)], u[entry(j, 1, i)] = w[entry(j, 0, e)], w[entry(j, 1, e)]
 
 
@@ -314,7 +314,7 @@ def move_frames(a, n, blocks, frames, growths, space):
         orthonormalise_due(a, count, frames, growths, space, blocks.shape[1])
         for i in space.lanes[:count]:
             if a[LANE.far + i] > 0.0:
-                fly_frame_far(a, i, blocks, frames, growths)
+                fly_frame_far(a, np.int64(i), blocks, frames, growths)
     if is_whole(len(frames), blocks.shape[1]):
         transfer_frames(a, frames.ravel(), n)
     else:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import register_jitable
 
-from workers.kernel.jit import inline_always
+from workers.kernel.jit import inline_always, named_constants
 from workers.model.oscillator import COLUMN, Block
 
 LANES = 128
@@ -147,6 +147,7 @@ LANE = LaneFields(*(k * STRIDE for k in range(len(LaneFields._fields))))
 BLOCK: Any = BlockFields(*(k * STRIDE for k in range(len(BlockFields._fields))))
 HARMONIC = HarmonicFields(*(k * STRIDE for k in range(len(HarmonicFields._fields))))
 GAP = GapFields(*(k * STRIDE for k in range(len(GapFields._fields))))
+named_constants(LaneFields, BlockFields, HarmonicFields, GapFields)
 
 
 @register_jitable

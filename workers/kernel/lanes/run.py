@@ -51,6 +51,8 @@ from workers.kernel.signal import all_forced
 from workers.kernel.tangent import log_length, loss_spread, spread_rate
 from workers.model.oscillator import COLUMN, NUMBER, OF_LANE, Array, Oscillator
 
+NUMBERS = len(NUMBER)
+
 
 class Batch(NamedTuple):
     """N cells that are to go on by some periods each: every field stacked along its first axis.
@@ -73,7 +75,7 @@ class Batch(NamedTuple):
 @inline_always
 def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
     """Put the state of cell r into lane i, at its section, with the constants of its mode."""
-    for f in range(len(NUMBER)):
+    for f in range(NUMBERS):
         a[LANE.omega + f * STRIDE + i] = numbers[r, f]
     for f in range(OF_LANE):
         a[LANE.upper + f * STRIDE + i] = head[r, f]
@@ -164,8 +166,7 @@ def over(r, done, periods, tally):
 @inline_always
 def go_alone(batch, r):
     """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
-    motion = row_of(batch.motions, r)
-    osc = lend(row_of(batch.oscillators, r))
+    motion, osc = row_of(batch.motions, r), row_of(batch.oscillators, r)
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.blocks, motion.V, motion.growth) if vectors else 0.0
     while not over(r, batch.done, batch.periods, batch.motions.tally):
@@ -189,6 +190,7 @@ def run_alone(batch, cells):
 
     Those that missed a mode have it now.
     """
+    batch = lend(batch)
     for r in cells:
         if batch.motions.tally[r, STATUS] == MODE_MISSING:
             batch.motions.tally[r, STATUS] = RUNNING
@@ -204,7 +206,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     Changes the arrays of the batch, see there. At most ``lanes`` <= LANES cells are under way at a time; once fewer
     than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped.
     """
-    # Taken out once: a field of a record costs a reference count at every use.
+    batch = lend(batch)
     gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau
     blocks, waves, numbers = gap.blocks, gap.waves, gap.numbers
     periods, done, sections = batch.periods, batch.done, batch.sections
@@ -218,9 +220,9 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     growing = vectors + m * wide * 2 * STRIDE
     a = room_for_vectors(growing + m * STRIDE)
     frames, growths = a[vectors:growing].reshape((m, 2 * wide * STRIDE)), a[growing:].reshape((m, STRIDE))
-    gathered, chosen = room_for_vectors(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
+    gathered, chosen = room_for_vectors(GAP_SIZE), np.empty(LANES, dtype=np.uint32)
     space = workspace(m, n)
-    left = np.zeros(LANES, dtype=np.uint32)  # the cells that have left their lanes
+    left = np.empty(LANES, dtype=np.uint32)  # the cells that have left their lanes
     for i in range(LANES):
         park(a, i)
     active = queued = leaving = np.int64(0)  # no literal, or Numba compiles for it what is called with it
@@ -264,21 +266,21 @@ def run_batch(batch, cells, enough, lanes, oscillates):
             measure_pass(a, frames[0], growths[0], space.partial, padded(active))
         count = list_lanes(a, LANE.stops, active, chosen)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
-            i = chosen[e]
-            r = np.int64(a[LANE.cell + i])
-            leaves = a[LANE.event + i] == LEFT
+            lane = np.int64(chosen[e])
+            r = np.int64(a[LANE.cell + lane])
+            leaves = a[LANE.event + lane] == LEFT
             if leaves:
                 left[leaving] = r
                 leaving += 1
             else:
                 k = done[r]
                 if m > 0:
-                    add_growth(levels[r], weighted[r], a[LANE.period_growth + i], k, periods[r])
-                    take_frame(frames, growths, i, V[r], growth[r])
-                save(a, i, r, h, tally)
+                    add_growth(levels[r], weighted[r], a[LANE.period_growth + lane], k, periods[r])
+                    take_frame(frames, growths, lane, V[r], growth[r])
+                save(a, lane, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
             if leaves or ending or over(r, done, periods, tally):
                 active -= 1
-                move_lane(a, active, i)
+                move_lane(a, active, lane)
                 park(a, active)

@@ -75,10 +75,10 @@ def padded(count):
 @kernel
 def list_lanes(a, field, n, chosen):
     """How many lanes have this field set, and which: without a branch, which the processor would often mispredict."""
-    count, bits = 0, a.view(np.uint64)
+    count = 0
     for i in range(n):
         chosen[count] = i
-        count += int(bits[field + i] != 0)
+        count += int(a[field + i] > 0.0)
     return count
 
 

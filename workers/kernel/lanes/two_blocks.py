@@ -18,16 +18,14 @@ VECTOR = 4 * STRIDE
 
 
 @inlined
-def read(U, k, i):
-    """The numbers of vector k of frame i."""
-    e = k * VECTOR + i
+def read(U, e):
+    """The numbers of a vector of a frame, the first of which is number e."""
     return U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE]
 
 
 @inlined
-def write(U, k, i, u):
+def write(U, e, u):
     """Replace them."""
-    e = k * VECTOR + i
     U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE] = u
 
 
@@ -59,7 +57,7 @@ def orthonormalise_frames(metric, rank, U, growth, count):
     """tangent.orthonormalise of ``count`` frames at once; see frames.normalise_pass."""
     for i in range(count):
         p, q, directions = metric[i], metric[2 * STRIDE + i], rank[i]
-        u, v, w, x = read(U, 0, i), read(U, 1, i), read(U, 2, i), read(U, 3, i)
+        u, v, w, x = read(U, i), read(U, VECTOR + i), read(U, 2 * VECTOR + i), read(U, 3 * VECTOR + i)
         u, grown = unit(p, q, u, directions > 0)
         growth[i] += grown
         v, w, x = without(p, q, u, v), without(p, q, u, w), without(p, q, u, x)
@@ -71,10 +69,10 @@ def orthonormalise_frames(metric, rank, U, growth, count):
         x = without(p, q, w, x)
         x, grown = unit(p, q, x, directions > 3)
         growth[3 * STRIDE + i] += grown
-        write(U, 0, i, u)
-        write(U, 1, i, v)
-        write(U, 2, i, w)
-        write(U, 3, i, x)
+        write(U, i, u)
+        write(U, VECTOR + i, v)
+        write(U, 2 * VECTOR + i, w)
+        write(U, 3 * VECTOR + i, x)
 
 
 @inlined
@@ -116,10 +114,11 @@ def transfer_frames(a, frames, n):
     """frames.transfer_pass of all four vectors of the first n lanes: what a lane holds is read once."""
     for i in range(n):
         flows = a[LANE.flows + i] > 0.0
-        u, v, w, x = read(frames, 0, i), read(frames, 1, i), read(frames, 2, i), read(frames, 3, i)
+        u, v = read(frames, i), read(frames, VECTOR + i)
+        w, x = read(frames, 2 * VECTOR + i), read(frames, 3 * VECTOR + i)
         u, v = kicked(a, i, flown(a, i, flows, u)), kicked(a, i, flown(a, i, flows, v))
         w, x = kicked(a, i, flown(a, i, flows, w)), kicked(a, i, flown(a, i, flows, x))
-        write(frames, 0, i, u)
-        write(frames, 1, i, v)
-        write(frames, 2, i, w)
-        write(frames, 3, i, x)
+        write(frames, i, u)
+        write(frames, VECTOR + i, v)
+        write(frames, 2 * VECTOR + i, w)
+        write(frames, 3 * VECTOR + i, x)
