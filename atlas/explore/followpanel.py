@@ -1,0 +1,257 @@
+"""The orbit of the cell clicked, followed along a parameter: its slider, its motion, its marks over the plane."""
+
+import html
+from functools import partial
+from typing import Any
+
+from bokeh.layouts import column, row
+from bokeh.models import Arrow, Button, ColumnDataSource, Div, NormalHead, NumericInput, Select, Slider, Span
+from bokeh.plotting import figure
+
+from atlas.errors import InputError
+from atlas.explore.background import Background
+from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, cell_values, distance, follow_job
+from atlas.explore.branchlines import BranchLines
+from atlas.explore.chosen import Chosen, Follow, Point, followable
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Cell
+from atlas.explore.motionpanel import MotionPanel
+from atlas.explore.plot import quiet_axis
+from atlas.explore.state import Store
+from atlas.explore.style import TEXT
+from atlas.explore.words import number, symbol_of
+from atlas.text import plural
+
+FOLLOWABLE = "periodic", "no_impact"
+"""Regimes of cells that have an orbit to follow."""
+INK = "#aa3377"
+"""The colour of what belongs to the orbit that is followed."""
+
+
+class FollowPanel:
+    """What starts and ends following, and what is shown meanwhile."""
+
+    def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
+        self._explorer, self._subject, self._store = explorer, explorer.subject, store
+        self._found, self._refused = background.later(self._take), background.later(self._refuse)
+        self._asked: tuple[Point, tuple[str, float, float]] | None = None
+        self._shown: _Shown | None = None
+        system = explorer.subject.system
+        options = [
+            (name, f"{symbol_of(system, name)} {system.parameter(name).meaning.split(':')[0]}")
+            for name in followable(explorer.subject)
+        ]
+        self._along = Select(title="its orbit along", options=options, value=options[0][0], sizing_mode="stretch_width")
+        self._button = Button(label="follow", width=110, align="end")
+        self._button.on_click(self._press)
+        self._along.on_change("value", lambda *_: self._label())
+        self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
+        self._body = column(sizing_mode="stretch_width")
+        head = row(self._along, self._button, sizing_mode="stretch_width")
+        self.panel = column(head, self._says, self._body, sizing_mode="stretch_width", visible=False)
+        self._marker = ColumnDataSource({"follow_x": [], "follow_y": []})
+        self._arrows = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._over_plane(plane)
+
+    def offer(self, cell: Cell | None) -> None:
+        """Offer to follow the orbit of a cell where it has one."""
+        self.panel.visible = self._asked is not None or (
+            cell is not None and cell.results["regime"] in FOLLOWABLE and bool(self._along.options)
+        )
+
+    def close(self) -> None:
+        """Want nothing more."""
+        self._explorer.patches.want(self, ())
+
+    def show(self, chosen: Chosen) -> None:
+        """Follow what is chosen, and show where it is."""
+        follow = chosen.follow
+        asked = None if follow is None or chosen.cell is None else (chosen.cell, follow[:3])
+        if asked != self._asked:
+            self._asked = asked
+            self._end()
+            if follow is not None and asked is not None:
+                self.panel.visible, self._along.value = True, follow.along
+                symbol, ends = symbol_of(self._subject.system, follow.along), map(number, follow[1:3])
+                self._says.text = f"following its branch along {html.escape(symbol)} from {' to '.join(ends)}"
+                take, refuse = partial(self._found, asked), partial(self._refused, asked)
+                self._explorer.patches.want(self, [follow_job(self._subject, chosen, follow, take, refuse)])
+            self._label()
+        if self._shown is not None and follow is not None:
+            self._mark(chosen, self._shown.move(follow))
+
+    def _follows(self) -> bool:
+        """Whether the orbit is followed along the parameter in the menu."""
+        follow = self._store.now.chosen.follow
+        return follow is not None and follow.along == self._along.value
+
+    def _label(self) -> None:
+        self._button.label = "end following" if self._follows() else "follow"
+
+    def _press(self) -> None:
+        chosen = self._store.now.chosen
+        if self._follows():
+            self._store.choose(follow=None)
+            return
+        try:
+            self._store.choose(follow=beginning(self._subject, chosen, str(self._along.value)))
+        except InputError as error:
+            self._says.text = html.escape(str(error))
+
+    def _take(self, asked: object, found: Followed) -> None:
+        if asked == self._asked:
+            self._says.text = ""
+            self._shown = _Shown(self._explorer, self._store, found)
+            self._body.children = self._shown.parts
+            self.show(self._store.now.chosen)
+
+    def _refuse(self, asked: object, why: str) -> None:
+        if asked == self._asked:
+            self._store.choose(follow=None)
+            self._says.text = html.escape(why)
+
+    def _end(self) -> None:
+        """Show no branch, and want none."""
+        self.close()
+        if self._shown is not None:
+            self._shown.motion.clear()
+        self._shown, self._body.children = None, []
+        self._says.text = ""
+        self._marker.data = {name: [] for name in self._marker.data}
+        self._arrows.data = {name: [] for name in _COLUMNS}
+
+    def _over_plane(self, plane: figure) -> None:
+        """The orbit's marker over the plane, and its arrows to the next events."""
+        at: dict[str, Any] = {"x": "follow_x", "y": "follow_y", "source": self._marker}
+        ends: dict[str, Any] = {
+            f"{axis}_{end}": f"{axis}{k}" for axis in "xy" for k, end in enumerate(("start", "end"))
+        }
+        for color, width, size in (("white", 5.0, 12), (INK, 2.0, 9)):
+            head = NormalHead(size=size, line_color=color, fill_color=color)
+            plane.add_layout(Arrow(end=head, source=self._arrows, line_color=color, line_width=width, **ends))
+        plane.scatter(marker="diamond", size=16, fill_color=INK, line_color="white", line_width=1.5, **at)
+        placed = {f"text_{name}": name for name in ("align", "baseline")} | {"x_offset": "right", "y_offset": "down"}
+        look = {"text_color": INK, "text_outline_color": "white", "text_font_style": "bold", "text_font_size": "13px"}
+        plane.text(x="x1", y="y1", text="text", source=self._arrows, **placed, **look)
+
+    def _mark(self, chosen: Chosen, here: Here) -> None:
+        """Mark an orbit over the plane where it lies in that."""
+        assert self._shown is not None
+        found, axes = self._shown.found, self._subject.axes
+        values = cell_values(self._subject, chosen) | {found.table.along: here.value}
+        inside = all(values[name] == value for name, value in chosen.plane.parameters)
+        marker = {name: [values[axis]] if inside else [] for name, axis in zip(self._marker.data, axes, strict=True)}
+        drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        for arrow in arrows(found, here, self._subject, chosen) if inside else ():
+            level, ahead = arrow.y0 == arrow.y1, arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
+            # Each label lies beside its own arrow, at its end, and within the view.
+            align = "right" if ahead else "left"
+            looks = (align, "bottom" if ahead else "top", 0, -6 if ahead else 6)
+            if not level:
+                looks = ("left" if ahead else "right", "top" if ahead else "bottom", 8 if ahead else -8, 0)
+            for name, value in zip(_COLUMNS, (*arrow, *looks), strict=True):
+                drawn[name].append(value)
+        for source, data in ((self._marker, marker), (self._arrows, drawn)):
+            if source.data != data:
+                source.data = data
+
+
+_COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down")
+
+
+class _Shown:
+    """The widgets of a branch that is followed: they show where on it the state is, and change that."""
+
+    def __init__(self, explorer: Explorer, store: Store, found: Followed) -> None:
+        self.found, self._subject, self._store = found, explorer.subject, store
+        self._symbol = symbol_of(self._subject.system, found.table.along)
+        self._at: Follow | None = None
+        self._here = found.here(found.own, found.values[found.own])
+        wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
+        last = len(found.values) - 1
+        self._slider = Slider(
+            title="along the branch", start=0, end=last, value=found.own, step=1, show_value=False, bar_color=INK,
+            **wide,
+        )  # fmt: skip
+        self._typed = NumericInput(
+            title=self._symbol, value=self._here.value, mode="float", width=110, format="0[.]000000"
+        )
+        self._slider.on_change("value", self._slide)
+        self._typed.on_change("value", self._type)
+        self._text = Div(stylesheets=[TEXT], **wide)
+        diagram = figure(
+            height=170, x_range=found.table.window, y_axis_label="gap at t = kT", toolbar_location=None, tools="",
+            min_border_left=58, **wide,
+        )  # fmt: skip
+        BranchLines(diagram).show(Drawn.of(found.table))
+        self._span = Span(location=self._here.value, dimension="height", line_color=INK)
+        diagram.add_layout(self._span)
+        self._points = ColumnDataSource({"branch_x": [], "branch_gap": []})
+        diagram.scatter(x="branch_x", y="branch_gap", source=self._points, size=9, color=INK, line_color="white")
+        diagram.grid.visible = False
+        for axis in (diagram.xaxis[0], diagram.yaxis[0]):
+            quiet_axis(axis)
+        diagram.xaxis[0].axis_label = self._symbol
+        self.motion = MotionPanel(self._subject)
+        self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]
+
+    def move(self, follow: Follow) -> Here:
+        """Show the orbit that is chosen, and return it."""
+        if follow == self._at:
+            return self._here
+        self._at = follow
+        self._here = here = self.found.here(self.found.own + follow.step, follow.value)
+        self._slider.value, self._typed.value, self._span.location = here.place, here.value, here.value
+        self._text.text = self._told()
+        motion = self.found.motion(here)
+        gap = motion.moving[0][:: int(motion.per_period)]
+        self._points.data = {"branch_x": [here.value] * gap.size, "branch_gap": gap}
+        self.motion.portray({0: motion})
+        self.motion.show(motion)
+        return here
+
+    def _go(self, place: int, value: float) -> None:
+        now = self._store.now.chosen.follow
+        if now is not None:
+            self._store.choose(follow=now._replace(step=place - self.found.own, value=value))
+
+    def _slide(self, attribute: str, old: Any, new: Any) -> None:
+        """Go to the point of the slider."""
+        if int(new) != self._here.place:
+            self._go(int(new), self.found.values[int(new)])
+
+    def _type(self, attribute: str, old: Any, new: Any) -> None:
+        """Go to where the branch has a value that was typed, nearest along it."""
+        if new == self._here.value:
+            return
+        place = None if new is None else self.found.passing(float(new), self._here)
+        if place is not None:
+            self._go(place, float(new))
+            return
+        low, high = (number(each) for each in (min(self.found.values), max(self.found.values)))
+        if new is not None:
+            self._text.text = (
+                f'<span class="trouble">the branch has {html.escape(self._symbol)} from {low} to {high} alone</span>'
+            )
+        self._typed.value = self._here.value
+
+    def _told(self) -> str:
+        """What the page says of the orbit, as HTML."""
+        here, found, symbol = self._here, self.found, html.escape(self._symbol)
+        outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
+        stability = outside if here.point.unstable else "stable"
+        rows = [
+            (symbol, number(here.value, 8)), ("period", plural(here.point.orbit.itinerary.periods, "forcing period")),
+            ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),
+            ("largest multiplier", f"{number(here.multiplier, 5)} in modulus"),
+        ]  # fmt: skip
+        for mark, side, end in zip(found.beside(here), ("◄", "►"), (0, -1), strict=True):
+            text = f"none up to {symbol} = {number(found.values[end])}, where the range ends"
+            if mark is not None:
+                text = f"{mark.kind} at {symbol} = {number(mark.value)}, {distance(mark, here)} from here"
+            rows.append((f"{side} next event", text))
+        folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in found.events if mark.kind == "fold"]
+        rows += [("turns back at", f"{symbol} = {', '.join(folds)}")] if folds else []
+        place = f"point {here.place + 1} of {len(found.values)}"
+        body = "".join(f"<tr><td>{left}</td><td>{html.escape(right)}</td></tr>" for left, right in rows)
+        return f"<table><caption>orbit followed, {place}</caption>{body}</table>"
