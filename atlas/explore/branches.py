@@ -213,13 +213,14 @@ def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen) -> lis
     """From an orbit that is followed to the events beside it; none along a parameter that is no axis."""
     if chosen.cell is None or found.table.along not in subject.axes:
         return []
-    k, made = subject.axes.index(found.table.along), []
-    low, high = (chosen.x, chosen.y)[k]
+    (_, x, y), across = chosen.cell, found.table.along == subject.axes[0]
+    low, high = chosen.x if across else chosen.y
+    made = []
     for mark in filter(None, found.beside(here)):
         begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
         if begin != end:
-            ends = [tuple(at if i == k else chosen.cell[1 + i] for i in (0, 1)) for at in (begin, end)]
-            made.append(Arrow(*ends[0], *ends[1], f"{mark.kind} {distance(mark, here)}"))
+            text = f"{mark.kind} {distance(mark, here)}"
+            made.append(Arrow(begin, y, end, y, text) if across else Arrow(x, begin, x, end, text))
     return made
 
 

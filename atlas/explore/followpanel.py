@@ -44,7 +44,7 @@ class FollowPanel:
         self._along = Select(title="its orbit along", options=options, value=options[0][0], sizing_mode="stretch_width")
         self._button = Button(label="follow", width=110, align="end")
         self._button.on_click(self._press)
-        self._along.on_change("value", lambda *_: self._label())
+        self._along.on_change("value", lambda _, old, new: self._label())
         self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
         self._body = column(sizing_mode="stretch_width")
         head = row(self._along, self._button, sizing_mode="stretch_width")
@@ -142,13 +142,13 @@ class FollowPanel:
         inside = all(values[name] == value for name, value in chosen.plane.parameters)
         marker = {name: [values[axis]] if inside else [] for name, axis in zip(self._marker.data, axes, strict=True)}
         drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
-        for arrow in arrows(found, here, self._subject, chosen) if inside else ():
-            level, ahead = arrow.y0 == arrow.y1, arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
-            # Each label lies beside its own arrow, at its end, and within the view.
-            align = "right" if ahead else "left"
-            looks = (align, "bottom" if ahead else "top", 0, -6 if ahead else 6)
-            if not level:
-                looks = ("left" if ahead else "right", "top" if ahead else "bottom", 8 if ahead else -8, 0)
+        for k, arrow in enumerate(arrows(found, here, self._subject, chosen) if inside else ()):
+            ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
+            # Labels begin at the ends of the arrows and run inwards, on either side of their line: both may end alike.
+            if arrow.y0 == arrow.y1:
+                looks = ("right" if ahead else "left", ("bottom", "top")[k], 0, (-6, 6)[k])
+            else:
+                looks = (("left", "right")[k], "top" if ahead else "bottom", (8, -8)[k], 0)
             for name, value in zip(_COLUMNS, (*arrow, *looks), strict=True):
                 drawn[name].append(value)
         for source, data in ((self._marker, marker), (self._arrows, drawn)):
