@@ -77,6 +77,19 @@ def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: Follo
     assert here.point.unstable == 1
 
 
+def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(found: Followed, subject: Subject) -> None:
+    """The view ends between the symmetry breaking at 1.60 and the fold at 1.758, which the branch passes twice."""
+    near = followed(subject, at_cell(subject, x=(1.74, 1.79)), "omega")
+    assert near.values[near.own] == CELL["omega"]
+    seen = [1.74 <= value <= 1.79 for value in near.values]
+    assert sum(seen) > 50 > sum(1.74 <= value <= 1.79 for value in found.values)
+    assert seen[near.own] and not seen[0] and not seen[-1]
+    ends = [(mark.kind, pytest.approx(mark.value, abs=1e-9)) for mark in found.events]
+    assert [(mark.kind, mark.value) for mark in near.events] == ends
+    steps = np.abs(np.diff(next(near.table.gap_values(near.branch))[:, 0]))
+    assert steps.max() < 0.02  # no jump where the parts meet
+
+
 def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found: Followed) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
     here = found.here(fold.place, fold.value)

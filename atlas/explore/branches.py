@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,7 +13,7 @@ from atlas.branches.branch import tree_from
 from atlas.branches.seed import seed_of_point
 from atlas.branches.table import Branches, modulus, orbit_name, pattern
 from atlas.errors import InputError
-from atlas.explore.chosen import Chosen, Follow
+from atlas.explore.chosen import Chosen, Follow, Range
 from atlas.explore.motion import POINTS, Motion, motion_through
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, slider_range
@@ -23,7 +23,7 @@ from workers import Settings
 from workers.model.system import System
 
 if TYPE_CHECKING:
-    from atlas.branches.tree import Branch
+    from atlas.branches.tree import Branch, Tree
     from workers.continuation import Family, Point
 
 Array = NDArray[np.float64]
@@ -225,7 +225,7 @@ def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen) -> lis
 
 
 def beginning(subject: Subject, chosen: Chosen, along: str) -> Follow:
-    """The cell's own orbit, to be followed over what is in view of an axis, or over the slider of another parameter.
+    """The cell's own orbit, to be followed in small steps over what is in view of an axis, or over another's slider.
 
     InputError where no cell is chosen.
     """
@@ -255,20 +255,61 @@ def follow_job(
         take(found)
         return 0
 
-    asked = subject.system, cell_values(subject, chosen), subject.spec.settings, follow.along, follow[1:3]
+    axes, part = dict(zip(subject.axes, subject.spec.axes, strict=False)), (follow.low, follow.high)
+    ends = (*part, *(axes[follow.along].values if follow.along in axes else ()))
+    windows = (min(ends), max(ends)), part
+    asked = subject.system, cell_values(subject, chosen), subject.spec.settings, follow.along, windows
     return Errand((follow_orbit, asked), taken, refuse)
 
 
-def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[float, float]]) -> Followed:
-    """The branch of the orbit of a cell along a parameter; InputError, in one line, where there is none."""
+def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> Followed:
+    """The branch of the orbit of a cell along a parameter over a window, in smaller steps over a part of that.
+
+    InputError, in one line, where there is none.
+    """
     from workers.continuation import section_state
 
-    system, values, settings, along, window = asked
+    system, values, settings, along, windows = asked
     compile_once(*kernels_for(system, ORBITS))
     seed = seed_of_point(values, system, settings)
-    tree = tree_from(seed, along, window)
-    points, state = tree.branches[0].run.points, section_state(system, seed.values, seed.orbit)
-    if len(points) < 2:
-        raise InputError(f"the branch of this orbit along {along} has one point alone, at {seed.values[along]:g}")
-    near = np.argsort(np.abs(tree.branches[0].values - seed.values[along]), kind="stable").tolist()
-    return Followed(Branches.of(tree), next(k for k in near if tree.is_orbit(state, points[k])))
+    value, state = seed.values[along], section_state(system, seed.values, seed.orbit)
+
+    def traced(window: Range) -> "tuple[Tree, int]":
+        tree = tree_from(seed, along, window)
+        (branch,) = tree.branches
+        near = np.argsort(np.abs(branch.values - value), kind="stable").tolist()
+        return tree, next(k for k in near if tree.is_orbit(state, branch.run.points[k]))
+
+    tree, own = traced(windows[0])
+    if windows[1] != windows[0]:
+        part, place = traced(windows[1])
+        tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
+    if len(tree.branches[0].run.points) < 2:
+        raise InputError(f"the branch of this orbit along {along} has one point alone, at {along} = {value:g}")
+    return Followed(Branches.of(tree), own)
+
+
+def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":
+    """A branch with a part of it around a point in smaller steps, and the number of that point now."""
+    if "closed" in whole.run.ends + part.run.ends:
+        return (part, place) if "closed" in part.run.ends else (whole, own)
+    outside, last = np.flatnonzero((whole.values < window[0]) | (whole.values > window[1])), len(whole.values)
+    before, after = outside[outside < own], outside[outside > own]
+    # Where the part ends within its window, so does the branch.
+    first = int(before[-1]) + 1 if before.size and part.run.ends[0] == "edge" else 0
+    second = int(after[0]) if after.size and part.run.ends[1] == "edge" else last
+    pieces = (whole, slice(first)), (part, slice(None)), (whole, slice(second, None))
+    run = part.run._replace(
+        points=[point for branch, piece in pieces for point in branch.run.points[piece]],
+        events=[
+            *(event for k, event in zip(whole.places, whole.run.events, strict=True) if k < first),
+            *part.run.events,
+            *(event for k, event in zip(whole.places, whole.run.events, strict=True) if k >= second),
+        ],
+        ends=(whole.run.ends[0] if first else part.run.ends[0], (whole if second < last else part).run.ends[1]),
+    )
+    sections = np.concatenate([branch.sections[piece] for branch, piece in pieces])
+    mirrored = [branch.mirrored[piece] for branch, piece in pieces if branch.mirrored is not None]
+    return replace(
+        part, run=run, sections=sections, mirrored=np.concatenate(mirrored) if mirrored else None
+    ), first + place

@@ -25,7 +25,7 @@ Cut = tuple[float, float, float, float]
 
 
 class Follow(NamedTuple):
-    """The orbit of the cell clicked, followed along a parameter between two values of it.
+    """The orbit of the cell clicked, followed along a parameter, in smaller steps between two values of it.
 
     step    points of the branch from the cell's own orbit on
     value   the parameter there, or between that point and the next
