@@ -14,6 +14,7 @@ from atlas.branches.seed import seed_of_point
 from atlas.branches.table import Branches, modulus, orbit_name, pattern
 from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, Follow, Range
+from atlas.explore.chosen import Point as Where
 from atlas.explore.motion import POINTS, Motion, motion_through
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, slider_range
@@ -209,11 +210,11 @@ def distance(mark: Mark, here: Here) -> str:
     return f"{'+' if away > 0 else ''}{number(away, 5)}"
 
 
-def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen) -> list[Arrow]:
-    """From an orbit that is followed to the events beside it; none along a parameter that is no axis."""
-    if chosen.cell is None or found.table.along not in subject.axes:
+def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen, cell: Where) -> list[Arrow]:
+    """From an orbit that is followed from a cell to the events beside it; none along a parameter that is no axis."""
+    if found.table.along not in subject.axes:
         return []
-    (_, x, y), across = chosen.cell, found.table.along == subject.axes[0]
+    (_, x, y), across = cell, found.table.along == subject.axes[0]
     low, high = chosen.x if across else chosen.y
     made = []
     for mark in filter(None, found.beside(here)):
@@ -224,41 +225,35 @@ def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen) -> lis
     return made
 
 
-def beginning(subject: Subject, chosen: Chosen, along: str) -> Follow:
-    """The cell's own orbit, to be followed in small steps over what is in view of an axis, or over another's slider.
-
-    InputError where no cell is chosen.
-    """
-    if chosen.cell is None:
-        raise InputError("click a cell first: its orbit is followed")
-    value, parameter = cell_values(subject, chosen)[along], subject.system.parameter(along)
+def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> Follow:
+    """A cell's own orbit, to be followed in smaller steps over what is in view of an axis, or over another's slider."""
+    value, parameter = cell_values(subject, cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
     seen = dict(zip(subject.axes, (chosen.x, chosen.y), strict=True)).get(along, limits)
     low, high = (end if parameter.admits(end) else limit for end, limit in zip(seen, limits, strict=True))
     return Follow(along, min(low, value), max(high, value), 0, value)
 
 
-def cell_values(subject: Subject, chosen: Chosen) -> dict[str, float]:
-    """All parameters of the cell that is chosen; none without one."""
-    if chosen.cell is None:
-        return {}
-    plane, *at = chosen.cell
+def cell_values(subject: Subject, cell: Where) -> dict[str, float]:
+    """All parameters of a cell."""
+    plane, *at = cell
     return dict(plane.parameters) | dict(zip(subject.axes, at, strict=True))
 
 
 def follow_job(
-    subject: Subject, chosen: Chosen, follow: Follow, take: Callable[[Followed], None], refuse: Callable[[str], None]
+    subject: Subject, cell: Where, follow: Follow, take: Callable[[Followed], None], refuse: Callable[[str], None]
 ) -> Errand:
-    """The branch of the chosen cell's orbit to be found."""
+    """The branch of a cell's orbit to be found."""
 
     def taken(found: Followed) -> int:
+        found.motion(found.here(found.own, follow.value))  # loads the kernels here, not in the page's thread
         take(found)
         return 0
 
     axes, part = dict(zip(subject.axes, subject.spec.axes, strict=False)), (follow.low, follow.high)
     ends = (*part, *(axes[follow.along].values if follow.along in axes else ()))
     windows = (min(ends), max(ends)), part
-    asked = subject.system, cell_values(subject, chosen), subject.spec.settings, follow.along, windows
+    asked = subject.system, cell_values(subject, cell), subject.spec.settings, follow.along, windows
     return Errand((follow_orbit, asked), taken, refuse)
 
 

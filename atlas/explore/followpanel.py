@@ -8,7 +8,6 @@ from bokeh.layouts import column, row
 from bokeh.models import Arrow, Button, ColumnDataSource, Div, NormalHead, NumericInput, Select, Slider, Span
 from bokeh.plotting import figure
 
-from atlas.errors import InputError
 from atlas.explore.background import Background
 from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, cell_values, distance, follow_job
 from atlas.explore.branchlines import BranchLines
@@ -55,9 +54,8 @@ class FollowPanel:
 
     def offer(self, cell: Cell | None) -> None:
         """Offer to follow the orbit of a cell where it has one."""
-        self.panel.visible = self._asked is not None or (
-            cell is not None and cell.results["regime"] in FOLLOWABLE and bool(self._along.options)
-        )
+        there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
+        self.panel.visible = there_is_one or self._asked is not None
 
     def close(self) -> None:
         """Want nothing more."""
@@ -65,20 +63,21 @@ class FollowPanel:
 
     def show(self, chosen: Chosen) -> None:
         """Follow what is chosen, and show where it is."""
-        follow = chosen.follow
-        asked = None if follow is None or chosen.cell is None else (chosen.cell, follow[:3])
+        follow, cell = chosen.follow, chosen.cell
+        asked = None if follow is None or cell is None else (cell, follow[:3])
         if asked != self._asked:
             self._asked = asked
             self._end()
-            if follow is not None and asked is not None:
+            if follow is not None and cell is not None:
                 self.panel.visible, self._along.value = True, follow.along
-                symbol, ends = symbol_of(self._subject.system, follow.along), map(number, follow[1:3])
-                self._says.text = f"following its branch along {html.escape(symbol)} from {' to '.join(ends)}"
+                self._says.text = (
+                    f"following its branch along {html.escape(symbol_of(self._subject.system, follow.along))}"
+                )
                 take, refuse = partial(self._found, asked), partial(self._refused, asked)
-                self._explorer.patches.want(self, [follow_job(self._subject, chosen, follow, take, refuse)])
+                self._explorer.patches.want(self, [follow_job(self._subject, cell, follow, take, refuse)])
             self._label()
-        if self._shown is not None and follow is not None:
-            self._mark(chosen, self._shown.move(follow))
+        if self._shown is not None and follow is not None and cell is not None:
+            self._mark(chosen, cell, self._shown.found, self._shown.move(follow))
 
     def _follows(self) -> bool:
         """Whether the orbit is followed along the parameter in the menu."""
@@ -92,11 +91,8 @@ class FollowPanel:
         chosen = self._store.now.chosen
         if self._follows():
             self._store.choose(follow=None)
-            return
-        try:
-            self._store.choose(follow=beginning(self._subject, chosen, str(self._along.value)))
-        except InputError as error:
-            self._says.text = html.escape(str(error))
+        elif chosen.cell is not None:
+            self._store.choose(follow=beginning(self._subject, chosen, chosen.cell, str(self._along.value)))
 
     def _take(self, asked: object, found: Followed) -> None:
         if asked == self._asked:
@@ -134,15 +130,14 @@ class FollowPanel:
         look = {"text_color": INK, "text_outline_color": "white", "text_font_style": "bold", "text_font_size": "13px"}
         plane.text(x="x1", y="y1", text="text", source=self._arrows, **placed, **look)
 
-    def _mark(self, chosen: Chosen, here: Here) -> None:
+    def _mark(self, chosen: Chosen, cell: Point, found: Followed, here: Here) -> None:
         """Mark an orbit over the plane where it lies in that."""
-        assert self._shown is not None
-        found, axes = self._shown.found, self._subject.axes
-        values = cell_values(self._subject, chosen) | {found.table.along: here.value}
+        values = cell_values(self._subject, cell) | {found.table.along: here.value}
         inside = all(values[name] == value for name, value in chosen.plane.parameters)
-        marker = {name: [values[axis]] if inside else [] for name, axis in zip(self._marker.data, axes, strict=True)}
+        names = zip(self._marker.data, self._subject.axes, strict=True)
+        marker = {name: [values[axis]] if inside else [] for name, axis in names}
         drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
-        for k, arrow in enumerate(arrows(found, here, self._subject, chosen) if inside else ()):
+        for k, arrow in enumerate(arrows(found, here, self._subject, chosen, cell) if inside else ()):
             ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
             # Labels begin at the ends of the arrows and run inwards, on either side of their line: both may end alike.
             if arrow.y0 == arrow.y1:
@@ -228,16 +223,15 @@ class _Shown:
         if place is not None:
             self._go(place, float(new))
             return
-        low, high = (number(each) for each in (min(self.found.values), max(self.found.values)))
         if new is not None:
-            self._text.text = (
-                f'<span class="trouble">the branch has {html.escape(self._symbol)} from {low} to {high} alone</span>'
-            )
+            low, high = number(min(self.found.values)), number(max(self.found.values))
+            said = html.escape(f"the branch has {self._symbol} from {low} to {high} alone, found {number(float(new))}")
+            self._text.text = f'<span class="trouble">{said}</span>{self._told()}'
         self._typed.value = self._here.value
 
     def _told(self) -> str:
         """What the page says of the orbit, as HTML."""
-        here, found, symbol = self._here, self.found, html.escape(self._symbol)
+        here, found, symbol = self._here, self.found, self._symbol
         outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if here.point.unstable else "stable"
         rows = [
@@ -253,5 +247,5 @@ class _Shown:
         folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in found.events if mark.kind == "fold"]
         rows += [("turns back at", f"{symbol} = {', '.join(folds)}")] if folds else []
         place = f"point {here.place + 1} of {len(found.values)}"
-        body = "".join(f"<tr><td>{left}</td><td>{html.escape(right)}</td></tr>" for left, right in rows)
+        body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, each)) for each in rows)
         return f"<table><caption>orbit followed, {place}</caption>{body}</table>"
