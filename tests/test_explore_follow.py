@@ -174,6 +174,18 @@ def test_the_sections_of_an_orbit_of_several_periods_are_those_of_its_branch(sub
     assert motion.moving[0][::200] == pytest.approx(gap, abs=1e-10)
 
 
+def test_a_motion_closes_also_where_an_impact_has_moved_over_the_section(subject: Subject) -> None:
+    """Along this branch an impact of the turn passes the end of the turn."""
+    cell = {"omega": 2.0, "b": 0.05}
+    found = followed(subject, at_cell(subject, cell, x=(1.9, 2.1), y=(0.02, 0.1)), "b")
+    points = found.branch.run.points
+    beyond = [k for k, point in enumerate(points) if point.orbit.times[-1] > 1.5 * np.pi]
+    assert beyond
+    for k in beyond:
+        motion = found.motion(found.here(k, found.values[k]))
+        assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-9)
+
+
 def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(found: Followed, own: Here, subject: Subject) -> None:
     back, on = arrows(found, own, subject, at_cell(subject, x=(1.7, 1.9)), cell_of(subject))
     before, after = found.beside(own)

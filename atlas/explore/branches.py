@@ -170,8 +170,8 @@ class Followed:
         count, turn = min(SAMPLES, POINTS // periods), float(orbit.itinerary.span(machine)[0])
         period = turn * (1 + orbit.itinerary.symmetric) / periods
         events = np.concatenate([orbit.times + k * turn for k in range(1 + orbit.itinerary.symmetric)])
-        before = np.mod(events - BESIDE * period, periods * period)
-        times = np.concatenate([np.arange(periods * count + 1) / count * period, before, events])
+        events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may leave the turn
+        times = np.concatenate([np.arange(periods * count + 1) / count * period, events])
         order = np.argsort(times, kind="stable")
         states = self._states(here, machine, times[order])
         return motion_through(self.table.system.build(self._all(here.value)), states, order < periods * count, count)

@@ -23,6 +23,8 @@ from atlas.text import plural
 
 FOLLOWABLE = "periodic", "no_impact"
 """Regimes of cells that have an orbit to follow."""
+BOUND = 1e9
+"""A larger multiplier is that of an impact without speed, whose own is infinite but for rounding."""
 INK = "#aa3377"
 """The colour of what belongs to the orbit that is followed."""
 
@@ -234,10 +236,11 @@ class _Shown:
         here, found, symbol = self._here, self.found, self._symbol
         outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if here.point.unstable else "stable"
+        largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
         rows = [
             (symbol, number(here.value, 8)), ("period", plural(here.point.orbit.itinerary.periods, "forcing period")),
             ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),
-            ("largest multiplier", f"{number(here.multiplier, 5)} in modulus"),
+            ("largest multiplier", largest),
         ]  # fmt: skip
         for mark, side, end in zip(found.beside(here), ("◄", "►"), (0, -1), strict=True):
             text = f"none up to {symbol} = {number(found.values[end])}, where the range ends"
