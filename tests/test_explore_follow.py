@@ -11,7 +11,7 @@ from bokeh.plotting import figure
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.branches import Followed, Here, arrows, beginning, distance, follow_job
+from atlas.explore.branches import Followed, Here, arrows, beginning, distance, follow_job, follow_orbit
 from atlas.explore.chosen import Chosen, Follow, Point, followable, from_address, to_address
 from atlas.explore.followpanel import FollowPanel
 from atlas.explore.state import State, Store
@@ -217,6 +217,13 @@ def test_orbits_are_followed_along_parameters_and_not_along_initial_states(subje
 def test_the_orbit_of_a_chaotic_cell_is_refused_in_one_line(subject: Subject) -> None:
     with pytest.raises(InputError, match="this cell is chaotic: a branch starts from a periodic one"):
         followed(subject, at_cell(subject, {"omega": 1.5, "b": 0.1}), "omega")
+
+
+def test_a_branch_of_one_point_is_refused_in_one_line(subject: Subject) -> None:
+    window = CELL["omega"], float(np.nextafter(CELL["omega"], 2.0))
+    asked = subject.system, dict(subject.plane.parameters) | CELL, subject.spec.settings, "omega", (window, window)
+    with pytest.raises(InputError, match="the branch of this orbit along omega has one point alone, at 1.75"):
+        follow_orbit(asked)
 
 
 def test_an_orbit_of_a_machine_with_modes_is_drawn_too() -> None:

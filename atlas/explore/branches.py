@@ -279,8 +279,8 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
     if windows[1] != windows[0]:
         part, place = traced(windows[1])
         tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
-    if len(tree.branches[0].run.points) < 2:
-        raise InputError(f"the branch of this orbit along {along} has one point alone, at {along} = {value:g}")
+    if np.ptp(tree.branches[0].values) == 0.0:
+        raise InputError(f"the branch of this orbit along {along} has one point alone, at {value:g}")
     return Followed(Branches.of(tree), own)
 
 
