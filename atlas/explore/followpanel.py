@@ -46,7 +46,7 @@ class FollowPanel:
         self._button = Button(label="follow", width=110, align="end")
         self._button.on_click(self._press)
         self._along.on_change("value", lambda _, old, new: self._label())
-        self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
+        self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width", visible=False)
         self._body = column(sizing_mode="stretch_width")
         head = row(self._along, self._button, sizing_mode="stretch_width")
         self.panel = column(head, self._says, self._body, sizing_mode="stretch_width", visible=False)
@@ -98,7 +98,7 @@ class FollowPanel:
 
     def _take(self, asked: object, found: Followed) -> None:
         if asked == self._asked:
-            self._says.text = ""
+            self._say("")
             self._shown = _Shown(self._explorer, self._store, found)
             self._body.children = self._shown.parts
             self.show(self._store.now.chosen)
@@ -106,7 +106,10 @@ class FollowPanel:
     def _refuse(self, asked: object, why: str) -> None:
         if asked == self._asked:
             self._store.choose(follow=None)
-            self._says.text = html.escape(why)
+            self._say(why)
+
+    def _say(self, text: str) -> None:
+        self._says.update(text=html.escape(text), visible=bool(text))
 
     def _end(self) -> None:
         """Show no branch, and want none."""
@@ -114,23 +117,22 @@ class FollowPanel:
         if self._shown is not None:
             self._shown.motion.clear()
         self._shown, self._body.children = None, []
-        self._says.text = ""
+        self._say("")
         self._marker.data = {name: [] for name in self._marker.data}
         self._arrows.data = {name: [] for name in _COLUMNS}
 
     def _over_plane(self, plane: figure) -> None:
         """The orbit's marker over the plane, and its arrows to the next events."""
-        at: dict[str, Any] = {"x": "follow_x", "y": "follow_y", "source": self._marker}
-        ends: dict[str, Any] = {
-            f"{axis}_{end}": f"{axis}{k}" for axis in "xy" for k, end in enumerate(("start", "end"))
-        }
+        ends: dict[str, Any] = {"x_start": "x0", "y_start": "y0", "x_end": "x1", "y_end": "y1"}
         for color, width, size in (("white", 5.0, 12), (INK, 2.0, 9)):
             head = NormalHead(size=size, line_color=color, fill_color=color)
             plane.add_layout(Arrow(end=head, source=self._arrows, line_color=color, line_width=width, **ends))
-        plane.scatter(marker="diamond", size=16, fill_color=INK, line_color="white", line_width=1.5, **at)
-        placed = {f"text_{name}": name for name in ("align", "baseline")} | {"x_offset": "right", "y_offset": "down"}
-        look = {"text_color": INK, "text_outline_color": "white", "text_font_style": "bold", "text_font_size": "13px"}
-        plane.text(x="x1", y="y1", text="text", source=self._arrows, **placed, **look)
+        at: dict[str, Any] = {"x": "follow_x", "y": "follow_y", "source": self._marker, "level": "overlay"}
+        plane.scatter(marker="diamond", size=18, fill_color=INK, line_color="white", line_width=1.5, **at)
+        at = {"x": "x1", "y": "y1", "text": "text", "source": self._arrows, "level": "overlay"}
+        at |= {"text_align": "align", "text_baseline": "baseline", "x_offset": "right", "y_offset": "down"}
+        look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
+        plane.text(background_fill_alpha=0.85, **at, **look)
 
     def _mark(self, chosen: Chosen, cell: Point, found: Followed, here: Here) -> None:
         """Mark an orbit over the plane where it lies in that."""
@@ -233,22 +235,22 @@ class _Shown:
 
     def _told(self) -> str:
         """What the page says of the orbit, as HTML."""
-        here, found, symbol = self._here, self.found, self._symbol
+        here, found = self._here, self.found
         outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if here.point.unstable else "stable"
         largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
         rows = [
-            (symbol, number(here.value, 8)), ("period", plural(here.point.orbit.itinerary.periods, "forcing period")),
+            (self._symbol, number(here.value, 8)), ("period", plural(here.point.orbit.itinerary.periods, "forcing period")),
             ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),
             ("largest multiplier", largest),
         ]  # fmt: skip
         for mark, side, end in zip(found.beside(here), ("◄", "►"), (0, -1), strict=True):
-            text = f"none up to {symbol} = {number(found.values[end])}, where the range ends"
+            text = f"none up to {number(found.values[end])}, where the range ends"
             if mark is not None:
-                text = f"{mark.kind} at {symbol} = {number(mark.value)}, {distance(mark, here)} from here"
+                text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"
             rows.append((f"{side} next event", text))
         folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in found.events if mark.kind == "fold"]
-        rows += [("turns back at", f"{symbol} = {', '.join(folds)}")] if folds else []
+        rows += [("turns back at", ", ".join(folds))] if folds else []
         place = f"point {here.place + 1} of {len(found.values)}"
         body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, each)) for each in rows)
         return f"<table><caption>orbit followed, {place}</caption>{body}</table>"
