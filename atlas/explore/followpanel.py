@@ -239,8 +239,9 @@ class _Shown:
         outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if here.point.unstable else "stable"
         largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
+        period = plural(here.point.orbit.itinerary.periods, "forcing period")
         rows = [
-            (self._symbol, number(here.value, 8)), ("period", plural(here.point.orbit.itinerary.periods, "forcing period")),
+            (self._symbol, number(here.value, 8)), ("period", period),
             ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),
             ("largest multiplier", largest),
         ]  # fmt: skip

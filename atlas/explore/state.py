@@ -62,4 +62,7 @@ class Store:
 
     def escape(self) -> None:
         """Follow an orbit no further, or else close the cut."""
-        self.choose(**({"cut": None} if self.now.chosen.follow is None else {"follow": None}))
+        if self.now.chosen.follow is None:
+            self.choose(cut=None)
+        else:
+            self.choose(follow=None)
