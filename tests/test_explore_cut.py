@@ -6,7 +6,8 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.cut import SAMPLES, STEPS, Branches, Cells, Line, branch_job, cut_job, exponents, section, sweep_of
+from atlas.explore.branches import Drawn
+from atlas.explore.cut import SAMPLES, STEPS, Cells, Line, branch_job, cut_job, exponents, section, sweep_of
 from atlas.explore.subject import Subject, subject_of
 from tests.test_explore_solving import exploring, waited
 
@@ -90,7 +91,7 @@ def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subj
     task = job.make()
     assert task is not None
     job.solved(task[1], task[0](task[1]))
-    found: Branches = came[0]
+    found: Drawn = came[0]
     alone = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15), settings=subject.settings)
     where = [value for kind, value, _ in found.events if kind == "symmetry_breaking"]
     expected = alone.events["b"][alone.events["kind"] == "symmetry_breaking"].to_list()

@@ -13,8 +13,7 @@ from atlas.branches.tree import Branch, Tree
 from atlas.errors import InputError
 from atlas.query.window import axis_names, axis_values, columns
 from atlas.spec.system import refuse_drift
-from workers.continuation import Orbit, Point
-from workers.continuation.orbits import refined
+from workers.continuation import Point
 from workers.results import PERIODIC, REGIME
 
 if TYPE_CHECKING:
@@ -98,13 +97,13 @@ def _is_covered(tree: Tree, cell: dict[str, Any], value: float) -> bool:
     return any(_is_near(each, state, value) for each in same) or any(
         tree.is_orbit(state, Point(np.array([value]), orbit, np.zeros(0), np.zeros(0, np.complex128), 0))
         for each in same
-        for orbit in _orbits_at(tree, each, value)
+        for orbit in each.orbits_at(tree.family, value)
     )
 
 
 def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
     """Whether a section state (2d,) lies on a branch or its mirror image, straight lines taken between its points."""
-    for k, share in _places(branch, value):
+    for k, share in branch.passes(value):
         for sections in (branch.sections, branch.mirrored):
             if sections is not None:
                 states = sections[k] + share * (sections[k + 1] - sections[k])
@@ -112,29 +111,3 @@ def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
                 if np.min(np.max(np.abs(states - state) / extent, axis=1)) < NEAR:
                     return True
     return False
-
-
-def _places(branch: Branch, value: float) -> Iterator[tuple[int, float]]:
-    """Where a branch passes a value of the parameter: after which point, and at which share of the step to the next."""
-    values = branch.values
-    for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0.0):
-        if values[k] != values[k + 1]:
-            yield int(k), float((value - values[k]) / (values[k + 1] - values[k]))
-
-
-def _orbits_at(tree: Tree, branch: Branch, value: float) -> Iterator[Orbit]:
-    """The orbits of a branch at a value of the parameter, each between two neighbouring points of it."""
-    points = branch.run.points
-    for k, share in _places(branch, value):
-        one, other = points[k].orbit, points[k + 1].orbit
-        if len(one.times) != len(other.times):
-            continue
-        between = Orbit(
-            one.itinerary,
-            one.times + share * (other.times - one.times),
-            one.speeds + share * (other.speeds - one.speeds),
-        )
-        try:
-            yield refined(tree.family, between, np.array([value]))
-        except ValueError:
-            continue

@@ -154,10 +154,8 @@ class Branches:
     def _events(self) -> Iterator[tuple[Any, ...]]:
         leaving = {id(b.origin): number for number, b in enumerate(self.traced) if b.origin is not None}
         for number, branch in enumerate(self.traced):
-            at = {id(point): k for k, point in enumerate(branch.run.points)}
-            for event in branch.run.events:
-                point = event.point
-                state = branch.sections[at[id(point)], 0].tolist()
+            for k, event in zip(branch.places, branch.run.events, strict=True):
+                point, state = event.point, branch.sections[k, 0].tolist()
                 own = pattern(point.orbit.itinerary)
                 left = leaving.get(id(event), -1)
                 yield (
@@ -171,6 +169,11 @@ _PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
 def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
     """Period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
     return itinerary.periods, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
+
+
+def orbit_name(period: int, upper: int, lower: int, symmetric: bool) -> str:
+    """An orbit as n-p-q: its periods, and its impacts at the upper and at the lower stop."""
+    return f"{period}-{upper}-{lower}{' symmetric' if symmetric else ''}"
 
 
 def modulus(point: "Point", periods: int) -> float:

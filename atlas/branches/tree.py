@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -65,12 +66,39 @@ class Branch:
         return np.array([point.values[0] for point in self.run.points])
 
     @property
+    def places(self) -> list[int]:
+        """The number of the point that each event of the run is."""
+        numbers = {id(point): k for k, point in enumerate(self.run.points)}
+        return [numbers[id(event.point)] for event in self.run.events]
+
+    @property
     def parts(self) -> Iterator[tuple[bool, slice]]:
         """Stretches of points that are all stable, or all unstable, each joined to the next at the point between."""
         unstable = np.array([point.unstable for point in self.run.points]) > 0
         steps = unstable[1:] | unstable[:-1]
         ends = [0, *(np.flatnonzero(steps[1:] != steps[:-1]) + 1).tolist(), len(steps)]
         return ((not steps[first], slice(first, last + 1)) for first, last in pairwise(ends) if last > first)
+
+    def passes(self, value: float) -> Iterator[tuple[int, float]]:
+        """Where it passes a value of the parameter: after which point, and at which share of the step to the next."""
+        values = self.values
+        for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0.0):
+            if values[k] != values[k + 1]:
+                yield int(k), float((value - values[k]) / (values[k + 1] - values[k]))
+
+    def orbit_after(self, family: Family, k: int, share: float, value: float) -> Orbit:
+        """The orbit at a value that it passes after point k; ValueError where Newton's method finds none."""
+        one, other = self.run.points[k].orbit, self.run.points[k + 1].orbit
+        if len(one.times) != len(other.times):
+            raise ValueError("the orbit changes between these points")
+        times, speeds = (here + share * (there - here) for here, there in zip(one[1:], other[1:], strict=True))
+        return refined(family, Orbit(one.itinerary, times, speeds), np.array([value]))
+
+    def orbits_at(self, family: Family, value: float) -> Iterator[Orbit]:
+        """The orbits at a value of the parameter, each between two neighbouring points."""
+        for k, share in self.passes(value):
+            with suppress(ValueError):
+                yield self.orbit_after(family, k, share, value)
 
 
 class Untried(NamedTuple):

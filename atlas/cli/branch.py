@@ -9,7 +9,7 @@ import click
 
 from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_cell, seed_of_point, system_of
-from atlas.branches.table import Branches
+from atlas.branches.table import Branches, orbit_name
 from atlas.cli.options import (
     asked_cell,
     at_option,
@@ -177,9 +177,7 @@ def _print(found: Branches) -> None:
 
 
 def _name(each: dict[str, Any]) -> str:
-    """An orbit as n-p-q."""
-    name = f"{each['period']}-{each['impacts_upper']}-{each['impacts_lower']}"
-    return f"{name} symmetric" if each["symmetric"] else name
+    return orbit_name(*(each[name] for name in ("period", "impacts_upper", "impacts_lower", "symmetric")))
 
 
 def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:

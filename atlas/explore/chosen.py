@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 from urllib.parse import urlencode
 
 from atlas.errors import InputError, check_names
@@ -22,7 +23,22 @@ Pin = tuple[tuple[tuple[str, float], ...], str]
 Cut = tuple[float, float, float, float]
 """A line over the plane, from (x, y) to (x, y)."""
 
-_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut")
+
+class Follow(NamedTuple):
+    """The orbit of the cell clicked, followed along a parameter, in smaller steps between two values of it.
+
+    step    points of the branch from the cell's own orbit on
+    value   the parameter there, or between that point and the next
+    """
+
+    along: str
+    low: float
+    high: float
+    step: int
+    value: float
+
+
+_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow")
 ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
 """What an address has besides parameters; ``token`` is the server's."""
 
@@ -34,6 +50,7 @@ class Chosen:
     cell   the point that was clicked
     pins   cells that stay marked
     cut    the line that was drawn
+    follow the orbit of that point which is followed
     """
 
     x: Range
@@ -48,11 +65,12 @@ class Chosen:
     cell: Point | None = None
     pins: tuple[Pin, ...] = ()
     cut: Cut | None = None
+    follow: Follow | None = None
 
     @property
     def picture(self) -> "Chosen":
         """The choice as far as the map shows it."""
-        return replace(self, cell=None, cut=None, pins=())
+        return replace(self, cell=None, cut=None, pins=(), follow=None)
 
     def middle(self, subject: Subject) -> tuple[float, float]:
         """The cell that was clicked in its plane, or else the middle of the window."""
@@ -110,6 +128,12 @@ def variables(subject: Subject) -> list[str]:
     ]
 
 
+def followable(subject: Subject) -> list[str]:
+    """The parameters along which an orbit can be followed, the axes first."""
+    others = [p.name for p in subject.system.parameters if p.name not in subject.axes]
+    return [name for name in (*subject.axes, *others) if name not in subject.system.states]
+
+
 def beginning(subject: Subject) -> Chosen:
     """The whole plane, drawn as the first kind that there is."""
     x, y = ((axis.values[0], axis.values[-1]) for axis in subject.spec.axes[:2])
@@ -144,6 +168,8 @@ def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chos
         elif name in _OTHERS:
             chosen = _other(subject, chosen, name, value)
     pins = tuple(_pin(subject, text.decode()) for text in arguments.get("pin", ()))
+    if chosen.follow is not None and chosen.cell is None:
+        raise InputError("follow: needs a cell, whose orbit is followed")
     return replace(chosen, pins=pins)
 
 
@@ -168,8 +194,12 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
     own = dict(subject.plane.parameters)
     pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
-    points = {"cut": chosen.cut, "cell": chosen.cell[1:] if chosen.cell and chosen.cell[0] == chosen.plane else None}
+    points: dict[str, tuple[float, ...] | None] = {"cut": chosen.cut}
+    if chosen.cell and chosen.cell[0] == chosen.plane:
+        points["cell"] = chosen.cell[1:]
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
+    if "cell" in points and chosen.follow:
+        pairs.append(("follow", ",".join(map(str, chosen.follow))))
     for values, note in chosen.pins:
         shown = [f"{name}={value!r}" for name, value in values if value != own.get(name)]
         pairs.append(("pin", f"{','.join(shown)};{note}"))
@@ -194,6 +224,11 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
     if name == "cell":
         x, y = _numbers(name, value, 2)
         return replace(chosen, cell=(chosen.plane, x, y))
+    if name == "follow":
+        along, _, numbers = value.partition(",")
+        check_names("parameter in follow", [along], followable(subject))
+        low, high, step, at = _numbers(name, numbers, 4)
+        return replace(chosen, follow=Follow(along, low, high, round(step), at))
     if name == "cut":
         x, y, to_x, to_y = _numbers(name, value, 4)
         if (x, y) == (to_x, to_y):

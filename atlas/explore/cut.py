@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.explore.branches import Drawn
 from atlas.explore.chosen import Cut
 from atlas.explore.patch import Patch, packed, solve_patch
 from atlas.explore.patches import Errand
@@ -120,42 +121,24 @@ def cut_job(
     return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), (line, part, take))
 
 
-@dataclass(frozen=True)
-class Branches:
-    """Branches along a line: stretches of them (stable or not, parameter, gap), and events (kind, parameter, gap)."""
-
-    stretches: tuple[tuple[bool, Array, Array], ...]
-    events: tuple[tuple[str, float, float], ...]
-
-
 def branch_job(
-    line: Line, sweep: "xr.Dataset", take: Callable[[Line, Branches], None], refuse: Callable[[str], None]
+    line: Line, sweep: "xr.Dataset", take: Callable[[Line, Drawn], None], refuse: Callable[[str], None]
 ) -> Errand:
     """The branches through the periodic cells of a line, which is this sweep, to be followed."""
 
-    def taken(found: Branches) -> int:
+    def taken(found: Drawn) -> int:
         take(line, found)
         return 0
 
     return Errand((follow, sweep), taken, refuse)
 
 
-def follow(sweep: "xr.Dataset") -> Branches:
+def follow(sweep: "xr.Dataset") -> Drawn:
     """The branches through the periodic cells of a sweep, and those that begin on them."""
     from atlas.branches.sweep import tree_through
-    from atlas.branches.table import Branches as Table
+    from atlas.branches.table import Branches
 
-    table = Table.of(tree_through([sweep]))
-    stretches, events = [], []
-    for branch in table.traced:
-        places = {id(point): k for k, point in enumerate(branch.run.points)}
-        for twin, gap in enumerate(table.gap_values(branch)):
-            for stable, part in branch.parts:
-                stretches += [(stable, branch.values[part], values) for values in gap[part].T]
-            if not twin:
-                at = [(event.kind, places[id(event.point)]) for event in branch.run.events]
-                events += [(kind, float(branch.values[k]), float(value)) for kind, k in at for value in gap[k]]
-    return Branches(tuple(stretches), tuple(events))
+    return Drawn.of(Branches.of(tree_through([sweep])))
 
 
 def sweep_of(line: Line, cells: Cells) -> "xr.Dataset":

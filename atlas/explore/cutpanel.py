@@ -13,7 +13,6 @@ from bokeh.models import (
     CustomJS,
     Div,
     FreehandDrawTool,
-    HoverTool,
     PanTool,
     Range1d,
     Span,
@@ -22,8 +21,10 @@ from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.background import Background
+from atlas.explore.branches import Drawn
+from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Cut
-from atlas.explore.cut import Branches, Cells, Line, branch_job, cut_job, exponents, section, sweep_of
+from atlas.explore.cut import Cells, Line, branch_job, cut_job, exponents, section, sweep_of
 from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Errand
 from atlas.explore.plot import quiet_axis
@@ -31,8 +32,6 @@ from atlas.explore.state import State, Store
 from atlas.explore.style import CUT, TEXT
 from atlas.explore.words import symbol_of, ticks
 from atlas.text import plural
-
-STABLE, UNSTABLE = "#004488", "#bb5566"
 
 LINK = """
 const [x0, x1] = line.data.xs[0] ? [line.data.xs[0][0], line.data.xs[0].at(-1)] : [NaN, NaN]
@@ -70,8 +69,6 @@ class CutPanel:
         self._sources = {
             "section": ColumnDataSource({"x": [], "gap": []}),
             "exponents": ColumnDataSource({"x": [], "largest": [], "low": [], "high": []}),
-            "branches": ColumnDataSource({"xs": [], "ys": [], "color": [], "dash": []}),
-            "events": ColumnDataSource({"x": [], "gap": [], "kind": []}),
         }
         self._over_plane()
         subject, scale = explorer.subject, "linear"
@@ -119,8 +116,7 @@ class CutPanel:
         x0, y0, x1, y1 = chosen.cut
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
         self._cells = None
-        for name in ("branches", "events"):
-            self._sources[name].data = {key: [] for key in self._sources[name].data}
+        self._branches.show(None)
         low, high = sorted((chosen.cut[line.along], chosen.cut[2 + line.along]))
         self._along.data = {"along": [line.along]}
         self._section.x_range.update(start=low, end=high)
@@ -162,17 +158,10 @@ class CutPanel:
         if line == self._shown:
             self._says.text, self._follow.disabled = html.escape(says), False
 
-    def _take_branches(self, line: Line, found: Branches) -> None:
+    def _take_branches(self, line: Line, found: Drawn) -> None:
         if line != self._shown:
             return
-        self._sources["branches"].data = {
-            "xs": [x for _, x, _ in found.stretches],
-            "ys": [y for *_, y in found.stretches],
-            "color": [STABLE if stable else UNSTABLE for stable, *_ in found.stretches],
-            "dash": ["solid" if stable else "dashed" for stable, *_ in found.stretches],
-        }
-        kinds, x, gap = zip(*found.events, strict=True) if found.events else ((), (), ())
-        self._sources["events"].data = {"x": list(x), "gap": list(gap), "kind": [k.replace("_", " ") for k in kinds]}
+        self._branches.show(found)
         counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
         self._ended(line, f"branches: {counts}; point at an event to read it")
 
@@ -207,14 +196,7 @@ class CutPanel:
         """What the diagrams consist of."""
         of, sources = self._section, self._sources
         of.scatter(x="x", y="gap", source=sources["section"], size=1.8, color="#1a2433", line_color=None)
-        for dash in ("solid", "dashed"):
-            of.multi_line(
-                xs="xs", ys="ys", source=sources["branches"], line_color="color", line_width=1.6, line_dash=dash,
-                view=_only(dash),
-            )  # fmt: skip
-        marks = of.scatter(x="x", y="gap", source=sources["events"], size=7, marker="diamond", color="#000000")
-        tip = HoverTool(renderers=[marks], tooltips=[("", "@kind"), ("at", "@x{0.00000000}")])
-        of.add_tools(tip)
+        self._branches = BranchLines(of)
         below = self._exponents
         below.add_layout(Span(location=0.0, dimension="width", line_color="#9aa4b0"))
         below.varea(x="x", y1="low", y2="high", source=sources["exponents"], fill_alpha=0.25, fill_color="#004488")
@@ -243,10 +225,3 @@ class CutPanel:
         formatter: Any = axis.formatter
         formatter.args = {"base": found.base, "unit": found.unit, "decimals": found.decimals}
         axis.axis_label = found.label if line.level else f"{found.label}, {symbol_of(system, other)} along the cut"
-
-
-def _only(dash: str) -> Any:
-    """The part of a source that is drawn with these dashes."""
-    from bokeh.models import CDSView, GroupFilter
-
-    return CDSView(filter=GroupFilter(column_name="dash", group=dash))

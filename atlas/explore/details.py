@@ -8,6 +8,7 @@ from typing import Any
 from bokeh.events import MouseMove, Tap
 from bokeh.layouts import row
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, TextInput
+from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
@@ -16,8 +17,10 @@ from atlas.explore.background import Background, Show
 from atlas.explore.basins import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
+from atlas.explore.followpanel import FollowPanel
 from atlas.explore.known import Cell
-from atlas.explore.motion import Motion, MotionPanel, motion_of, motions
+from atlas.explore.motion import Motion, motion_of, motions
+from atlas.explore.motionpanel import MotionPanel
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Plane
@@ -46,6 +49,7 @@ class Details:
 
     sight   gives the view that the page shows
     mark    where the page marks the cell clicked, x and y
+    plane   the plot of the page
     """
 
     def __init__(
@@ -55,6 +59,7 @@ class Details:
         store: Store,
         sight: Callable[[], Sight | None],
         mark: ColumnDataSource,
+        plane: figure,
     ) -> None:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
         self._background, self._sight, self._mark = background, sight, mark
@@ -67,6 +72,7 @@ class Details:
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
         self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
+        self._follow = FollowPanel(explorer, background, store, plane)
         self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
         self._copy = Button(label="copy", visible=False, width=70, align="end")
@@ -78,12 +84,13 @@ class Details:
         """What it consists of, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
         found = [self._attractors, self._motion.panel, self._basins.panel, self._portrait]
-        return [self._pointed, self._clicked, line, *found, self._numbers, self._copy_all]
+        return [self._pointed, self._clicked, line, self._follow.panel, *found, self._numbers, self._copy_all]
 
     def close(self) -> None:
         """Want nothing more."""
         self._explorer.forget(self)
         self._basins.close()
+        self._follow.close()
 
     def refused(self) -> None:
         """Go on after something could not be done."""
@@ -112,12 +119,14 @@ class Details:
         data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
         if data != self._mark.data:
             self._mark.data = data
+        self._follow.show(chosen)
         if cell is not None and at and cell != self._detailed and self._sight() is not None:
             self._detailed = cell
             self._clicks += 1
             self._clicked.text = f"{CLICKED}solving it"
             self._motion.clear()
             self._basins.clear()
+            self._follow.offer(None)
             self._background.run(partial(self._detail, cell, self._clicks))
 
     def _look_up(self) -> None:
@@ -178,6 +187,7 @@ class Details:
         self._copy_all.tags = [cell_text(cell)]
         self._portrait.text = drawn
         self._basins.offer(cell)
+        self._follow.offer(cell)
 
     def _answer(self, parameters: Mapping[str, float], click: int, found: Attractors | None) -> None:
         """Show attractors, or that they are sought."""

@@ -1,4 +1,4 @@
-"""The keyboard: arrows move the view, + and - zoom it, Esc takes away the cut or what is enlarged."""
+"""The keyboard: arrows move the view, + and - zoom it, Esc ends a followed orbit, the cut or what is enlarged."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,8 @@ HEAR = """
 const moves = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}
 window.addEventListener("keydown", (event) => {
     const at = event.composedPath()[0]
-    if (event.ctrlKey || event.metaKey || event.altKey || at.closest?.("input, select, textarea, [role=slider]")) return
+    const own = event.key === "Escape" ? "input, select, textarea" : "input, select, textarea, [role=slider]"
+    if (event.ctrlKey || event.metaKey || event.altKey || at.closest?.(own)) return
     if (event.key === "Escape") {
         const find = (node) => [...node.querySelectorAll("*")].flatMap(
             (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])])

@@ -50,7 +50,19 @@ class Store:
                 listener(old, self.now)
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
-        """Change fields of what is chosen; what was said against the last choice no longer holds."""
+        """Change fields of what is chosen; what was said against the last choice no longer holds.
+
+        An orbit is followed until another cell is chosen.
+        """
         chosen = replace(self.now.chosen, **fields)
+        if chosen.cell != self.now.chosen.cell and "follow" not in fields:
+            chosen = replace(chosen, follow=None)
         if chosen != self.now.chosen:
             self.set(chosen=chosen, rests=rests, trouble="")
+
+    def escape(self) -> None:
+        """Follow an orbit no further, or else close the cut."""
+        if self.now.chosen.follow is None:
+            self.choose(cut=None)
+        else:
+            self.choose(follow=None)

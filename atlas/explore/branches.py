@@ -1,0 +1,310 @@
+"""Branches as they are drawn; and the branch of a cell's orbit, orbit by orbit, with the events next to each."""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.branches.branch import tree_from
+from atlas.branches.seed import seed_of_point
+from atlas.branches.table import Branches, modulus, orbit_name, pattern
+from atlas.errors import InputError
+from atlas.explore.chosen import Chosen, Follow, Range
+from atlas.explore.chosen import Point as Where
+from atlas.explore.motion import POINTS, Motion, motion_through
+from atlas.explore.patches import Errand
+from atlas.explore.subject import Subject, slider_range
+from atlas.explore.words import number
+from atlas.task.compile import ORBITS, compile_once, kernels_for
+from workers import Settings
+from workers.model.system import System
+
+if TYPE_CHECKING:
+    from atlas.branches.tree import Branch, Tree
+    from workers.continuation import Family, Point
+
+Array = NDArray[np.float64]
+
+SAMPLES = 200
+"""Even steps of a drawn orbit per forcing period, at most."""
+BESIDE = 1e-9
+"""Share of the forcing period before an event at which the motion before it is drawn."""
+ENDS = {
+    "budget": "most points", "stalled": "no further point found", "inadmissible": "orbit ceases",
+    "shorter_orbit": "shorter orbit",
+}  # fmt: skip
+"""How a branch ends where it does at no event and not at an end of its range."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Branches by the gap coordinate: stretches (stable or not, parameter, gap), and events (kind, parameter, gap)."""
+
+    stretches: tuple[tuple[bool, Array, Array], ...]
+    events: tuple[tuple[str, float, float], ...]
+
+    @classmethod
+    def of(cls, table: Branches) -> "Drawn":
+        """All branches of a table, with their mirror images; of these the events are not marked."""
+        stretches, events = [], []
+        for branch in table.traced:
+            for twin, gap in enumerate(table.gap_values(branch)):
+                for stable, part in branch.parts:
+                    stretches += [(stable, branch.values[part], values) for values in gap[part].T]
+                if not twin:
+                    for k, event in zip(branch.places, branch.run.events, strict=True):
+                        events += [(event.kind, float(branch.values[k]), float(value)) for value in gap[k]]
+        return cls(tuple(stretches), tuple(events))
+
+
+class Mark(NamedTuple):
+    """An event of a branch, or its end: the number of its point, its kind in words, and the parameter there."""
+
+    place: int
+    kind: str
+    value: float
+
+
+class Here(NamedTuple):
+    """An orbit of a branch: its point, which is that of this number, or lies between it and the next; and the kind in
+    words of the event that it is, else empty.
+    """
+
+    place: int
+    value: float
+    point: "Point"
+    kind: str = ""
+
+    @property
+    def name(self) -> str:
+        """The orbit as n-p-q."""
+        return orbit_name(*pattern(self.point.orbit.itinerary))
+
+    @property
+    def multiplier(self) -> float:
+        """The largest modulus of the multipliers of the orbit."""
+        return modulus(self.point, self.point.orbit.itinerary.periods)
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The branch of an orbit, which a table has alone, and the number of the point that is the cell's own orbit."""
+
+    table: Branches
+    own: int
+
+    @property
+    def branch(self) -> "Branch":
+        """The branch."""
+        return self.table.traced[0]
+
+    @cached_property
+    def values(self) -> list[float]:
+        """The parameter at each point."""
+        found: list[float] = self.branch.values.tolist()
+        return found
+
+    @cached_property
+    def events(self) -> list[Mark]:
+        """Its events, in order."""
+        found = zip(self.branch.places, self.branch.run.events, strict=True)
+        return [Mark(k, event.kind.replace("_", " "), self.values[k]) for k, event in found]
+
+    @cached_property
+    def _family(self) -> "Family":
+        from workers.continuation import family_of
+
+        return family_of(self.table.system, self._all(self.values[self.own]), (self.table.along,))
+
+    def _all(self, value: float) -> dict[str, float]:
+        return {**self.table.parameters, self.table.along: value}
+
+    def here(self, place: int, value: float) -> Here:
+        """The orbit of a point; or at a value between it and the next, by Newton's method where that finds one."""
+        from workers.continuation import Point
+        from workers.continuation.equations import motion_of
+        from workers.continuation.itinerary import many_orbits
+        from workers.continuation.stability import multipliers
+
+        place = min(max(place, 0), len(self.values) - 1)
+        shares = [share for k, share in self.branch.passes(value) if k == place and 0.0 < share < 1.0]
+        with suppress(ValueError):
+            for share in shares:
+                orbit, at = self.branch.orbit_after(self._family, place, share, value), np.array([value])
+                each = multipliers(motion_of(self._family.model(at[None]), many_orbits([orbit])))[0]
+                point = Point(at, orbit, np.zeros(0), each, int(np.sum(np.abs(each) > 1.0)))
+                return Here(place, value, point)
+        kind = next((mark.kind for mark in self.events if mark.place == place), "")
+        return Here(place, self.values[place], self.branch.run.points[place], kind)
+
+    def passing(self, value: float, here: Here) -> int | None:
+        """The number of the point at which, or after which, the branch has a value, nearest along it; else None."""
+        passes = [(abs(k + share - here.place), k + int(share == 1.0)) for k, share in self.branch.passes(value)]
+        return min(passes)[1] if passes else None
+
+    def beside(self, here: Here) -> tuple[Mark | None, Mark | None]:
+        """The events next to an orbit of the branch before and after it, or where the branch ends; None where that is
+        an end of the range.
+        """
+        last, ends = len(self.values) - 1, self.branch.run.ends
+        marks = [Mark(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS]
+        marks = sorted({mark.place: mark for mark in (*marks, *self.events)}.values())
+        place = here.place if here.value == self.values[here.place] else here.place + 0.5
+        before = [mark for mark in marks if mark.place < place]
+        after = [mark for mark in marks if mark.place > place]
+        if "closed" in ends:
+            before, after = before or after, after or before[:1]
+        return (before[-1] if before else None), (after[0] if after else None)
+
+    def motion(self, here: Here) -> Motion:
+        """The motion of an orbit over all its periods, in closed form from event to event, so that unstable ones close.
+
+        Its even steps begin at the sections t = k T.
+        """
+        orbit = here.point.orbit
+        machine, periods = self._family.model(np.array([[here.value]])), orbit.itinerary.periods
+        count, turn = min(SAMPLES, POINTS // periods), float(orbit.itinerary.span(machine)[0])
+        period = turn * (1 + orbit.itinerary.symmetric) / periods
+        events = np.concatenate([orbit.times + k * turn for k in range(1 + orbit.itinerary.symmetric)])
+        events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may leave the turn
+        times = np.concatenate([np.arange(periods * count + 1) / count * period, events])
+        order = np.argsort(times, kind="stable")
+        states = self._states(here, machine, times[order])
+        return motion_through(self.table.system.build(self._all(here.value)), states, order < periods * count, count)
+
+    def _states(self, here: Here, machine: Any, times: Array) -> Array:
+        """The physical states (N, 2n) of an orbit at times (N,) after a section."""
+        from workers.continuation.equations import motion_of
+        from workers.continuation.itinerary import many_orbits
+        from workers.kernel.cells import physical_states
+        from workers.kernel.motion import motions_at
+        from workers.model.oscillator import taken
+
+        h: Array = motion_of(machine, many_orbits([here.point.orbit])).at(times[None])[0][0]
+        if self.table.system.has_modes:
+            return h
+        oscillators, _ = self.table.system.build_many({n: np.array([v]) for n, v in self._all(here.value).items()})
+        there, rows = taken(oscillators, np.zeros(len(times), dtype=np.int64)), np.arange(len(times))
+        there = there._replace(tau=there.tau + 2.0 * np.pi * times / oscillators.period[0])
+        found: Array = physical_states(there, motions_at(np.ascontiguousarray(h)), rows)
+        return found
+
+
+class Arrow(NamedTuple):
+    """From an orbit to an event over the plane, as far as the view reaches, and what it says."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    text: str
+
+
+def distance(mark: Mark, here: Here) -> str:
+    """How far an event lies along the parameter, with its sign, in up to five digits."""
+    away = mark.value - here.value
+    return f"{'+' if away > 0 else ''}{number(away, 5)}"
+
+
+def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen, cell: Where) -> list[Arrow]:
+    """From an orbit that is followed from a cell to the events beside it; none along a parameter that is no axis."""
+    if found.table.along not in subject.axes:
+        return []
+    (_, x, y), across = cell, found.table.along == subject.axes[0]
+    low, high = chosen.x if across else chosen.y
+    made = []
+    for mark in filter(None, found.beside(here)):
+        begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
+        if begin != end:
+            text = f"{mark.kind} {distance(mark, here)}"
+            made.append(Arrow(begin, y, end, y, text) if across else Arrow(x, begin, x, end, text))
+    return made
+
+
+def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> Follow:
+    """A cell's own orbit, to be followed in smaller steps over what is in view of an axis, or over another's slider."""
+    value, parameter = cell_values(subject, cell)[along], subject.system.parameter(along)
+    limits = slider_range(parameter, value)
+    seen = dict(zip(subject.axes, (chosen.x, chosen.y), strict=True)).get(along, limits)
+    low, high = (end if parameter.admits(end) else limit for end, limit in zip(seen, limits, strict=True))
+    return Follow(along, min(low, value), max(high, value), 0, value)
+
+
+def cell_values(subject: Subject, cell: Where) -> dict[str, float]:
+    """All parameters of a cell."""
+    plane, *at = cell
+    return dict(plane.parameters) | dict(zip(subject.axes, at, strict=True))
+
+
+def follow_job(
+    subject: Subject, cell: Where, follow: Follow, take: Callable[[Followed], None], refuse: Callable[[str], None]
+) -> Errand:
+    """The branch of a cell's orbit to be found."""
+
+    def taken(found: Followed) -> int:
+        found.motion(found.here(found.own, follow.value))  # loads the kernels here, not in the page's thread
+        take(found)
+        return 0
+
+    axes, part = dict(zip(subject.axes, subject.spec.axes, strict=False)), (follow.low, follow.high)
+    ends = (*part, *(axes[follow.along].values if follow.along in axes else ()))
+    windows = (min(ends), max(ends)), part
+    asked = subject.system, cell_values(subject, cell), subject.spec.settings, follow.along, windows
+    return Errand((follow_orbit, asked), taken, refuse)
+
+
+def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> Followed:
+    """The branch of the orbit of a cell along a parameter over a window, in smaller steps over a part of that.
+
+    InputError, in one line, where there is none.
+    """
+    from workers.continuation import section_state
+
+    system, values, settings, along, windows = asked
+    compile_once(*kernels_for(system, ORBITS))
+    seed = seed_of_point(values, system, settings)
+    value, state = seed.values[along], section_state(system, seed.values, seed.orbit)
+
+    def traced(window: Range) -> "tuple[Tree, int]":
+        tree = tree_from(seed, along, window)
+        (branch,) = tree.branches
+        near = np.argsort(np.abs(branch.values - value), kind="stable").tolist()
+        return tree, next(k for k in near if tree.is_orbit(state, branch.run.points[k]))
+
+    tree, own = traced(windows[0])
+    if windows[1] != windows[0]:
+        part, place = traced(windows[1])
+        tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
+    if np.ptp(tree.branches[0].values) == 0.0:
+        raise InputError(f"the branch of this orbit along {along} has one point alone, at {value:g}")
+    return Followed(Branches.of(tree), own)
+
+
+def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":
+    """A branch with a part of it around a point in smaller steps, and the number of that point now."""
+    if "closed" in whole.run.ends + part.run.ends:
+        return (part, place) if "closed" in part.run.ends else (whole, own)
+    outside, last = np.flatnonzero((whole.values < window[0]) | (whole.values > window[1])), len(whole.values)
+    before, after = outside[outside < own], outside[outside > own]
+    # Where the part ends within its window, so does the branch.
+    first = int(before[-1]) + 1 if before.size and part.run.ends[0] == "edge" else 0
+    second = int(after[0]) if after.size and part.run.ends[1] == "edge" else last
+    pieces = (whole, slice(first)), (part, slice(None)), (whole, slice(second, None))
+    run = part.run._replace(
+        points=[point for branch, piece in pieces for point in branch.run.points[piece]],
+        events=[
+            *(event for k, event in zip(whole.places, whole.run.events, strict=True) if k < first),
+            *part.run.events,
+            *(event for k, event in zip(whole.places, whole.run.events, strict=True) if k >= second),
+        ],
+        ends=(whole.run.ends[0] if first else part.run.ends[0], (whole if second < last else part).run.ends[1]),
+    )
+    sections = np.concatenate([branch.sections[piece] for branch, piece in pieces])
+    mirrored = [branch.mirrored[piece] for branch, piece in pieces if branch.mirrored is not None]
+    return replace(
+        part, run=run, sections=sections, mirrored=np.concatenate(mirrored) if mirrored else None
+    ), first + place

@@ -1,0 +1,257 @@
+"""The orbit of the cell clicked, followed along a parameter: its slider, its motion, its marks over the plane."""
+
+import html
+from functools import partial
+from typing import Any
+
+from bokeh.layouts import column, row
+from bokeh.models import Arrow, Button, ColumnDataSource, Div, NormalHead, NumericInput, Select, Slider, Span
+from bokeh.plotting import figure
+
+from atlas.explore.background import Background
+from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, cell_values, distance, follow_job
+from atlas.explore.branchlines import BranchLines
+from atlas.explore.chosen import Chosen, Follow, Point, followable
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Cell
+from atlas.explore.motionpanel import MotionPanel
+from atlas.explore.plot import quiet_axis
+from atlas.explore.state import Store
+from atlas.explore.style import TEXT
+from atlas.explore.words import number, symbol_of
+from atlas.text import plural
+
+FOLLOWABLE = "periodic", "no_impact"
+"""Regimes of cells that have an orbit to follow."""
+BOUND = 1e9
+"""A larger multiplier is that of an impact without speed, whose own is infinite but for rounding."""
+INK = "#aa3377"
+"""The colour of what belongs to the orbit that is followed."""
+
+
+class FollowPanel:
+    """What starts and ends following, and what is shown meanwhile."""
+
+    def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
+        self._explorer, self._subject, self._store = explorer, explorer.subject, store
+        self._found, self._refused = background.later(self._take), background.later(self._refuse)
+        self._asked: tuple[Point, tuple[str, float, float]] | None = None
+        self._shown: _Shown | None = None
+        system = explorer.subject.system
+        options = [
+            (name, f"{symbol_of(system, name)} {system.parameter(name).meaning.split(':')[0]}")
+            for name in followable(explorer.subject)
+        ]
+        self._along = Select(title="its orbit along", options=options, value=options[0][0], sizing_mode="stretch_width")
+        self._button = Button(label="follow", width=110, align="end")
+        self._button.on_click(self._press)
+        self._along.on_change("value", lambda _, old, new: self._label())
+        self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width", visible=False)
+        self._body = column(sizing_mode="stretch_width")
+        head = row(self._along, self._button, sizing_mode="stretch_width")
+        self.panel = column(head, self._says, self._body, sizing_mode="stretch_width", visible=False)
+        self._marker = ColumnDataSource({"follow_x": [], "follow_y": []})
+        self._arrows = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._over_plane(plane)
+
+    def offer(self, cell: Cell | None) -> None:
+        """Offer to follow the orbit of a cell where it has one."""
+        there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
+        self.panel.visible = there_is_one or self._asked is not None
+
+    def close(self) -> None:
+        """Want nothing more."""
+        self._explorer.patches.want(self, ())
+
+    def show(self, chosen: Chosen) -> None:
+        """Follow what is chosen, and show where it is."""
+        follow, cell = chosen.follow, chosen.cell
+        asked = None if follow is None or cell is None else (cell, follow[:3])
+        if asked != self._asked:
+            self._asked = asked
+            self._end()
+            if follow is not None and cell is not None:
+                self.panel.visible, self._along.value = True, follow.along
+                self._says.text = (
+                    f"following its branch along {html.escape(symbol_of(self._subject.system, follow.along))}"
+                )
+                take, refuse = partial(self._found, asked), partial(self._refused, asked)
+                self._explorer.patches.want(self, [follow_job(self._subject, cell, follow, take, refuse)])
+            self._label()
+        if self._shown is not None and follow is not None and cell is not None:
+            self._mark(chosen, cell, self._shown.found, self._shown.move(follow))
+
+    def _follows(self) -> bool:
+        """Whether the orbit is followed along the parameter in the menu."""
+        follow = self._store.now.chosen.follow
+        return follow is not None and follow.along == self._along.value
+
+    def _label(self) -> None:
+        self._button.label = "end following" if self._follows() else "follow"
+
+    def _press(self) -> None:
+        chosen = self._store.now.chosen
+        if self._follows():
+            self._store.choose(follow=None)
+        elif chosen.cell is not None:
+            self._store.choose(follow=beginning(self._subject, chosen, chosen.cell, str(self._along.value)))
+
+    def _take(self, asked: object, found: Followed) -> None:
+        if asked == self._asked:
+            self._say("")
+            self._shown = _Shown(self._explorer, self._store, found)
+            self._body.children = self._shown.parts
+            self.show(self._store.now.chosen)
+
+    def _refuse(self, asked: object, why: str) -> None:
+        if asked == self._asked:
+            self._store.choose(follow=None)
+            self._say(why)
+
+    def _say(self, text: str) -> None:
+        self._says.update(text=html.escape(text), visible=bool(text))
+
+    def _end(self) -> None:
+        """Show no branch, and want none."""
+        self.close()
+        if self._shown is not None:
+            self._shown.motion.clear()
+        self._shown, self._body.children = None, []
+        self._say("")
+        self._marker.data = {name: [] for name in self._marker.data}
+        self._arrows.data = {name: [] for name in _COLUMNS}
+
+    def _over_plane(self, plane: figure) -> None:
+        """The orbit's marker over the plane, and its arrows to the next events."""
+        ends: dict[str, Any] = {"x_start": "x0", "y_start": "y0", "x_end": "x1", "y_end": "y1"}
+        for color, width, size in (("white", 5.0, 12), (INK, 2.0, 9)):
+            head = NormalHead(size=size, line_color=color, fill_color=color)
+            plane.add_layout(Arrow(end=head, source=self._arrows, line_color=color, line_width=width, **ends))
+        at: dict[str, Any] = {"x": "follow_x", "y": "follow_y", "source": self._marker, "level": "overlay"}
+        plane.scatter(marker="diamond", size=18, fill_color=INK, line_color="white", line_width=1.5, **at)
+        at = {"x": "x1", "y": "y1", "text": "text", "source": self._arrows, "level": "overlay"}
+        at |= {"text_align": "align", "text_baseline": "baseline", "x_offset": "right", "y_offset": "down"}
+        look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
+        plane.text(background_fill_alpha=0.85, **at, **look)
+
+    def _mark(self, chosen: Chosen, cell: Point, found: Followed, here: Here) -> None:
+        """Mark an orbit over the plane where it lies in that."""
+        values = cell_values(self._subject, cell) | {found.table.along: here.value}
+        inside = all(values[name] == value for name, value in chosen.plane.parameters)
+        names = zip(self._marker.data, self._subject.axes, strict=True)
+        marker = {name: [values[axis]] if inside else [] for name, axis in names}
+        drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        for k, arrow in enumerate(arrows(found, here, self._subject, chosen, cell) if inside else ()):
+            ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
+            # Labels begin at the ends of the arrows and run inwards, on either side of their line: both may end alike.
+            if arrow.y0 == arrow.y1:
+                looks = ("right" if ahead else "left", ("bottom", "top")[k], 0, (-6, 6)[k])
+            else:
+                looks = (("left", "right")[k], "top" if ahead else "bottom", (8, -8)[k], 0)
+            for name, value in zip(_COLUMNS, (*arrow, *looks), strict=True):
+                drawn[name].append(value)
+        for source, data in ((self._marker, marker), (self._arrows, drawn)):
+            if source.data != data:
+                source.data = data
+
+
+_COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down")
+
+
+class _Shown:
+    """The widgets of a branch that is followed: they show where on it the state is, and change that."""
+
+    def __init__(self, explorer: Explorer, store: Store, found: Followed) -> None:
+        self.found, self._subject, self._store = found, explorer.subject, store
+        self._symbol = symbol_of(self._subject.system, found.table.along)
+        self._at: Follow | None = None
+        self._here = found.here(found.own, found.values[found.own])
+        wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
+        last = len(found.values) - 1
+        self._slider = Slider(
+            title="along the branch", start=0, end=last, value=found.own, step=1, show_value=False, bar_color=INK,
+            **wide,
+        )  # fmt: skip
+        self._typed = NumericInput(
+            title=self._symbol, value=self._here.value, mode="float", width=110, format="0[.]000000"
+        )
+        self._slider.on_change("value", self._slide)
+        self._typed.on_change("value", self._type)
+        self._text = Div(stylesheets=[TEXT], **wide)
+        diagram = figure(
+            height=170, x_range=found.table.window, y_axis_label="gap at t = kT", toolbar_location=None, tools="",
+            min_border_left=58, **wide,
+        )  # fmt: skip
+        BranchLines(diagram).show(Drawn.of(found.table))
+        self._span = Span(location=self._here.value, dimension="height", line_color=INK)
+        diagram.add_layout(self._span)
+        self._points = ColumnDataSource({"branch_x": [], "branch_gap": []})
+        diagram.scatter(x="branch_x", y="branch_gap", source=self._points, size=9, color=INK, line_color="white")
+        diagram.grid.visible = False
+        for axis in (diagram.xaxis[0], diagram.yaxis[0]):
+            quiet_axis(axis)
+        diagram.xaxis[0].axis_label = self._symbol
+        self.motion = MotionPanel(self._subject)
+        self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]
+
+    def move(self, follow: Follow) -> Here:
+        """Show the orbit that is chosen, and return it."""
+        if follow == self._at:
+            return self._here
+        self._at = follow
+        self._here = here = self.found.here(self.found.own + follow.step, follow.value)
+        self._slider.value, self._typed.value, self._span.location = here.place, here.value, here.value
+        self._text.text = self._told()
+        motion = self.found.motion(here)
+        gap = motion.moving[0][:: int(motion.per_period)]
+        self._points.data = {"branch_x": [here.value] * gap.size, "branch_gap": gap}
+        self.motion.portray({0: motion})
+        self.motion.show(motion)
+        return here
+
+    def _go(self, place: int, value: float) -> None:
+        now = self._store.now.chosen.follow
+        if now is not None:
+            self._store.choose(follow=now._replace(step=place - self.found.own, value=value))
+
+    def _slide(self, attribute: str, old: Any, new: Any) -> None:
+        """Go to the point of the slider."""
+        if int(new) != self._here.place:
+            self._go(int(new), self.found.values[int(new)])
+
+    def _type(self, attribute: str, old: Any, new: Any) -> None:
+        """Go to where the branch has a value that was typed, nearest along it."""
+        if new == self._here.value:
+            return
+        place = None if new is None else self.found.passing(float(new), self._here)
+        if place is not None:
+            self._go(place, float(new))
+            return
+        if new is not None:
+            low, high = number(min(self.found.values)), number(max(self.found.values))
+            said = html.escape(f"the branch has {self._symbol} from {low} to {high} alone, found {number(float(new))}")
+            self._text.text = f'<span class="trouble">{said}</span>{self._told()}'
+        self._typed.value = self._here.value
+
+    def _told(self) -> str:
+        """What the page says of the orbit, as HTML."""
+        here, found = self._here, self.found
+        outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
+        stability = outside if here.point.unstable else "stable"
+        largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
+        period = plural(here.point.orbit.itinerary.periods, "forcing period")
+        rows = [
+            (self._symbol, number(here.value, 8)), ("period", period),
+            ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),
+            ("largest multiplier", largest),
+        ]  # fmt: skip
+        for mark, side, end in zip(found.beside(here), ("◄", "►"), (0, -1), strict=True):
+            text = f"none up to {number(found.values[end])}, where the range ends"
+            if mark is not None:
+                text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"
+            rows.append((f"{side} next event", text))
+        folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in found.events if mark.kind == "fold"]
+        rows += [("turns back at", ", ".join(folds))] if folds else []
+        place = f"point {here.place + 1} of {len(found.values)}"
+        body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, each)) for each in rows)
+        return f"<table><caption>orbit followed, {place}</caption>{body}</table>"

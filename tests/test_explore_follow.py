@@ -1,0 +1,299 @@
+"""The orbit of a cell, followed along a parameter: its branch, the events next to it, its motion, its address."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+from urllib.parse import parse_qs
+
+import numpy as np
+import pytest
+from bokeh.plotting import figure
+
+import atlas
+from atlas.errors import InputError
+from atlas.explore.branches import Followed, Here, arrows, beginning, distance, follow_job, follow_orbit
+from atlas.explore.chosen import Chosen, Follow, Point, followable, from_address, to_address
+from atlas.explore.followpanel import FollowPanel
+from atlas.explore.state import State, Store
+from atlas.explore.subject import Subject, subject_of
+
+CELL = {"omega": 1.75, "b": 0.125}
+"""Its orbit of period 1 breaks its symmetry at 1.60, turns back at a fold at 1.758, and loses an impact at 1.27."""
+WINDOW = (1.2, 2.0)
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    return subject_of("omega-b")
+
+
+def at_cell(subject: Subject, cell: dict[str, float] = CELL, **fields: Any) -> Chosen:
+    """The cell chosen in a view around it."""
+    chosen = Chosen((1.2, 2.0), (0.05, 0.3), subject.plane, "period", cell=(subject.plane, cell["omega"], cell["b"]))
+    return replace(chosen, **fields)
+
+
+def cell_of(subject: Subject) -> Point:
+    """The cell by itself."""
+    return subject.plane, CELL["omega"], CELL["b"]
+
+
+def followed(subject: Subject, chosen: Chosen, along: str) -> Followed:
+    """The branch of the cell that is chosen, found here."""
+    came: list[Followed] = []
+    assert chosen.cell is not None
+    follow = beginning(subject, chosen, chosen.cell, along)
+    job = follow_job(subject, chosen.cell, follow, came.append, pytest.fail)
+    task = job.make()
+    assert task is not None
+    job.solved(task[1], task[0](task[1]))
+    return came[0]
+
+
+@pytest.fixture(scope="module")
+def found(subject: Subject) -> Followed:
+    return followed(subject, at_cell(subject), "omega")
+
+
+@pytest.fixture(scope="module")
+def own(found: Followed) -> Here:
+    return found.here(found.own, CELL["omega"])
+
+
+@pytest.fixture(scope="module")
+def alone(subject: Subject) -> Any:
+    """The branch by the public function."""
+    return atlas.branch(CELL, along="omega", window=WINDOW, settings=subject.spec.settings)
+
+
+def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
+    own: Here, found: Followed, alone: Any
+) -> None:
+    events = alone.events.set_index("kind")["omega"]
+    before, after = found.beside(own)
+    assert before is not None and (before.kind, before.value) == ("symmetry breaking", events["symmetry_breaking"])
+    assert after is not None and (after.kind, after.value) == ("fold", events["fold"])
+    assert float(distance(after, own)) == pytest.approx(events["fold"] - CELL["omega"], rel=1e-4)
+    assert distance(before, own).startswith("−0.148") and distance(after, own).startswith("+0.008")
+
+
+def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: Followed, alone: Any) -> None:
+    """In the order of the branch the parameter falls after the fold, and the impact is lost on the way down."""
+    fold = next(mark for mark in found.events if mark.kind == "fold")
+    here = found.here(fold.place + 3, found.values[fold.place + 3])
+    before, after = found.beside(here)
+    assert before == fold and after is not None and after.kind == "impact lost"
+    assert after.value < here.value < fold.value
+    assert here.point.unstable == 1
+
+
+def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(found: Followed, subject: Subject) -> None:
+    """The view ends between the symmetry breaking at 1.60 and the fold at 1.758, which the branch passes twice."""
+    near = followed(subject, at_cell(subject, x=(1.74, 1.79)), "omega")
+    assert near.values[near.own] == CELL["omega"]
+    seen = [1.74 <= value <= 1.79 for value in near.values]
+    assert sum(seen) > 50 > sum(1.74 <= value <= 1.79 for value in found.values)
+    assert seen[near.own] and not seen[0] and not seen[-1]
+    assert [mark.kind for mark in near.events] == [mark.kind for mark in found.events]
+    assert [mark.value for mark in near.events] == pytest.approx([mark.value for mark in found.events], abs=1e-9)
+    steps = np.abs(np.diff(next(near.table.gap_values(near.branch))[:, 0]))
+    assert steps.max() < 0.004  # no jump where the parts meet
+
+
+def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found: Followed) -> None:
+    fold = next(mark for mark in found.events if mark.kind == "fold")
+    here = found.here(fold.place, fold.value)
+    before, after = found.beside(here)
+    assert here.kind == "fold" and here.multiplier == pytest.approx(1.0, abs=1e-6)
+    assert before is not None and after is not None and fold not in (before, after)
+
+
+def test_a_closed_branch_has_the_events_beside_it_all_around(found: Followed) -> None:
+    branch = found.branch
+    run = branch.run._replace(ends=("closed", "closed"))
+    ring = Followed(replace(found.table, traced=(replace(branch, run=run),)), found.own)
+    assert ring.beside(ring.here(0, ring.values[0]))[0] == ring.events[-1]
+
+
+def test_the_cells_own_orbit_is_a_point_of_the_branch(own: Here, found: Followed, subject: Subject) -> None:
+    cell = atlas.point(CELL, settings=subject.spec.settings)
+    assert own.value == CELL["omega"] and own.name == "1-2-2 symmetric"
+    motion = found.motion(own)
+    assert motion.moving[0][0] == pytest.approx(cell["state"][0], abs=1e-9)
+
+
+def test_a_value_that_is_typed_is_solved_exactly(found: Followed, own: Here, subject: Subject) -> None:
+    value = 1.7312345
+    place = found.passing(value, own)
+    assert place is not None
+    here, cell = found.here(place, value), atlas.point({**CELL, "omega": value}, settings=subject.spec.settings)
+    assert here.value == value and value not in found.values
+    assert found.motion(here).moving[0][0] == pytest.approx(cell["state"][0], abs=1e-9)
+    # The largest multiplier of a stable orbit is the exponential of its largest exponent.
+    assert np.log(here.multiplier) == pytest.approx(cell["largest"], abs=1e-8)
+    assert found.beside(here) == found.beside(own)
+
+
+def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: Followed, own: Here) -> None:
+    fold = next(mark for mark in found.events if mark.kind == "fold")
+    there = found.here(fold.place + 5, found.values[fold.place + 5])
+    value = 0.5 * (there.value + found.values[fold.place + 6])
+    assert found.passing(value, there) == fold.place + 5
+    first = found.passing(value, own)
+    assert first is not None and first < fold.place
+    assert found.passing(2.5, own) is None
+
+
+@pytest.mark.parametrize("beyond", [0, 7])
+def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(found: Followed, beyond: int) -> None:
+    fold = next(mark for mark in found.events if mark.kind == "fold")
+    place = fold.place + beyond - 1
+    here = found.here(place, found.values[place])
+    motion = found.motion(here)
+    assert here.point.unstable == (1 if beyond else 0)
+    assert motion.y.max() == pytest.approx(CELL["b"], abs=1e-9) and motion.y.min() == pytest.approx(
+        -CELL["b"], abs=1e-9
+    )
+    assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-9)
+    assert motion.stops == [-CELL["b"], CELL["b"]] and motion.moving.shape == (4, 200)
+
+
+def test_the_drawn_velocity_jumps_at_an_impact_by_the_law_of_restitution(found: Followed, own: Here) -> None:
+    motion = found.motion(own)
+    at_stop = np.flatnonzero(np.isclose(motion.y, CELL["b"], rtol=0.0, atol=1e-8))
+    assert motion.v[at_stop[1]] == pytest.approx(-found.table.parameters["R"] * motion.v[at_stop[0]], rel=1e-6)
+
+
+def test_the_sections_of_an_orbit_of_several_periods_are_those_of_its_branch(subject: Subject) -> None:
+    cell = {"omega": 2.5, "b": 0.125}
+    found = followed(subject, at_cell(subject, cell, x=(2.4, 2.6)), "omega")
+    here = found.here(found.own, cell["omega"])
+    motion = found.motion(here)
+    gap = next(found.table.gap_values(found.branch))[found.own]
+    assert gap.size == 2 and motion.per_period == 200
+    assert motion.moving[0][::200] == pytest.approx(gap, abs=1e-10)
+
+
+def test_a_motion_closes_also_where_an_impact_has_moved_over_the_section(subject: Subject) -> None:
+    """Along this branch an impact of the turn passes the end of the turn."""
+    cell = {"omega": 2.0, "b": 0.05}
+    found = followed(subject, at_cell(subject, cell, x=(1.9, 2.1), y=(0.02, 0.1)), "b")
+    points = found.branch.run.points
+    beyond = [k for k, point in enumerate(points) if point.orbit.times[-1] > 1.5 * np.pi]
+    assert beyond
+    for k in beyond:
+        motion = found.motion(found.here(k, found.values[k]))
+        assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-9)
+
+
+def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(found: Followed, own: Here, subject: Subject) -> None:
+    back, on = arrows(found, own, subject, at_cell(subject, x=(1.7, 1.9)), cell_of(subject))
+    before, after = found.beside(own)
+    assert before is not None and after is not None
+    assert (back.x0, back.x1) == (1.75, 1.7) and before.value < 1.7
+    assert (on.x0, on.x1) == (1.75, after.value) and on.y0 == on.y1 == CELL["b"]
+    assert on.text == f"fold {distance(after, own)}" and back.text == f"symmetry breaking {distance(before, own)}"
+
+
+def test_a_parameter_that_is_no_axis_has_events_but_no_arrows(subject: Subject) -> None:
+    chosen = at_cell(subject)
+    found = followed(subject, chosen, "R")
+    here = found.here(found.own, 0.8)
+    assert found.table.window[0] < 0.8 < found.table.window[1]
+    assert any(found.beside(here)) and arrows(found, here, subject, chosen, cell_of(subject)) == []
+
+
+def test_a_view_beyond_the_range_of_a_parameter_is_followed_within_that(subject: Subject) -> None:
+    follow = beginning(subject, at_cell(subject, y=(-0.1, 0.3)), cell_of(subject), "b")
+    assert 0.0 < follow.low <= CELL["b"] and follow.high == 0.3
+    assert beginning(subject, at_cell(subject, y=(0.2, 0.3)), cell_of(subject), "b").low == CELL["b"]
+
+
+def test_orbits_are_followed_along_parameters_and_not_along_initial_states(subject: Subject) -> None:
+    assert followable(subject)[:2] == ["omega", "b"]
+    assert not {*followable(subject)} & {*subject.system.states}
+
+
+def test_the_orbit_of_a_chaotic_cell_is_refused_in_one_line(subject: Subject) -> None:
+    with pytest.raises(InputError, match="this cell is chaotic: a branch starts from a periodic one"):
+        followed(subject, at_cell(subject, {"omega": 1.5, "b": 0.1}), "omega")
+
+
+def test_a_branch_of_one_point_is_refused_in_one_line(subject: Subject) -> None:
+    window = CELL["omega"], float(np.nextafter(CELL["omega"], 2.0))
+    asked = subject.system, dict(subject.plane.parameters) | CELL, subject.spec.settings, "omega", (window, window)
+    with pytest.raises(InputError, match=r"has one point alone, at 1\.75"):
+        follow_orbit(asked)
+
+
+def test_an_orbit_of_a_machine_with_modes_is_drawn_too() -> None:
+    subject = subject_of("soft-impact")
+    assert subject.axes == ("omega", "a")
+    chosen = Chosen((0.85, 0.95), (0.4, 0.6), subject.plane, "period", cell=(subject.plane, 0.9, 0.5))
+    found = followed(subject, chosen, "omega")
+    here = found.here(found.own, found.values[found.own])
+    motion, gap = found.motion(here), next(found.table.gap_values(found.branch))[found.own]
+    assert motion.moving[0][:: int(motion.per_period)] == pytest.approx(gap, abs=1e-9)
+    assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-8)
+
+
+def arguments(query: str) -> dict[str, list[bytes]]:
+    return {name: [text.encode() for text in texts] for name, texts in parse_qs(query).items()}
+
+
+def test_an_address_has_what_is_followed_and_where(subject: Subject) -> None:
+    chosen = at_cell(subject, follow=Follow("omega", 1.2, 2.0, -7, 1.7312345))
+    address = to_address(subject, subject, chosen)
+    assert "follow=omega,1.2,2.0,-7,1.7312345" in address
+    assert from_address(subject, arguments(address)).follow == chosen.follow
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        ("follow=omega,1.2,2.0,0,1.75", "follow: needs a cell"),
+        ("cell=1.75,0.125&follow=x1,1.2,2.0,0,1.75", "parameter in follow"),
+        ("cell=1.75,0.125&follow=omega,1.2", "follow: found '1.2', must be 4 numbers"),
+    ],
+)
+def test_an_address_that_cannot_be_followed_is_refused(subject: Subject, query: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        from_address(subject, arguments(query))
+
+
+def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Subject) -> None:
+    follow = Follow("omega", 1.2, 2.0, 0, 1.75)
+    store = Store(State(at_cell(subject, follow=follow, cut=(1.2, 0.1, 2.0, 0.1))))
+    assert store.now.chosen.picture.follow is None
+    store.choose(x=(1.3, 1.9))
+    assert store.now.chosen.follow == follow
+    store.escape()
+    assert store.now.chosen.follow is None and store.now.chosen.cut is not None
+    store.escape()
+    assert store.now.chosen.cut is None
+    store.choose(follow=follow)
+    store.choose(cell=(subject.plane, 1.8, 0.125))
+    assert store.now.chosen.follow is None
+
+
+def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(subject: Subject, found: Followed) -> None:
+    store, jobs = Store(State(at_cell(subject))), list[Any]()
+    explorer: Any = SimpleNamespace(
+        subject=subject, patches=SimpleNamespace(want=lambda _, wanted: jobs.append(wanted))
+    )
+    background: Any = SimpleNamespace(later=lambda act: act)
+    panel = FollowPanel(explorer, background, store, figure())
+    store.listen(lambda _, now: panel.show(now.chosen))
+    store.choose(follow=Follow("omega", *WINDOW, 0, CELL["omega"]))
+    assert len(jobs[-1]) == 1 and "following" in panel.panel.children[1].text
+    panel._take(panel._asked, found)
+    (slider, typed), text = (each.children if hasattr(each, "children") else each for each in panel._body.children[:2])
+    assert slider.end == len(found.values) - 1 and "1-2-2 symmetric" in text.text
+    slider.value = found.own + 4
+    assert store.now.chosen.follow == Follow("omega", *WINDOW, 4, found.values[found.own + 4])
+    assert typed.value == found.values[found.own + 4]
+    typed.value = 1.7312345
+    assert store.now.chosen.follow is not None and store.now.chosen.follow.value == 1.7312345
+    assert found.values[slider.value] < 1.7312345 < found.values[slider.value + 1]
+    store.escape()
+    assert panel._body.children == [] and jobs[-1] == ()

@@ -1,0 +1,160 @@
+"""Following an orbit on the explorer's page, in a browser, with mouse and keyboard."""
+
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from distributed import Client
+
+import atlas
+from atlas.explore.session import Exploration, explore
+from tests.browser import Tab, opened
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
+
+VIEW = "omega=1.7:1.8&b=0.12:0.13&cell=1.75,0.125"
+"""A view in which the orbit of the cell turns back at a fold, and beyond which it breaks its symmetry."""
+
+
+@pytest.fixture(scope="module")
+def running(client: Client) -> Iterator[Exploration]:
+    made = explore("omega-b", client=client)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
+    """A page that shows the cell; afterwards nothing may have gone wrong in the browser."""
+    with opened(browser, f"{running.url}?{VIEW}", 1440, 900) as made:
+        made.page.locator("img.portrait").wait_for(timeout=120_000)
+        yield made
+        assert made.complaints == []
+
+
+@pytest.fixture(scope="module")
+def events() -> dict[str, float]:
+    """The events of the branch, by their kinds."""
+    found = atlas.branch({"omega": 1.75, "b": 0.125}, along="omega", window=(1.0, 4.5)).events
+    return dict(zip(found["kind"], found["omega"], strict=True))
+
+
+def start(tab: Tab) -> None:
+    """Press the button, and wait for the branch."""
+    tab.page.get_by_role("button", name="follow", exact=True).click()
+    tab.until(lambda: "orbit followed" in tab.text(), 120.0)
+
+
+def followed(tab: Tab) -> tuple[str, float, float, int, float]:
+    """What the address says is followed."""
+    along, *numbers = parse_qs(urlsplit(tab.address()).query)["follow"][0].split(",")
+    low, high, step, value = map(float, numbers)
+    return along, low, high, int(step), value
+
+
+def data(tab: Tab, name: str) -> dict[str, Any]:
+    """The data of the source that has a column of this name."""
+    return next(dict(each) for each in tab.models("ColumnDataSource", "data") if name in each)
+
+
+def handle(tab: Tab) -> Any:
+    """The slider along the branch: the last one of the page."""
+    return tab.page.locator(".noUi-handle").last
+
+
+def test_the_mouse_drags_the_orbit_along_its_branch_and_the_marker_moves_with_it(tab: Tab) -> None:
+    start(tab)
+    assert data(tab, "follow_x")["follow_x"] == [1.75] and data(tab, "follow_x")["follow_y"] == [0.125]
+    before, portrait = tab.text(), data(tab, "branch_gap")
+    handle(tab).scroll_into_view_if_needed()
+    box = handle(tab).bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    tab.page.mouse.move(x, y)
+    tab.page.mouse.down()
+    tab.page.mouse.move(x - 20, y, steps=5)
+    tab.page.mouse.up()
+    tab.until(lambda: "follow=" in tab.address() and followed(tab)[3] < -2)
+    value = followed(tab)[4]
+    tab.until(lambda: data(tab, "follow_x")["follow_x"] == [value])
+    assert value < 1.75 and tab.text() != before
+    tab.until(lambda: data(tab, "branch_gap") != portrait)
+
+
+def test_arrows_of_the_keyboard_walk_over_the_fold_where_the_parameter_turns_back(
+    tab: Tab, events: dict[str, float]
+) -> None:
+    start(tab)
+    assert "turns back at" in tab.text()
+    handle(tab).focus()
+    values = [1.75]
+    while len(values) < 60 and (len(values) < 2 or values[-1] > values[-2]):
+        tab.page.keyboard.press("ArrowRight")
+        tab.until(lambda: followed(tab)[3] == len(values))
+        values.append(followed(tab)[4])
+    assert values[-2] == pytest.approx(events["fold"], abs=1e-9) and values[-1] < values[-2]
+    tab.until(lambda: "unstable, 1 multiplier outside the unit circle" in tab.text())
+
+
+def test_arrows_lead_to_the_fold_and_to_the_edge_of_the_view_with_their_distances(
+    tab: Tab, events: dict[str, float]
+) -> None:
+    start(tab)
+    tab.until(lambda: len(data(tab, "x1")["x1"]) == 2)
+    arrows = data(tab, "x1")
+    assert arrows["x1"] == [1.7, pytest.approx(events["fold"], abs=1e-9)]
+    fold = arrows["text"][1]
+    assert fold.startswith("fold +") and float(fold.split("+")[1]) == pytest.approx(events["fold"] - 1.75, rel=1e-4)
+
+
+def test_a_typed_value_is_solved_exactly_and_one_beyond_the_branch_is_refused(tab: Tab) -> None:
+    start(tab)
+    typed = tab.page.get_by_label("ω", exact=True)
+    typed.fill("1.7312345")
+    typed.press("Enter")
+    tab.until(lambda: followed(tab)[4] == 1.7312345)
+    tab.until(lambda: "1.7312345" in tab.text())
+    typed.fill("2.5")
+    typed.press("Enter")
+    tab.until(lambda: "alone, found 2.5" in tab.text())
+    assert followed(tab)[4] == 1.7312345
+
+
+def test_a_link_opens_the_followed_orbit_again_back_leads_there_and_escape_ends_it(tab: Tab) -> None:
+    start(tab)
+    handle(tab).focus()
+    tab.page.keyboard.press("ArrowLeft")
+    tab.until(lambda: followed(tab)[3] == -1)
+    address, value = tab.address(), followed(tab)[4]
+    tab.page.goto("about:blank")
+    tab.page.goto(address)
+    tab.until(lambda: "orbit followed" in tab.text(), 120.0)
+    tab.until(lambda: data(tab, "follow_x")["follow_x"] == [value])
+    tab.page.wait_for_timeout(2000)
+    handle(tab).focus()
+    tab.page.keyboard.press("Escape")
+    tab.until(lambda: "follow=" not in tab.address())
+    assert data(tab, "follow_x")["follow_x"] == [] and "orbit followed" not in tab.text()
+    tab.page.go_back()
+    tab.until(lambda: "orbit followed" in tab.text(), 120.0)
+    assert followed(tab)[4] == value
+
+
+def test_the_machine_moves_on_the_orbit_that_is_followed(tab: Tab) -> None:
+    start(tab)
+    tab.page.get_by_role("button", name="move the machine").first.click()
+    places = [each for each in tab.models("ColumnDataSource", "data") if "at" in each]
+    tab.until(lambda: [each for each in tab.models("ColumnDataSource", "data") if "at" in each] != places)
+    handle(tab).focus()
+    tab.page.keyboard.press("ArrowLeft")
+    tab.until(lambda: followed(tab)[3] == -1)
+    tab.page.keyboard.press("Escape")
+    tab.until(lambda: "follow=" not in tab.address())
+
+
+def test_an_orbit_that_cannot_be_followed_says_so_in_one_line(running: Exploration, browser: Any) -> None:
+    query = "omega=1.4:1.6&b=0.05:0.15&cell=1.5,0.1&follow=omega,1.4,1.6,0,1.5"
+    with opened(browser, f"{running.url}?{query}", 1440, 900) as tab:
+        tab.until(lambda: "this cell is chaotic: a branch starts from a periodic one" in tab.text(), 120.0)
+        tab.until(lambda: "follow=" not in tab.address())
+        assert tab.complaints == []
