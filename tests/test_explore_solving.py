@@ -355,6 +355,29 @@ def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: 
         patches.stop()
 
 
+def test_a_tile_that_was_given_up_is_tried_again_by_who_looks_later(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with exploring(finished, client) as explorer:
+        plane, sight = explorer.subject.plane, view_of(explorer.subject)
+
+        def count() -> int:
+            return explorer.want("test", plane, sight, range(3, -1, -1))
+
+        with monkeypatch.context() as broken:
+            broken.setattr("atlas.explore.explorer.solve_patch", _refused)
+            tiles = count()
+            assert tiles > 3 and waited(lambda: explorer.patches.left("test") == 0)
+        assert len(explorer.failures) == tiles and count() == 0
+        monkeypatch.setattr("atlas.explore.explorer.AGAIN", 0.0)
+        assert solved(explorer, sight) and not explorer.failures
+        assert not np.any(explorer.known.seen(plane, sight, [])[REGIME.name].values == PENDING)
+
+
+def _refused(patch: object) -> object:
+    raise InputError("no cell of this tile can be solved")
+
+
 def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject, 600)

@@ -94,6 +94,7 @@ class BasinsPanel:
 
     def __init__(self, explorer: Explorer, background: Background) -> None:
         self._explorer = explorer
+        self._background = background
         self._told, self._refuse = background.later(self._take), background.later(self._refused)
         self._cell: Cell | None = None
         self._labels = np.zeros((0, 0), dtype=np.int32)
@@ -131,18 +132,29 @@ class BasinsPanel:
         self._explorer.patches.want(self, ())
 
     def _ask(self) -> None:
-        cell, system = self._cell, self._explorer.subject.system
+        cell = self._cell
         if cell is None:
             return
-        grid = Grid.of_cell(self._explorer.subject, cell.parameters)
+        self._says.update(text="solving initial states", visible=True)
+        self._button.visible = False
+
+        def work() -> Callable[[], None]:
+            return partial(self._begin, cell, Grid.of_cell(self._explorer.subject, cell.parameters))
+
+        self._background.run(work)
+
+    def _begin(self, cell: Cell, grid: Grid) -> None:
+        """Have the initial states of a plane solved."""
+        if cell is not self._cell:
+            return
+        system = self._explorer.subject.system
         self._labels = np.full((SIDE, SIDE), UNSOLVED, dtype=np.int32)
         self._plot.xaxis[0].axis_label, self._plot.yaxis[0].axis_label = (
             symbol_of(system, name) for name in (grid.x[0], grid.y[0])
         )
         own = [cell.parameters[name] for name in (grid.x[0], grid.y[0])]
         self._start.data = {"start_x": own[:1], "start_y": own[1:]}
-        self._says.update(text="solving initial states", visible=True)
-        self._plot.visible, self._button.visible = True, False
+        self._plot.visible = True
         rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
         jobs = [basin_job(grid, each, partial(self._told, cell), self._refuse) for each in rows]
         self._explorer.patches.want(self, jobs)

@@ -117,11 +117,19 @@ def beginning(subject: Subject) -> Chosen:
 
 
 def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Chosen:
-    """The whole plane of another subject at these values, drawn as what was chosen as far as it has that."""
-    begun = beginning(subject)
+    """The whole plane of another subject at these values, drawn as what was chosen as far as it has that.
+
+    A parameter whose value is out of its range, as in the margin of a view, has that of the subject's own plane.
+    """
+    begun, parameter = beginning(subject), subject.system.parameter
     return replace(
         begun,
-        plane=Plane(tuple((name, values[name]) for name, _ in begun.plane.parameters)),
+        plane=Plane(
+            tuple(
+                (name, values[name] if parameter(name).admits(values[name]) else own)
+                for name, own in begun.plane.parameters
+            )
+        ),
         kind=chosen.kind if chosen.kind in kinds(subject) else begun.kind,
         variable=chosen.variable,
         log=chosen.log,

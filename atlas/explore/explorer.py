@@ -1,6 +1,8 @@
 """One subject explored by any number of pages: what is solved, for whom, and who is told."""
 
+import math
 import threading
+import time
 from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -24,6 +26,8 @@ from workers.results import empty_results
 if TYPE_CHECKING:
     from distributed import Client
 
+AGAIN = 60.0
+"""Seconds after which a tile that was given up may be tried again."""
 MOST_OTHERS = 4
 """Other axes and layers whose cells are remembered; of more, those that no page shows are forgotten."""
 
@@ -32,7 +36,7 @@ class Explorer:
     """Looks, solves and keeps for the pages of one subject; ``connect`` leads to the cluster.
 
     known      what is known of the subject
-    failures   tiles that could not be solved, and why
+    failures   when tiles could not be solved, in seconds of ``time.monotonic``
     """
 
     def __init__(
@@ -43,7 +47,7 @@ class Explorer:
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
     ) -> None:
-        self.subject, self.failures = subject, dict[tuple[Plane, TileKey], str]()
+        self.subject, self.failures = subject, dict[tuple[Plane, TileKey], float]()
         self._keeping = keep, most_bytes
         self._parents: dict[TileJob, Arrays] = {}
         self._kept_planes = {subject.plane}
@@ -51,6 +55,7 @@ class Explorer:
         self._asked = Asked(subject)
         self._lock = threading.Lock()
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
+        self._ending: list[Keeper] = []
         self.keeper = Keeper(subject, most_bytes, keep)
         self.known = Known(subject, self.keeper)
         if isinstance(connect, Patches):  # one of several: all of them together must fit in memory
@@ -62,8 +67,8 @@ class Explorer:
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
-        for each in (*self._others.values(), self):
-            each.keeper.stop()
+        for keeper in (*self._ending, *(each.keeper for each in (*self._others.values(), self))):
+            keeper.stop()
 
     def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
         """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
@@ -75,13 +80,13 @@ class Explorer:
         subject, layer = self.subject.turned(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
             idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
-            gone = [self._others.pop(key) for key in idle[: max(0, len(self._others) - MOST_OTHERS)]]
+            for key in idle[: max(0, len(self._others) - MOST_OTHERS)]:
+                keeper = self._others.pop(key).keeper
+                keeper.end()  # its last tiles are written while the page goes on
+                self._ending.append(keeper)
             if (axes, layer) not in self._others:
                 self._others[axes, layer] = Explorer(subject, self.patches, *self._keeping)
-            found = self._others[axes, layer]
-        for each in gone:
-            each.keeper.stop()
-        return found
+            return self._others[axes, layer]
 
     def listen(self, who: Hashable, told: Callable[[Plane, TileKey], None] | None) -> None:
         """Have a page told, in another thread, of every tile that is solved; None for a page that is gone."""
@@ -117,12 +122,16 @@ class Explorer:
                 self.keeper.offer(plane, key, arrays)
 
     def want(self, who: Hashable, plane: Plane, sight: Sight, stages: range) -> int:
-        """Have what is not known of the view solved, at these stages in this order, and return how many tiles."""
+        """Have what is not known of the view solved, at these stages in this order, and return how many tiles.
+
+        A tile that failed is tried again by whoever looks at it AGAIN seconds later.
+        """
+        since = time.monotonic() - AGAIN
         wanted = [
             TileJob(self, plane, key)
             for stage in stages
             for key in sight.tiles(stage)
-            if (plane, key) not in self.failures and not self.known.has(plane, key)
+            if self.failures.get((plane, key), -math.inf) <= since and not self.known.has(plane, key)
         ]
         self.patches.want(who, wanted)
         return len(wanted)
@@ -162,6 +171,7 @@ class Explorer:
             wanted, listeners = plane in self._kept_planes, list(self._listeners.values())
         kept = wanted and self.keeper.can_keep(key)
         self.known.tiles.put(plane, key, arrays, only_here=wanted and not kept)
+        self.failures.pop((plane, key), None)
         for told in listeners:
             told(plane, key)
         if kept:
@@ -194,7 +204,7 @@ class TileJob(Job):
     def failed(self, why: str) -> None:
         """See ``Job``."""
         self.dropped()
-        self.explorer.failures[self.plane, self.key] = why
+        self.explorer.failures[self.plane, self.key] = time.monotonic()
 
     def dropped(self) -> None:
         """See ``Job``."""

@@ -16,7 +16,7 @@ class State:
     chosen    what its address holds
     size      pixels of the plane; 0 before the browser has laid it out
     rests     whether nothing moves: while a slider does, only the first stage is solved
-    box       the window that was chosen for a new atlas
+    box       the window that was chosen for a new atlas, in this view
     ends      those of the scale of the picture in view
     lacking   what the picture in view lacks, and why
     trouble   what else cannot be done, and why
@@ -50,7 +50,8 @@ class Store:
                 listener(old, self.now)
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
-        """Change fields of what is chosen; what was said against the last choice no longer holds."""
-        chosen = replace(self.now.chosen, **fields)
-        if chosen != self.now.chosen:
-            self.set(chosen=chosen, rests=rests, trouble="")
+        """Change fields of what is chosen; the trouble of the last choice goes, and the box of another view."""
+        before, chosen = self.now.chosen, replace(self.now.chosen, **fields)
+        if chosen != before:
+            stays = (chosen.x, chosen.y, chosen.plane) == (before.x, before.y, before.plane)
+            self.set(chosen=chosen, rests=rests, trouble="", box=self.now.box if stays else None)
