@@ -28,11 +28,12 @@ from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.keys import hear_keys
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.picture import Picture
 from atlas.explore.pins import Pins
 from atlas.explore.plot import label_axes, make_plot
 from atlas.explore.state import State, Store
 from atlas.explore.style import CUTTING, FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
-from atlas.explore.words import png_address, progress, title
+from atlas.explore.words import key_image, progress, title
 
 LEFT, RIGHT = 232, 350
 """Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
@@ -89,7 +90,8 @@ class Page:
         self._folder, self._home, chosen = folder, home, store.now.chosen
         self._background = Background(document, self._refused)
         self._controls = Controls(self._subject, store, self._go)
-        self._plot, self._image, mark = make_plot(self._subject, chosen)
+        self._plot, image, mark = make_plot(self._subject, chosen)
+        self._picture = Picture(image, self._controls.vmin, self._controls.vmax)
         self._details = Details(explorer, self._background, store, lambda: self._painter.sight, mark)
         self._cut = CutPanel(explorer, self._background, store, self._plot)
         self._pins = Pins(self._subject, store, self._plot)
@@ -224,18 +226,14 @@ class Page:
 
     def _show(self, painted: Painted) -> None:
         """Put a picture on the page."""
-        pixels = np.ascontiguousarray(painted.cells[::-1]).view(np.uint32)[..., 0]
-        (left, right), (low, high) = painted.x, painted.y
-        self._image.data = {"image": [pixels], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
-        above = int(np.argmax(np.any(painted.key[..., :3] != 255, axis=(1, 2))))  # rows of white
-        source = png_address(painted.key[above:])
-        self._key.text = f'<img alt="colour bar and legend" style="--above: {above}px" src="{source}">'
+        self._picture.show(painted)
+        self._key.text = key_image(painted.screen)
         self._store.set(ends=painted.ends, lacking=painted.lacking)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
     def _unpainted(self, why: str) -> None:
         """Show no picture, least of all one of something else, and say why."""
-        self._image.data = {name: [] for name in self._image.data}
+        self._picture.clear()
         self._key.text = ""
         self._store.set(lacking=why)
         self._details.refused()

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
 from atlas.explore.chosen import CHART, Chosen, Range, beginning
@@ -47,12 +46,11 @@ Step = Callable[[], None]
 
 @dataclass(frozen=True)
 class Painted:
-    """A picture: its pixels from the top, what explains its colours, the window that it fills, the scale's ends, and
-    why lines that were asked for are not in it.
+    """A picture: its pixels, the window that it fills, the ends of its scale, and why lines that were asked for are not
+    in it.
     """
 
-    cells: NDArray[np.uint8]
-    key: NDArray[np.uint8]
+    screen: Screen
     x: Range
     y: Range
     ends: tuple[float | None, float | None]
@@ -189,7 +187,7 @@ class Painter:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:
-            self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high), lacking))
+            self._deliver(Painted(made, x, y, made.ends or (low, high), lacking))
         self._wait(max(PAUSE, seconds / SHARE) - seconds)
 
     def _drawn(
@@ -202,7 +200,7 @@ class Painter:
         lacking, shown = [why] if why else [], replace(chosen, overlays=chosen.drawn(self._explorer.subject))
         while True:
             try:
-                return _drawn(ds, shown, pixels, low, high), "; ".join(lacking)
+                return _drawn(ds, shown, pixels, low, high, code=True), "; ".join(lacking)
             except OverlayError as error:
                 lacking.append(str(error))
                 kept = tuple(name for name in shown.overlays if name != error.overlay)
@@ -235,13 +233,20 @@ class Painter:
             time.sleep(0.02)
 
 
-def _drawn(ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None) -> Screen:
+def _drawn(
+    ds: "xr.Dataset",
+    chosen: Chosen,
+    pixels: tuple[int, int],
+    low: float | None,
+    high: float | None,
+    code: bool = False,
+) -> Screen:
     """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
     scalar = chosen.kind == SCALAR
     ends = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
     return screen(
         ds, chosen.kind, pixels, KEY_WIDTH, overlays=chosen.overlays, variable=chosen.variable if scalar else None,
-        log=chosen.log and scalar, **ends,
+        log=chosen.log and scalar, code=code, **ends,
     )  # fmt: skip
 
 

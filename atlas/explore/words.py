@@ -20,6 +20,7 @@ from atlas.explore.patches import State
 from atlas.explore.subject import Plane, Subject
 from atlas.query.extremes import regimes_with
 from atlas.render.classes import PALETTE
+from atlas.render.screen import Screen
 from atlas.spec.system import impacts_of
 from atlas.text import plain, plural
 from workers.model.system import System
@@ -202,6 +203,16 @@ def progress(state: State, left: int, notes: Iterable[str]) -> str:
     if state.trouble:
         text = f'<span class="trouble">{html.escape(state.trouble)}</span> &middot; {text}'
     return text
+
+
+def key_image(screen: Screen) -> str:
+    """The colour bar and the legend of a picture, on a light page and on a dark one, as HTML."""
+    above = int(np.argmax(np.any(screen.key[..., :3] != 255, axis=(1, 2))))  # rows of white
+    light, dark = (png_address(key[above:]) for key in (screen.key, screen.dark_key))
+    return (
+        f'<picture><source media="(prefers-color-scheme: dark)" srcset="{dark}">'
+        f'<img alt="colour bar and legend" style="--above: {above}px" src="{light}"></picture>'
+    )
 
 
 def png_address(rgba: NDArray[np.uint8]) -> str:

@@ -183,7 +183,12 @@ def signed_colormap(norm: Normalize, above: tuple[str, ...] = TABLE[SCALAR].scal
     if not low < 0.0 < high:
         return colormap_of(above)
     shares = np.linspace(low, high, 512) / max(-low, high)
-    return ListedColormap(colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)(0.5 + 0.5 * shares), name="signed")
+    return ListedColormap(both_signs(above)(0.5 + 0.5 * shares), name="signed")
+
+
+def both_signs(above: tuple[str, ...]) -> Colormap:
+    """The colours of numbers below and above zero, which is pale and in the middle."""
+    return colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)
 
 
 def error(view: View) -> Painted:
