@@ -8,6 +8,7 @@ import pytest
 from atlas.render.coding import LINEAR, LOG, MOST, SIGNED, TWO_SIDED, Scale
 from atlas.render.screen import Screen, screen
 from tests.pictures import atlas as atlas_of
+from tests.pictures import curves, keeping
 from workers.results import CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC
 
 SHAPE, SIZE = (30, 40), (301, 197)
@@ -105,3 +106,12 @@ def test_on_a_dark_page_the_colours_of_a_key_stay_and_its_paper_and_type_are_inv
     vivid = np.ptp(found.key[..., :3].astype(int), axis=-1) > 40
     assert vivid.sum() > 1000 and same[vivid].mean() > 0.99
     assert found.dark_key[0, 0].tolist() == [0, 0, 0, 255]
+
+
+def test_a_kind_of_curve_that_is_switched_off_is_neither_drawn_nor_in_the_key(ds: Any) -> None:
+    shown = ("fold", "graze", "codimension_two")
+    with keeping(curves()):
+        both, less = (drawn(ds, "period", overlays=("curves",), curves=kinds) for kinds in (None, shown))
+    assert set(both.lines) > {"fold", "period_doubling", "codimension_two"}
+    assert less.lines == shown
+    assert np.any(both.cells != less.cells) and np.any(both.key != less.key)

@@ -90,6 +90,19 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
 
 
+def test_the_cells_of_a_view_that_are_missing_are_counted_at_its_full_density(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        cells = sight.index_x.size * sight.index_y.size
+        assert known.missing(plane, sight) == cells
+        explorer.want("test", plane, sight, range(3, 0, -1))  # all but the full density
+        assert waited(lambda: explorer.patches.left("test") == 0) and known.missing(plane, sight) == cells
+        first, *_ = sight.tiles(0)
+        rows, columns = sight.place(first)
+        known.tiles.put(plane, first, known.whole(plane, first.above) or {})
+        assert known.missing(plane, sight) == cells - (rows.stop - rows.start) * (columns.stop - columns.start) < cells
+
+
 def test_a_cell_that_is_solved_alone_is_that_of_its_tile_to_the_bit(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight, plane = view_of(explorer.subject), explorer.subject.plane

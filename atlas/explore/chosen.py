@@ -9,6 +9,7 @@ from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import Plane, Subject
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, needs
+from atlas.render.kinds import CURVES as CURVE_KINDS
 from workers.results import LARGEST, REGIME
 
 Range = tuple[float, float]
@@ -22,7 +23,7 @@ Pin = tuple[tuple[tuple[str, float], ...], str]
 Cut = tuple[float, float, float, float]
 """A line over the plane, from (x, y) to (x, y)."""
 
-_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut")
+_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "without")
 ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
 """What an address has besides parameters; ``token`` is the server's."""
 
@@ -34,6 +35,7 @@ class Chosen:
     cell   the point that was clicked
     pins   cells that stay marked
     cut    the line that was drawn
+    hidden the kinds of curves that are left out
     """
 
     x: Range
@@ -48,6 +50,7 @@ class Chosen:
     cell: Point | None = None
     pins: tuple[Pin, ...] = ()
     cut: Cut | None = None
+    hidden: tuple[str, ...] = ()
 
     @property
     def picture(self) -> "Chosen":
@@ -71,6 +74,11 @@ class Chosen:
     def drawn(self, subject: Subject) -> tuple[str, ...]:
         """The overlays that its plane has."""
         return tuple(name for name in self.overlays if name != CURVES or self.plane == subject.plane)
+
+    @property
+    def curves(self) -> tuple[str, ...] | None:
+        """The kinds of curves that may be drawn; None for all."""
+        return tuple(kind for kind in CURVE_KINDS if kind not in self.hidden) if self.hidden else None
 
     def without_curves(self, subject: Subject) -> str:
         """Why the curves that it asks for are not those of its plane; empty where they are, or it asks for none."""
@@ -134,6 +142,7 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
         variable=chosen.variable,
         log=chosen.log,
         pins=chosen.pins,
+        hidden=chosen.hidden,
         overlays=tuple(name for name in chosen.overlays if name in overlays(subject)),
     )
 
@@ -172,7 +181,8 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     pairs += [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y)), ("kind", chosen.kind)]
     if chosen.kind == SCALAR:
         pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
-    pairs += [("overlay", ",".join(chosen.overlays))] if chosen.overlays else []
+    lists = {"overlay": chosen.overlays, "without": chosen.hidden}
+    pairs += [(name, ",".join(each)) for name, each in lists.items() if each]
     pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
     own = dict(subject.plane.parameters)
     pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
@@ -190,12 +200,14 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         if value not in possible:
             raise InputError(f"{name}: found {value!r}; possible: {', '.join(possible)}")
         return replace(chosen, kind=value) if name == "kind" else replace(chosen, variable=value)
-    if name == "overlay":
+    if name in ("overlay", "without"):
         wanted = tuple(value.split(",")) if value else ()
-        known = overlays(subject)
+        known = overlays(subject) if name == "overlay" else CURVE_KINDS
         unknown = [each for each in wanted if each not in known]
         if unknown:
-            raise InputError(f"overlay: found {unknown[0]!r}; possible: {', '.join(known)}")
+            raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(known)}")
+        if name == "without":
+            return replace(chosen, hidden=tuple(sorted(wanted, key=CURVE_KINDS.index)))
         return replace(chosen, overlays=wanted)
     if name == "log":
         return replace(chosen, log=value == "1")

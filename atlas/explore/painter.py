@@ -47,7 +47,7 @@ Step = Callable[[], None]
 @dataclass(frozen=True)
 class Painted:
     """A picture: its pixels, the window that it fills, the ends of its scale, and why lines that were asked for are not
-    in it.
+    in it; how many cells are in view, and how many of them are still to be solved.
     """
 
     screen: Screen
@@ -55,6 +55,8 @@ class Painted:
     y: Range
     ends: tuple[float | None, float | None]
     lacking: str
+    cells: int
+    left: int
 
 
 def warm(explorer: Explorer) -> None:
@@ -187,7 +189,8 @@ class Painter:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:
-            self._deliver(Painted(made, x, y, made.ends or (low, high), lacking))
+            left = self._explorer.known.missing(chosen.plane, sight)
+            self._deliver(Painted(made, x, y, made.ends or (low, high), lacking, ds[REGIME.name].size, left))
         self._wait(max(PAUSE, seconds / SHARE) - seconds)
 
     def _drawn(
@@ -246,7 +249,7 @@ def _drawn(
     ends = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
     return screen(
         ds, chosen.kind, pixels, KEY_WIDTH, overlays=chosen.overlays, variable=chosen.variable if scalar else None,
-        log=chosen.log and scalar, code=code, **ends,
+        log=chosen.log and scalar, curves=chosen.curves, code=code, **ends,
     )  # fmt: skip
 
 

@@ -19,6 +19,8 @@ class State:
     box       the window that was chosen for a new atlas, in this view
     ends      those of the scale of the picture in view
     lacking   what the picture in view lacks, and why
+    lines     the kinds of curves that it shows
+    cells     how many cells are in view, and how many of them are still to be solved
     trouble   what else cannot be done, and why
     """
 
@@ -28,6 +30,8 @@ class State:
     box: tuple[Range, Range] | None = None
     ends: Ends = (None, None)
     lacking: str = ""
+    lines: tuple[str, ...] = ()
+    cells: tuple[int, int] = (0, 0)
     trouble: str = ""
 
 

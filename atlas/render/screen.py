@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from atlas.query.window import axis_names, is_log
 from atlas.render.coding import Scale, cell_numbers, coded
 from atlas.render.drawing import check_units
-from atlas.render.kinds import check_overlays, chosen_kind
+from atlas.render.kinds import CURVES, check_overlays, chosen_kind
 from atlas.render.maps import Colors, draw_painted, read
 from atlas.render.options import Wanted
 from atlas.render.page import page as page_of
@@ -46,6 +46,7 @@ class Screen:
     ends      the ends of the one scale that it has; None without one, or with several
     dark_key  bar and legend for a dark page: in the same colours, with white type on black
     scale     of cells that are ``coded``; None where they have their colours
+    lines     the kinds of curves that are drawn, of CURVES
     """
 
     cells: NDArray[np.uint8]
@@ -53,6 +54,7 @@ class Screen:
     ends: tuple[float, float] | None
     dark_key: NDArray[np.uint8]
     scale: Scale | None = None
+    lines: tuple[str, ...] = ()
 
 
 def screen(
@@ -62,6 +64,7 @@ def screen(
     key_width: int,
     *,
     overlays: Sequence[str] = (),
+    curves: tuple[str, ...] | None = None,
     variable: str | None = None,
     log: bool = False,
     vmin: float | None = None,
@@ -81,7 +84,7 @@ def screen(
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
         page = page_of(ax=ax, title=False, vmin=vmin, vmax=vmax)
-        wanted = Wanted(page, kind, overlays=tuple(overlays), pixels=size, variable=variable, log=log)
+        wanted = Wanted(page, kind, overlays=tuple(overlays), curves=curves, pixels=size, variable=variable, log=log)
         fitting = chosen_kind(ds, wanted)
         check_overlays(ds, wanted.overlays)
         check_units(ds)
@@ -107,12 +110,13 @@ def screen(
         pixels = np.asarray(canvas.buffer_rgba())
         low_end, high_end = bars[0].get_ylim() if len(bars) == 1 else (0.0, 0.0)
         ends = (float(low_end), float(high_end)) if len(bars) == 1 else None
+        gids = {"codimension_two" if each.get_gid() == "corner" else each.get_gid() for each in ax.get_children()}
         cells, key, scale = pixels[:, :width].copy(), pixels[:, width:].copy(), None
         dark = _dark(pixels, [*bars, *ax.child_axes], drawn.legends)[:, width:]
         if code and painted is not None and len(painted.bars) == 1:
             numbers = cell_numbers(canvas, ax, view.plane.regime.shape)[:, :width]
             cells, scale = coded(cells, numbers, painted, fitting)
-    return Screen(cells, key, ends, dark, scale)
+    return Screen(cells, key, ends, dark, scale, tuple(kind for kind in CURVES if kind in gids))
 
 
 def _dark(pixels: Colors, bars: Sequence[Any], legends: Sequence[Legend]) -> Colors:
