@@ -11,7 +11,7 @@ from bokeh.models import Button, ColumnDataSource, CustomJS, Div, TextInput
 
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
-from atlas.explore.attractors import Attractors, known_attractors
+from atlas.explore.attractors import Attractors, known_attractors, search_job
 from atlas.explore.background import Background, Show
 from atlas.explore.basins import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
@@ -82,7 +82,7 @@ class Details:
 
     def close(self) -> None:
         """Want nothing more."""
-        self._explorer.forget(self)
+        self._explorer.patches.want(self, ())
         self._basins.close()
 
     def refused(self) -> None:
@@ -158,7 +158,7 @@ class Details:
         answer = partial(self._answer, cell.parameters, click)
         self._background.show(partial(answer, found))
         if found is None and not self._background.closed:
-            self._explorer.ask(self, cell, self._background.later(answer))
+            self._explorer.patches.want(self, [search_job(self._subject, cell, self._background.later(answer))])
         self._background.show(partial(self._show, cell, "drawing its portrait", click))
         try:
             orbit = orbit_of(self._subject, cell)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atlas.explore.attractors import Asked, Attractors
 from atlas.explore.kept import MOST_BYTES, Keeper
-from atlas.explore.known import Cell, Known
+from atlas.explore.known import Known
 from atlas.explore.patch import Patch, solve_patch
 from atlas.explore.patches import Job, Patches, Task
 from atlas.explore.subject import Plane, Subject
@@ -52,7 +51,6 @@ class Explorer:
         self._parents: dict[TileJob, Arrays] = {}
         self._kept_planes = {subject.plane}
         self._listeners: dict[Hashable, Callable[[Plane, TileKey], None]] = {}
-        self._asked = Asked(subject)
         self._lock = threading.Lock()
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
         self._ending: list[Keeper] = []
@@ -135,15 +133,6 @@ class Explorer:
         ]
         self.patches.want(who, wanted)
         return len(wanted)
-
-    def ask(self, who: Hashable, cell: Cell, told: Callable[[Attractors], None]) -> None:
-        """Have all attractors of a cell found, and somebody told of them in another thread, and of no other cell's."""
-        self.patches.want(who, [self._asked.ask(who, cell, told)])
-
-    def forget(self, who: Hashable) -> None:
-        """Find nothing more for somebody who asked for attractors."""
-        self._asked.forget(who)
-        self.patches.want(who, ())
 
     def make_tile(self, job: "TileJob") -> Patch | None:
         """The patch of a tile, less the cells that the tile above has; None where it is known meanwhile."""
