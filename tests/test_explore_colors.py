@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.render.coding import LINEAR, LOG, MOST, SIGNED, TWO_SIDED, Scale
+from atlas.render.numbered import LINEAR, LOG, MOST, SIGNED, TWO_SIDED, PixelScale
 from atlas.render.screen import Screen, screen
 from tests.pictures import atlas as atlas_of
 from tests.pictures import curves, keeping
@@ -33,8 +33,8 @@ def drawn(ds: Any, kind: str, **options: Any) -> Screen:
     return screen(ds, kind, SIZE, 165, **options)
 
 
-def colored(cells: np.ndarray, scale: Scale, low: float, high: float) -> np.ndarray:
-    """What the browser makes of a coded picture, by the words of ``coding``."""
+def colored(cells: np.ndarray, scale: PixelScale, low: float, high: float) -> np.ndarray:
+    """What the browser makes of a coded picture, by the words of ``numbered``."""
     share, (least, most) = codes_of(cells) / MOST, scale.span
     value = least * (most / least) ** share if scale.form == LOG else least + (most - least) * share
     place = {
@@ -65,7 +65,7 @@ def codes_of(cells: np.ndarray) -> np.ndarray:
 def test_codes_in_the_colours_of_other_ends_are_the_picture_of_these_ends(
     ds: Any, kind: str, options: dict[str, Any], form: str, ends: tuple[float, float]
 ) -> None:
-    found = drawn(ds, kind, code=True, **options)
+    found = drawn(ds, kind, numbers=True, **options)
     assert found.scale is not None and found.scale.form == form
     coded = found.cells[..., 3] == 0
     assert 0.1 < coded.mean() < 0.95
@@ -76,7 +76,7 @@ def test_codes_in_the_colours_of_other_ends_are_the_picture_of_these_ends(
 
 
 def test_each_pixel_holds_the_number_of_its_cell(ds: Any) -> None:
-    found = drawn(ds, "scalar", variable="peak_to_peak", code=True)
+    found = drawn(ds, "scalar", variable="peak_to_peak", numbers=True)
     assert found.scale is not None
     low, high = found.scale.span
     values = (low + (high - low) * codes_of(found.cells) / MOST)[found.cells[..., 3] == 0]
@@ -87,12 +87,12 @@ def test_each_pixel_holds_the_number_of_its_cell(ds: Any) -> None:
 
 
 def test_lines_over_a_map_and_classes_keep_their_colours(ds: Any) -> None:
-    plain, coded = (drawn(ds, "exponent", overlays=("boundaries",), code=code).cells for code in (False, True))
+    plain, coded = (drawn(ds, "exponent", overlays=("boundaries",), numbers=code).cells for code in (False, True))
     kept = coded[..., 3] == 255
     assert np.array_equal(plain[kept], coded[kept])
-    without = drawn(ds, "exponent", code=True).cells[..., 3] == 255
+    without = drawn(ds, "exponent", numbers=True).cells[..., 3] == 255
     assert kept.sum() > without.sum()
-    classes = drawn(ds, "period", code=True)
+    classes = drawn(ds, "period", numbers=True)
     assert classes.scale is None and np.array_equal(classes.cells, drawn(ds, "period").cells)
 
 

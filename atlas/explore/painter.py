@@ -203,7 +203,7 @@ class Painter:
         lacking, shown = [why] if why else [], replace(chosen, overlays=chosen.drawn(self._explorer.subject))
         while True:
             try:
-                return _drawn(ds, shown, pixels, low, high, code=True), "; ".join(lacking)
+                return _drawn(ds, shown, pixels, low, high, numbers=True), "; ".join(lacking)
             except OverlayError as error:
                 lacking.append(str(error))
                 kept = tuple(name for name in shown.overlays if name != error.overlay)
@@ -242,14 +242,14 @@ def _drawn(
     pixels: tuple[int, int],
     low: float | None,
     high: float | None,
-    code: bool = False,
+    numbers: bool = False,
 ) -> Screen:
     """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
     scalar = chosen.kind == SCALAR
     ends = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
     return screen(
         ds, chosen.kind, pixels, KEY_WIDTH, overlays=chosen.overlays, variable=chosen.variable if scalar else None,
-        log=chosen.log and scalar, curves=chosen.curves, code=code, **ends,
+        log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **ends,
     )  # fmt: skip
 
 

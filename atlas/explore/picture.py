@@ -34,7 +34,7 @@ if (form) {
 }
 image.setv({data: {image: [out], x, y, dw, dh}}, {sync: false})
 """.replace("MOST", "0xffffff")
-"""See ``atlas.render.coding``; the server sends a new picture for ends that a form does not take."""
+"""See ``atlas.render.numbered``; the server sends a new picture for ends that a form does not take."""
 
 
 class Picture:

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
 """Colours of numbers below zero in a scale of both signs, from the largest to the smallest."""
+FORMS = {Normalize: "linear", LogNorm: "log", TwoSlopeNorm: "two-sided"}
+"""How a number is placed on a scale, for pages that do it themselves."""
 NEUTRAL = "#e4e2d6"
 """The colour of cells whose motion is known but has no such number, and of zero, which has no logarithm."""
 

@@ -16,10 +16,10 @@ from matplotlib.legend import Legend
 from numpy.typing import NDArray
 
 from atlas.query.window import axis_names, is_log
-from atlas.render.coding import Scale, cell_numbers, coded
 from atlas.render.drawing import check_units
 from atlas.render.kinds import CURVES, check_overlays, chosen_kind
 from atlas.render.maps import Colors, draw_painted, read
+from atlas.render.numbered import PixelScale, cell_numbers, numbered
 from atlas.render.options import Wanted
 from atlas.render.page import page as page_of
 from atlas.render.style import house
@@ -45,7 +45,7 @@ class Screen:
 
     ends      the ends of the one scale that it has; None without one, or with several
     dark_key  bar and legend for a dark page: in the same colours, with white type on black
-    scale     of cells that are ``coded``; None where they have their colours
+    scale     of pixels that hold numbers; None where they have their colours
     lines     the kinds of curves that are drawn, of CURVES
     """
 
@@ -53,7 +53,7 @@ class Screen:
     key: NDArray[np.uint8]
     ends: tuple[float, float] | None
     dark_key: NDArray[np.uint8]
-    scale: Scale | None = None
+    scale: PixelScale | None = None
     lines: tuple[str, ...] = ()
 
 
@@ -69,12 +69,12 @@ def screen(
     log: bool = False,
     vmin: float | None = None,
     vmax: float | None = None,
-    code: bool = False,
+    numbers: bool = False,
 ) -> Screen:
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
-    Logarithmic axes are evenly spaced in the logarithm, however short. With ``code`` pixels that a number colours hold
-    that number, see ``coding.coded``. Other arguments and errors as in ``figure``.
+    Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
+    hold that number, see ``numbered``. Other arguments and errors as in ``figure``.
     """
     width, height = size
     whole, settings = width + key_width, house(SCALE)
@@ -113,9 +113,9 @@ def screen(
         gids = {"codimension_two" if each.get_gid() == "corner" else each.get_gid() for each in ax.get_children()}
         cells, key, scale = pixels[:, :width].copy(), pixels[:, width:].copy(), None
         dark = _dark(pixels, [*bars, *ax.child_axes], drawn.legends)[:, width:]
-        if code and painted is not None and len(painted.bars) == 1:
-            numbers = cell_numbers(canvas, ax, view.plane.regime.shape)[:, :width]
-            cells, scale = coded(cells, numbers, painted, fitting)
+        if numbers and painted is not None and len(painted.bars) == 1:
+            places = cell_numbers(canvas, ax, view.plane.regime.shape)[:, :width]
+            cells, scale = numbered(cells, places, painted, fitting)
     return Screen(cells, key, ends, dark, scale, tuple(kind for kind in CURVES if kind in gids))
 
 

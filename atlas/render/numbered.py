@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LogNorm, TwoSlopeNorm
 from numpy.typing import NDArray
 
 from atlas.render.kinds import Kind
 from atlas.render.maps import Bar, Colors, Painted
-from atlas.render.scales import both_signs
+from atlas.render.scales import FORMS, both_signs
 
-LINEAR, LOG, TWO_SIDED, SIGNED = "linear", "log", "two-sided", "signed"
+LINEAR, LOG, TWO_SIDED, SIGNED = *FORMS.values(), "signed"
 """How the place of a number v between the ends a and b is found, as a share of the colours: (v - a) / (b - a); the same
 of logarithms; zero in the middle, v / b above it and v / a below; zero in the middle, v / max(-a, b) on both sides.
 """
@@ -21,8 +20,8 @@ MOST = 2**24 - 1
 
 
 @dataclass(frozen=True)
-class Scale:
-    """The scale of coded pixels.
+class PixelScale:
+    """The scale of pixels that hold numbers.
 
     form     LINEAR, LOG, TWO_SIDED or SIGNED
     colors   (N, 4) in bytes, from the lower end to the upper
@@ -34,7 +33,9 @@ class Scale:
     span: tuple[float, float]
 
 
-def coded(pixels: Colors, numbers: NDArray[np.int64], painted: Painted, kind: Kind) -> tuple[Colors, Scale | None]:
+def numbered(
+    pixels: Colors, numbers: NDArray[np.int64], painted: Painted, kind: Kind
+) -> tuple[Colors, PixelScale | None]:
     """A picture (rows, columns, 4) whose pixels have codes of three bytes and no alpha where a number coloured them.
 
     ``numbers`` tells which cell each pixel shows, counted row by row. Pixels under lines and textures keep their
@@ -53,18 +54,17 @@ def coded(pixels: Colors, numbers: NDArray[np.int64], painted: Painted, kind: Ki
     return np.where(shown[..., None], codes[numbers], pixels), scale
 
 
-def scale_of(kind: Kind, bar: Bar) -> Scale | None:
-    """The scale of a bar; None where its numbers do not differ."""
-    form = {LogNorm: LOG, TwoSlopeNorm: TWO_SIDED}.get(type(bar.norm), LINEAR)
+def scale_of(kind: Kind, bar: Bar) -> PixelScale | None:
+    """The scale of a bar; None where its numbers do not differ, or are placed in no way that has a name."""
+    form = FORMS.get(type(bar.norm))
     ends, colormap = (float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 0.0)), bar.colormap
     if form == LINEAR and ends[0] < 0.0 < ends[1]:
         form, colormap = SIGNED, both_signs(kind.scale.colors)
     known = bar.values[np.isfinite(bar.values) & ((bar.values > 0.0) | (form != LOG))]
-    if known.size == 0 or known.min() == known.max():
+    if form is None or known.size == 0 or known.min() == known.max():
         return None
-    return Scale(
-        form, np.asarray(colormap(np.arange(colormap.N), bytes=True)), (float(known.min()), float(known.max()))
-    )
+    colors = np.asarray(colormap(np.arange(colormap.N), bytes=True))
+    return PixelScale(form, colors, (float(known.min()), float(known.max())))
 
 
 def cell_numbers(canvas: FigureCanvasAgg, ax: Axes, shape: tuple[int, int]) -> NDArray[np.int64]:
