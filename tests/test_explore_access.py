@@ -154,6 +154,19 @@ def test_tab_leads_through_controls_plane_and_details_each_named_and_seen(desk: 
     assert any("coefficient of restitution" in name for name in names)
 
 
+def test_enter_on_the_plane_chooses_the_cell_in_the_middle(desk: Tab) -> None:
+    script = """() => {
+        let at = document.activeElement
+        while (at?.shadowRoot?.activeElement) at = at.shadowRoot.activeElement
+        return at?.classList.contains("bk-events")
+    }"""
+    while not desk.page.evaluate(script):
+        desk.page.keyboard.press("Tab")
+    desk.page.keyboard.press("Enter")
+    mark = desk.until(desk.mark)
+    assert abs(mark[0] - 3.7) < 0.02 and abs(mark[1] - 0.4) < 0.01
+
+
 def test_the_focus_is_seen_on_the_plane_and_in_the_dark(running: Exploration, browser: Any) -> None:
     with opened(browser, f"{running.url}?{WINDOW}", 1440, 900, color_scheme="dark") as tab:
         tab.until(tab.image)

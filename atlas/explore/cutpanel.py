@@ -14,6 +14,8 @@ from bokeh.models import (
     Div,
     FreehandDrawTool,
     HoverTool,
+    Legend,
+    LegendItem,
     PanTool,
     Range1d,
     Span,
@@ -31,6 +33,13 @@ from atlas.explore.state import State, Store
 from atlas.explore.style import CUT, TEXT
 from atlas.explore.words import symbol_of, ticks
 from atlas.text import plural
+
+ENTRIES = "cells", "stable branches", "unstable branches", "events"
+SWITCHES: dict[str, Any] = {
+    "click_policy": "hide", "orientation": "horizontal", "border_line_color": None, "label_text_font_size": "11px",
+    "margin": 0, "padding": 0, "location": "left",
+}  # fmt: skip
+"""A legend above a diagram, whose entries switch what they name."""
 
 STABLE, UNSTABLE = "#004488", "#bb5566"
 
@@ -226,6 +235,9 @@ class CutPanel:
             for axis in (plot.xaxis[0], plot.yaxis[0]):
                 quiet_axis(axis)
         of.xaxis[0].visible = False
+        entries = zip(ENTRIES, of.renderers, strict=True)
+        switches = Legend(items=[LegendItem(label=label, renderers=[lines]) for label, lines in entries], **SWITCHES)
+        of.add_layout(switches, "above")
 
     def _link(self, logs: list[bool]) -> None:
         """Have the pointer on one move on the other."""

@@ -64,7 +64,8 @@ class Details:
         self._clicks = 0
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
         self._pointed = Div(text=POINTED, **style)
-        self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
+        read_out: Any = {"html_attributes": {"aria-live": "polite"}}
+        self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **read_out, **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
         self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
         self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
@@ -101,9 +102,13 @@ class Details:
         self._pointer = None
 
     def click(self, event: Tap) -> None:
-        """Choose the finest cell that is known at a point, or the point itself."""
+        """Choose the cell at a point."""
         if event.x is not None and event.y is not None:
-            self._background.run(partial(self._found, (event.x, event.y)))
+            self.choose(event.x, event.y)
+
+    def choose(self, x: float, y: float) -> None:
+        """Choose the finest cell that is known at a point, or the point itself."""
+        self._background.run(partial(self._found, (x, y)))
 
     def show(self, chosen: Chosen) -> None:
         """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""

@@ -1,4 +1,6 @@
-"""The keyboard: arrows move the view, + and - zoom it, Esc takes away the cut or what is enlarged."""
+"""The keyboard: arrows move the view, + and - zoom it, Enter on the plane chooses the cell in its middle, Esc takes
+away the cut or what is enlarged.
+"""
 
 from collections.abc import Callable
 
@@ -25,6 +27,12 @@ window.addEventListener("keydown", (event) => {
         else heard.data = {escape: [(heard.data.escape?.[0] ?? 0) + 1]}
         return
     }
+    if (event.key === "Enter" && at.matches?.(".bk-events")) {
+        const middle = [plot.x_range, plot.y_range].map(({start, end}, k) =>
+            logs[k] ? Math.sqrt(start * end) : 0.5 * (start + end))
+        heard.data = {cell: [...middle, (heard.data.cell?.[2] ?? 0) + 1]}
+        return
+    }
     const zoom = {"+": 1 / factor, "=": 1 / factor, "-": factor}[event.key]
     const move = moves[event.key]
     if (!zoom && !move) return
@@ -48,6 +56,7 @@ def hear_keys(
     logs: list[bool],
     moved: Callable[[tuple[float, float], tuple[float, float]], None],
     escaped: Callable[[], None],
+    chose: Callable[[float, float], None],
 ) -> ColumnDataSource:
     """Have the keys of a page heard; the source returned has to be sent along with the page."""
     heard = ColumnDataSource({"x": [], "y": []})
@@ -55,6 +64,8 @@ def hear_keys(
     def hear(attribute: str, old: object, new: dict[str, list[float]]) -> None:
         if "escape" in new:
             escaped()
+        elif "cell" in new:
+            chose(*new["cell"][:2])
         else:
             (left, right), (low, high) = new["x"], new["y"]
             moved((float(left), float(right)), (float(low), float(high)))

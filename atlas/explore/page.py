@@ -98,7 +98,9 @@ class Page:
         self._pins = Pins(self._subject, store, self._plot)
         self._make_panels()
         logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
-        self._keys = hear_keys(document, self._plot, logs, self._show_window, lambda: store.choose(cut=None))
+        self._keys = hear_keys(
+            document, self._plot, logs, self._show_window, lambda: store.choose(cut=None), self._details.choose
+        )
         self._wire()
         self._cut.show(store.now)
         self._pins.show(chosen)

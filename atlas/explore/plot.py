@@ -20,7 +20,7 @@ return text.replace("-", "\\u2212")
 """
 
 
-KEYS = "arrows move it, plus and minus zoom, a click or a tap chooses a cell, shown in text"
+KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
 def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSource, ColumnDataSource]:
