@@ -57,6 +57,7 @@ def codes_of(cells: np.ndarray) -> np.ndarray:
     [
         ("exponent", {}, TWO_SIDED, (-0.3, 0.7)),
         ("combined", {}, LINEAR, (0.2, 0.5)),
+        ("combined", {}, LINEAR, (-0.2, 0.5)),
         ("scalar", {"variable": "peak_to_peak"}, LINEAR, (0.5, 4.0)),
         ("scalar", {"variable": "peak_to_peak", "log": True}, LOG, (0.1, 1.0)),
         ("scalar", {"variable": "largest"}, SIGNED, (-0.25, 0.75)),

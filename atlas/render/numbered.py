@@ -25,7 +25,8 @@ class PixelScale:
 
     form     LINEAR, LOG, TWO_SIDED or SIGNED
     colors   (N, 4) in bytes, from the lower end to the upper
-    span     the numbers of the codes 0 and MOST; those between are evenly spaced, of LOG in the logarithm
+    span     the numbers of the codes 0 and MOST, which are the least and the largest of the cells; codes between are
+             evenly spaced, of LOG in the logarithm, so that a number is off by half a step at most
     """
 
     form: str
@@ -58,7 +59,7 @@ def scale_of(kind: Kind, bar: Bar) -> PixelScale | None:
     """The scale of a bar; None where its numbers do not differ, or are placed in no way that has a name."""
     form = FORMS.get(type(bar.norm))
     ends, colormap = (float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 0.0)), bar.colormap
-    if form == LINEAR and ends[0] < 0.0 < ends[1]:
+    if kind.paint == "scales.scalar" and form == LINEAR and ends[0] < 0.0 < ends[1]:
         form, colormap = SIGNED, both_signs(kind.scale.colors)
     known = bar.values[np.isfinite(bar.values) & ((bar.values > 0.0) | (form != LOG))]
     if form is None or known.size == 0 or known.min() == known.max():
