@@ -116,8 +116,8 @@ def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subje
                 ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
     came: list[np.ndarray] = []
     job = basin_job(grid, slice(1, 3), lambda _, rows, labels: came.append(labels), pytest.fail)
-    task = job.make()
-    assert task is not None and job.solved(task[1], task[0](task[1])) == 10
+    (function, argument), held = job.make()
+    assert job.solved(held, function(argument)) == 10
     states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
     periods = [atlas.point({**grid.parameters, **each}, settings=subject.settings)["period"] for each in states]
     labels = came[0].ravel().tolist()

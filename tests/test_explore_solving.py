@@ -334,20 +334,18 @@ class Mistaken:
     wrong: str
     came: list[str] = field(compare=False)
 
-    def make(self) -> Task | None:
+    def make(self) -> tuple[Task, object]:
         self._step("make")
-        return _shouted, self.wrong
+        return (_shouted, self.wrong), "held"
 
-    def solved(self, argument: object, found: object) -> int:
+    def solved(self, held: object, found: object) -> int:
         self._step("solved")
+        assert held == "held"
         self.came.append(str(found))
         return 1
 
     def failed(self, why: str) -> None:
         self.came.append(why)
-
-    def dropped(self) -> None:
-        """Nothing is held for it."""
 
     def _step(self, name: str) -> None:
         if name == self.wrong:

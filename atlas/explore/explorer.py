@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,7 +48,6 @@ class Explorer:
     ) -> None:
         self.subject, self.failures = subject, dict[tuple[Plane, TileKey], float]()
         self._keeping = keep, most_bytes
-        self._parents: dict[TileJob, Arrays] = {}
         self._kept_planes = {subject.plane}
         self._listeners: dict[Hashable, Callable[[Plane, TileKey], None]] = {}
         self._lock = threading.Lock()
@@ -134,21 +133,18 @@ class Explorer:
         self.patches.want(who, wanted)
         return len(wanted)
 
-    def make_tile(self, job: "TileJob") -> Patch | None:
-        """The patch of a tile, less the cells that the tile above has; None where it is known meanwhile."""
-        if self.known.whole(job.plane, job.key) is not None:
+    def make_tile(self, plane: Plane, key: TileKey) -> tuple[Patch, Arrays | None] | None:
+        """The patch of a tile less the cells that the tile above has, and these; None where it is known meanwhile."""
+        if self.known.whole(plane, key) is not None:
             return None
-        parent = self.known.parent(job.plane, job.key)
+        parent = self.known.parent(plane, key)
         solved = np.zeros((TILE, TILE), dtype=bool)
-        if parent is not None:
-            solved[::2, ::2] = True
-            self._parents[job] = parent
-        return self.subject.patch(job.plane, job.key, solved)
+        solved[::2, ::2] = parent is not None
+        return self.subject.patch(plane, key, solved), parent
 
-    def take_tile(self, job: "TileJob", patch: Patch, found: Arrays) -> None:
+    def take_tile(self, plane: Plane, key: TileKey, made: tuple[Patch, Arrays | None], found: Arrays) -> None:
         """Put a solved tile together, keep it, and tell the pages."""
-        plane, key = job.plane, job.key
-        mask, parent = patch.mask, self._parents.pop(job, None)
+        mask, parent = made[0].mask, made[1]
         arrays = empty_results(
             self.subject.system.variables(self.subject.settings), (TILE, TILE), extra_sizes(self.subject.spec)
         )
@@ -167,10 +163,6 @@ class Explorer:
             self.keeper.room()
             self.keeper.offer(plane, key, arrays)
 
-    def drop_tile(self, job: "TileJob") -> None:
-        """Let go of what was kept for a tile that is not solved after all."""
-        self._parents.pop(job, None)
-
 
 @dataclass(frozen=True)
 class TileJob(Job):
@@ -180,21 +172,16 @@ class TileJob(Job):
     plane: Plane
     key: TileKey
 
-    def make(self) -> Task | None:
+    def make(self) -> tuple[Task, Any] | None:
         """See ``Job``."""
-        patch = self.explorer.make_tile(self)
-        return None if patch is None else (solve_patch, patch)
+        made = self.explorer.make_tile(self.plane, self.key)
+        return None if made is None else ((solve_patch, made[0]), made)
 
-    def solved(self, argument: Patch, found: Arrays) -> int:
+    def solved(self, held: Any, found: Arrays) -> int:
         """See ``Job``."""
-        self.explorer.take_tile(self, argument, found)
-        return int(argument.mask.sum())
+        self.explorer.take_tile(self.plane, self.key, held, found)
+        return int(held[0].mask.sum())
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
-        self.dropped()
         self.explorer.failures[self.plane, self.key] = time.monotonic()
-
-    def dropped(self) -> None:
-        """See ``Job``."""
-        self.explorer.drop_tile(self)
