@@ -18,8 +18,8 @@ const name = () => {
         if (each.ariaLabel || [...(each.labels ?? [])].some((label) => label.textContent.trim())) continue
         let from = each
         while (from && !from.ariaLabel) from = above(from)
-        if (from) each.ariaLabel = from.ariaLabel
-        if (from && each.matches(".bk-events")) each.role = "application"
+        each.ariaLabel = from?.ariaLabel ?? (each.matches(".bk-events") ? "diagram" : "")
+        if (each.matches(".bk-events")) each.role = "application"
     }
 }
 name()

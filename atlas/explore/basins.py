@@ -12,6 +12,7 @@ from bokeh.models import Button, ColumnDataSource, Div
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from atlas.explore.access import named
 from atlas.explore.background import Background
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
@@ -104,6 +105,7 @@ class BasinsPanel:
         self._image = ColumnDataSource({"basins": [], "x0": [], "y0": [], "w": [], "h": []})
         self._start = ColumnDataSource({"start_x": [], "start_y": []})
         self._plot = figure(height=260, sizing_mode="stretch_width", toolbar_location=None, tools="", visible=False)
+        self._plot.html_attributes = named("basins of the cell over its initial states")
         self._plot.image_rgba(image="basins", x="x0", y="y0", dw="w", dh="h", source=self._image)
         look: dict[str, Any] = {"marker": "circle", "fill_color": "white", "line_color": "black"}
         self._plot.scatter(x="start_x", y="start_y", source=self._start, size=8, **look)

@@ -23,6 +23,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from atlas.errors import InputError
+from atlas.explore.access import named
 from atlas.explore.background import Background
 from atlas.explore.chosen import Cut
 from atlas.explore.cut import Branches, Cells, Line, branch_job, cut_job, exponents, section, sweep_of
@@ -238,6 +239,10 @@ class CutPanel:
         entries = zip(ENTRIES, of.renderers, strict=True)
         switches = Legend(items=[LegendItem(label=label, renderers=[lines]) for label, lines in entries], **SWITCHES)
         of.add_layout(switches, "above")
+        of.html_attributes, below.html_attributes = (
+            named("section states along the cut"),
+            named("exponent along the cut"),
+        )
 
     def _link(self, logs: list[bool]) -> None:
         """Have the pointer on one move on the other."""
