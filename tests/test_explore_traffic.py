@@ -62,8 +62,8 @@ def test_other_ends_of_the_scale_recolour_the_map_at_once_and_send_no_picture(ru
     received, sent = len(tab.received), len(tab.sent)
     changed = tab.page.evaluate(
         f"""() => {{
-            const image = {IMAGE}, before = Uint32Array.from(image.data.image[0])
-            {INPUT}.value = 0.3
+            const image = {IMAGE}, before = Uint32Array.from(image.data.image[0]), input = {INPUT}
+            input.value = 0.3
             const after = image.data.image[0]
             return before.filter((color, k) => color !== after[k]).length / before.length
         }}"""

@@ -13,12 +13,14 @@ NAME = """
 const find = (node) => [...node.querySelectorAll("*")].flatMap(
     (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])])
 const above = (each) => each.parentNode instanceof ShadowRoot ? each.parentNode.host : each.parentElement
+const used = "input, select, [role=slider], .bk-events, .bk-spin-btn"
 const name = () => {
-    for (const each of find(document).filter((each) => each.matches("input, select, [role=slider], .bk-events"))) {
+    for (const each of find(document).filter((each) => each.matches(used))) {
         if (each.ariaLabel || [...(each.labels ?? [])].some((label) => label.textContent.trim())) continue
         let from = each
         while (from && !from.ariaLabel) from = above(from)
-        each.ariaLabel = from?.ariaLabel ?? (each.matches(".bk-events") ? "diagram" : "")
+        const step = {"bk-spin-btn-up": "more", "bk-spin-btn-down": "fewer"}[each.classList[1]]
+        each.ariaLabel = step ?? from?.ariaLabel ?? (each.matches(".bk-events") ? "diagram" : "")
         if (each.matches(".bk-events")) each.role = "application"
     }
 }
@@ -28,6 +30,12 @@ setTimeout(name, 1000)
 """What can be used takes its name from the nearest model around it that has one."""
 
 
+PHONE = """
+{% block preamble %}<meta name="viewport" content="width=device-width, initial-scale=1">{% endblock %}
+"""
+"""Without it a phone lays the page out as wide as a desk's."""
+
+
 def named(text: str) -> dict[str, Any]:
     """The attributes of a model whose parts are called this."""
     return {"role": "group", "aria-label": text}
@@ -35,5 +43,6 @@ def named(text: str) -> dict[str, Any]:
 
 def make_accessible(document: Document) -> None:
     """Show where the focus is in all widgets, and name what has no label of its own."""
+    document.template = PHONE
     document.theme = Theme(json={"attrs": {"Widget": {"stylesheets": [FOCUS]}, "Toolbar": {"stylesheets": [FOCUS]}}})
     document.js_on_event(DocumentReady, CustomJS(code=NAME))
