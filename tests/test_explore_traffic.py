@@ -61,13 +61,14 @@ def pixels(tab: Tab) -> np.ndarray:
 def test_other_ends_of_the_scale_recolour_the_map_at_once_and_send_no_picture(running: Exploration, tab: Tab) -> None:
     received, sent = len(tab.received), len(tab.sent)
     changed = tab.page.evaluate(
-        f"""() => {{
+        f"""async () => {{
             const image = {IMAGE}, before = Uint32Array.from(image.data.image[0]), input = {INPUT}
             input.value = 0.3
+            await new Promise((done) => setTimeout(done, 50))
             const after = image.data.image[0]
             return before.filter((color, k) => color !== after[k]).length / before.length
         }}"""
-    )  # in one step of the browser: no answer of the server can have come
+    )  # the server waits three times as long before it looks at a choice at all
     assert changed > 0.2
     tab.until(lambda: "vmin=0.3" in tab.address())
     rested(running, tab)
