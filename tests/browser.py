@@ -20,15 +20,25 @@ def needs_browser() -> None:
 
 
 class Tab:
-    """A tab: what the browser complained of, which hosts it asked, and the state of the page's models."""
+    """A tab: what the browser complained of, which hosts it asked, and the state of the page's models.
+
+    ``sent`` and ``received`` are the bytes of each message of its websockets.
+    """
 
     def __init__(self, page: Any) -> None:
         self.page = page
         self.complaints: list[str] = []
         self.hosts: set[str] = set()
+        self.sent: list[int] = []
+        self.received: list[int] = []
+        page.on("websocket", self._listen)
         page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
+
+    def _listen(self, socket: Any) -> None:
+        for event, sizes in (("framesent", self.sent), ("framereceived", self.received)):
+            socket.on(event, lambda content, sizes=sizes: sizes.append(len(content)))
 
     def address(self) -> str:
         """The address that the tab shows now."""
@@ -150,9 +160,9 @@ def started() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, url: str, width: int = 1000, height: int = 440) -> Iterator[Tab]:
-    """A tab that shows an address."""
-    context = browser.new_context(viewport={"width": width, "height": height})
+def opened(browser: Any, url: str, width: int = 1000, height: int = 440, **options: Any) -> Iterator[Tab]:
+    """A tab that shows an address; further options are those of a context of Playwright's."""
+    context = browser.new_context(viewport={"width": width, "height": height}, **options)
     try:
         tab = Tab(context.new_page())
         tab.page.goto(url)

@@ -3,17 +3,22 @@
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from bokeh.models import ColumnDataSource
 from distributed import Client
 
 import atlas
 from atlas.explore.actions import new_atlas
-from atlas.explore.attractors import Attractors, known_attractors
+from atlas.explore.attractors import Attractors, known_attractors, search_job
 from atlas.explore.chosen import beginning
+from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
+from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.view import Sight, View
 from atlas.explore.words import attractors_table
@@ -33,7 +38,7 @@ CELL = {"omega": 4.1234567, "b": 0.1}
 def asked(explorer: Explorer, cell: Cell) -> Attractors:
     """The attractors that the explorer finds of a cell."""
     answers: SimpleQueue[Attractors] = SimpleQueue()
-    explorer.ask("test", cell, answers.put)
+    explorer.patches.want("test", [search_job(explorer.subject, cell, answers.put)])
     return answers.get(timeout=120.0)
 
 
@@ -59,14 +64,20 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
     assert (found.starts, found.own, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
 
 
-def test_a_cell_clicked_later_is_answered_and_the_one_before_is_not(finished: Path, client: Client) -> None:
-    told: SimpleQueue[tuple[str, Attractors]] = SimpleQueue()
-    with exploring(finished, client, keep=False) as explorer:
-        parameters = dict(explorer.subject.plane.parameters) | CELL
-        for name, omega in (("first", 2.5), ("second", 4.5)):
-            cell = Cell(parameters | {"omega": omega}, {}, of_atlas=False)
-            explorer.ask("page", cell, lambda found, name=name: told.put((name, found)))  # type: ignore[misc]
-        assert told.get(timeout=120.0)[0] == "second" and told.empty()
+def test_an_answer_about_a_cell_that_was_clicked_before_another_is_not_shown(finished: Path) -> None:
+    subject, works = subject_of(str(finished)), list[object]()
+    background = SimpleNamespace(later=lambda act: act, run=works.append)
+    explorer = SimpleNamespace(subject=subject, patches=SimpleNamespace(want=lambda *_: None))
+    store = Store(State(beginning(subject)))
+    shown: list[Any] = [explorer, background, store, lambda: "a sight", ColumnDataSource({"x": [], "y": []})]
+    details = Details(*shown)
+    for x in (2.5, 3.5):
+        details.show(replace(store.now.chosen, cell=(subject.plane, x, 0.2)))
+    assert len(works) == 2
+    found = Attractors(trouble="of the first", starts=1), Attractors(trouble="of the second", starts=1)
+    for click, answer in ((2, found[1]), (1, found[0])):
+        details._answer(CELL, click, answer)
+    assert "of the second" in details._attractors.text
 
 
 def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:

@@ -1,5 +1,6 @@
 """Other axes and layers of a machine that is explored: what is chosen in the page, as its address holds it."""
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import parse_qs
@@ -13,9 +14,10 @@ from atlas.errors import InputError
 from atlas.explore.actions import new_atlas
 from atlas.explore.chosen import carried, from_address, to_address, turned_to
 from atlas.explore.explorer import MOST_OTHERS, Explorer
+from atlas.explore.kept import Keeper
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.view import Sight, View
+from atlas.explore.view import Sight, TileKey, View
 from tests.test_explore_solving import exploring, waited
 from workers.results import PENDING, REGIME
 
@@ -71,6 +73,49 @@ def test_cells_over_other_axes_are_those_of_the_point_command_to_the_bit(explore
     alone = atlas.point(cell.parameters, system=subject.system, settings=subject.settings)
     assert (alone["largest"], alone["state"]) == (cell.results["largest"], alone["state"])
     assert alone["peak_to_peak"] == cell.results["peak_to_peak"]
+
+
+def test_the_link_to_other_axes_is_admitted_also_from_a_view_whose_middle_is_out_of_range(explorer: Explorer) -> None:
+    home = explorer.subject
+    chosen = from_address(home, arguments("omega=2.0:3.0&b=-0.4:0.2"))  # a gap has to be positive
+    turned = explorer.turned(("omega", "R")).subject
+    values = dict(zip(home.axes, chosen.middle(home), strict=True)) | dict(chosen.plane.parameters)
+    there = carried(turned, chosen, values)
+    assert from_address(turned, arguments(to_address(home, turned, there))) == there
+    assert dict(there.plane.parameters)["b"] == dict(turned.plane.parameters)["b"] > 0
+
+
+def test_a_box_is_forgotten_with_the_view_in_which_it_was_chosen() -> None:
+    subject = subject_of("omega-b")
+    store = Store(State(from_address(subject, {})))
+    box = ((2.5, 2.75), (0.25, 0.375))
+    for change, kept in (
+        ({"kind": "period"}, box), ({"x": (2.0, 3.0)}, None), ({"plane": subject.plane.moved("R", 0.7)}, None),
+    ):  # fmt: skip
+        store.set(box=box)
+        store.choose(**change)
+        assert store.now.box == kept, change
+
+
+def test_turning_to_other_axes_does_not_wait_for_a_layer_whose_tiles_are_being_written(
+    stack: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, written = threading.Event(), []
+
+    def slow(keeper: Keeper, header: object, batch: list[object]) -> None:
+        assert go_on.wait(30.0)
+        written.extend(batch)
+        keeper._waiting.clear()
+
+    monkeypatch.setattr(Keeper, "_turn", slow)
+    monkeypatch.setattr("atlas.explore.explorer.MOST_OTHERS", 1)
+    with exploring(stack, client) as explorer:
+        layer = explorer.turned(("omega", "b"), 0.05)
+        layer.keeper.offer(layer.subject.plane, TileKey(0, 0, 0, 0), {})
+        assert explorer.turned(("R", "b")) is not explorer.turned(("R", "omega"))
+        assert not written
+        go_on.set()
+    assert len(written) == 1
 
 
 @pytest.mark.parametrize(

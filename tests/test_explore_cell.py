@@ -2,6 +2,8 @@
 
 import json
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import atlas
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
 from atlas.explore import motion
-from atlas.explore.basins import BAND, SIDE, Grid, basin_job, painted
+from atlas.explore.basins import BAND, SIDE, BasinsPanel, Grid, basin_job, painted
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.subject import Subject, subject_of
@@ -114,8 +116,8 @@ def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subje
                 ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
     came: list[np.ndarray] = []
     job = basin_job(grid, slice(1, 3), lambda _, rows, labels: came.append(labels), pytest.fail)
-    task = job.make()
-    assert task is not None and job.solved(task[1], task[0](task[1])) == 10
+    (function, argument), held = job.make()
+    assert job.solved(held, function(argument)) == 10
     states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
     periods = [atlas.point({**grid.parameters, **each}, settings=subject.settings)["period"] for each in states]
     labels = came[0].ravel().tolist()
@@ -137,6 +139,23 @@ def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel
     centres = (np.arange(SIDE) + 0.5) / SIDE
     assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-12)
     assert np.allclose(y0 + h * centres, grid.y[1], rtol=0.0, atol=1e-12)
+
+
+def test_the_plane_of_initial_states_is_laid_out_away_from_the_thread_of_the_document(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    works, made, of_cell = list[Any](), list[Grid](), Grid.of_cell
+    background = SimpleNamespace(later=lambda act: act, run=works.append)
+    wanted = SimpleNamespace(want=lambda who, jobs: made.extend(job.task[1][0] for job in jobs))
+    panel = BasinsPanel(SimpleNamespace(subject=subject, patches=wanted), background)  # type: ignore[arg-type]
+    panel.offer(cell_at(subject, 4.0, 0.1))
+    monkeypatch.setattr(Grid, "of_cell", pytest.fail)
+    panel._ask()
+    assert not made
+    monkeypatch.setattr(Grid, "of_cell", of_cell)
+    (work,) = works
+    work()()
+    assert len(made) == SIDE // BAND
 
 
 def test_an_unknown_label_is_grey_and_each_other_has_its_colour() -> None:

@@ -22,9 +22,8 @@ def solved(line: Line, parts: list[tuple[int, ...]]) -> Cells:
     came: list[Cells] = []
     for part in parts:
         job = cut_job(line, part, lambda _, cells: came.append(cells), pytest.fail)
-        task = job.make()
-        assert task is not None
-        assert job.solved(task[1], task[0](task[1])) == len(part)
+        (function, argument), held = job.make()
+        assert job.solved(held, function(argument)) == len(part)
     found = None
     for each in came:
         found = each.joined(found)
@@ -88,9 +87,8 @@ def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subj
     assert line.name == "b"
     sweep, came = sweep_of(line, solved(line, line.parts()[:1])), []
     job = branch_job(line, sweep, lambda _, found: came.append(found), pytest.fail)
-    task = job.make()
-    assert task is not None
-    job.solved(task[1], task[0](task[1]))
+    (function, argument), held = job.make()
+    job.solved(held, function(argument))
     found: Drawn = came[0]
     alone = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15), settings=subject.settings)
     where = [value for kind, value, _ in found.events if kind == "symmetry_breaking"]

@@ -14,7 +14,7 @@ from bokeh.models import Div
 
 from atlas.errors import InputError
 from atlas.explore.background import Background
-from atlas.explore.server import PageServer
+from atlas.explore.server import PageServer, own_hosts, refusal
 
 UPGRADE = {
     "Upgrade": "websocket",
@@ -73,6 +73,18 @@ def test_the_servers_own_address_is_served(server: PageServer, name: str) -> Non
     status, body = answer(server, "/", Host=host, Origin=f"http://{host}")
     assert (status, b"token" in body) == (200, True)
     assert answer(server, "/static/js/bokeh.min.js", Host=host)[0] == 200
+
+
+@pytest.mark.parametrize(("host", "served"), [("localhost", True), ("127.0.0.1:80", True), ("evil.example", False)])
+def test_at_port_80_a_host_is_served_as_browsers_write_it(host: str, served: bool) -> None:
+    from bokeh.server.util import check_allowlist
+    from tornado.httputil import HTTPHeaders, HTTPServerRequest, RequestStartLine
+
+    headers = HTTPHeaders({"Host": host, "Origin": f"http://{host}"})
+    request = HTTPServerRequest(start_line=RequestStartLine("GET", "/", "HTTP/1.1"), headers=headers)
+    assert (refusal(request, own_hosts(80)) is None) == served
+    assert check_allowlist(host, own_hosts(80)) == served  # what decides about websockets
+    assert refusal(request, own_hosts(5006)) == 403
 
 
 @pytest.fixture(scope="module")

@@ -90,6 +90,19 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
 
 
+def test_the_cells_of_a_view_that_are_missing_are_counted_at_its_full_density(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        cells = sight.index_x.size * sight.index_y.size
+        assert known.missing(plane, sight) == cells
+        explorer.want("test", plane, sight, range(3, 0, -1))  # all but the full density
+        assert waited(lambda: explorer.patches.left("test") == 0) and known.missing(plane, sight) == cells
+        first, *_ = sight.tiles(0)
+        rows, columns = sight.place(first)
+        known.tiles.put(plane, first, known.whole(plane, first.above) or {})
+        assert known.missing(plane, sight) == cells - (rows.stop - rows.start) * (columns.stop - columns.start) < cells
+
+
 def test_a_cell_that_is_solved_alone_is_that_of_its_tile_to_the_bit(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight, plane = view_of(explorer.subject), explorer.subject.plane
@@ -321,20 +334,18 @@ class Mistaken:
     wrong: str
     came: list[str] = field(compare=False)
 
-    def make(self) -> Task | None:
+    def make(self) -> tuple[Task, object]:
         self._step("make")
-        return _shouted, self.wrong
+        return (_shouted, self.wrong), "held"
 
-    def solved(self, argument: object, found: object) -> int:
+    def solved(self, held: object, found: object) -> int:
         self._step("solved")
+        assert held == "held"
         self.came.append(str(found))
         return 1
 
     def failed(self, why: str) -> None:
         self.came.append(why)
-
-    def dropped(self) -> None:
-        """Nothing is held for it."""
 
     def _step(self, name: str) -> None:
         if name == self.wrong:
@@ -353,6 +364,29 @@ def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: 
         assert sorted(came) == ["KeyError: 'make'", "KeyError: 'solved'", "NONE", "input 1"]
     finally:
         patches.stop()
+
+
+def test_a_tile_that_was_given_up_is_tried_again_by_who_looks_later(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with exploring(finished, client) as explorer:
+        plane, sight = explorer.subject.plane, view_of(explorer.subject)
+
+        def count() -> int:
+            return explorer.want("test", plane, sight, range(3, -1, -1))
+
+        with monkeypatch.context() as broken:
+            broken.setattr("atlas.explore.explorer.solve_patch", _refused)
+            tiles = count()
+            assert tiles > 3 and waited(lambda: explorer.patches.left("test") == 0)
+        assert len(explorer.failures) == tiles and count() == 0
+        monkeypatch.setattr("atlas.explore.explorer.AGAIN", 0.0)
+        assert solved(explorer, sight) and not explorer.failures
+        assert not np.any(explorer.known.seen(plane, sight, [])[REGIME.name].values == PENDING)
+
+
+def _refused(patch: object) -> object:
+    raise InputError("no cell of this tile can be solved")
 
 
 def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:

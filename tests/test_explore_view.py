@@ -12,12 +12,15 @@ from atlas.curves.table import write_curves
 from atlas.errors import InputError
 from atlas.explore.chosen import beginning, from_address, kinds, overlays, to_address
 from atlas.explore.compose import composed
+from atlas.explore.curvelist import CurveList
 from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
+from atlas.explore.patches import State as Work
+from atlas.explore.state import State, Store
 from atlas.explore.subject import Plane, Subject, exploring, subject_of
 from atlas.explore.tiles import Tiles
 from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
-from atlas.explore.words import plain, ticks
+from atlas.explore.words import plain, progress, progress_bar, ticks
 from atlas.render import SCALAR
 from atlas.render.screen import screen
 from atlas.spec.axis import Axis
@@ -197,7 +200,8 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
     from urllib.parse import parse_qs
 
     given = {"omega": [b"2.5:2.75"], "b": [b"0.2:0.21"], "kind": [b"scalar"], "variable": [b"peak_to_peak"],
-             "log": [b"1"], "overlay": [b"grazing,isolines"], "vmin": [b"0.1"], "R": [b"0.75"]}  # fmt: skip
+             "log": [b"1"], "overlay": [b"grazing,isolines"], "vmin": [b"0.1"], "R": [b"0.75"],
+             "without": [b"graze,fold"]}  # fmt: skip
     chosen = from_address(subject, given)
     again = {
         name: [text.encode() for text in texts]
@@ -205,6 +209,7 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
     }
     assert from_address(subject, again) == chosen
     assert chosen.plane == subject.plane.moved("R", 0.75)
+    assert chosen.curves is not None and {"fold", "graze"}.isdisjoint(chosen.curves)
 
 
 @pytest.mark.parametrize(
@@ -214,6 +219,7 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
         ({"R": [b"1.5"]}, "R = 1.5: must satisfy 0 <= R <= 1"),
         ({"kind": [b"sweep"]}, "kind: found 'sweep'; possible: exponent"),
         ({"overlay": [b"stars"]}, "overlay: found 'stars'; possible: grazing"),
+        ({"without": [b"stars"]}, "without: found 'stars'; possible: fold"),
         ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', which begins and ends at one point"),
         ({"vmin": [b"nan"]}, "vmin: found 'nan', must be a finite number"),
         ({"pin": [b"omega=nan,b=0.3;"]}, "pin: found 'nan', must be a finite number"),
@@ -247,6 +253,28 @@ def test_planes_that_differ_in_a_parameter_or_in_how_they_are_solved_have_digest
     finer = Subject(subject.spec, exploring(subject.spec.settings, tolerance=0.1))
     planes = [subject.digest(subject.plane), subject.digest(subject.plane.moved("R", 0.7)), finer.digest(subject.plane)]
     assert len(set(planes)) == 3
+
+
+def test_the_list_of_curves_has_those_in_view_and_those_left_out_and_switches_them(subject: Subject) -> None:
+    store = Store(State(from_address(subject, {"without": [b"fold"]}), lines=("graze", "codimension_two")))
+    listed = CurveList(store)
+    listed.show(store.now)
+    assert not listed.widget.visible  # the curves are not drawn at all
+    store.listen(lambda _, state: listed.show(state))
+    store.choose(overlays=("curves",))
+    assert listed.widget.visible and len(listed.widget.labels) == 3 and listed.widget.active == [1, 2]
+    listed.widget.active = [0, 2]
+    assert store.now.chosen.hidden == ("graze",)
+    store.set(lines=("fold", "codimension_two"))
+    assert listed.widget.labels[:2] == ["fold", "graze"] and listed.widget.active == [0, 2]
+
+
+def test_the_progress_of_a_view_is_in_cells_and_per_cent_and_not_rounded_up_to_all() -> None:
+    line = progress(Work("", 2, 1234.5), 3, [], (30_000, 100))
+    assert "99 % solved, 100 of 30\N{NARROW NO-BREAK SPACE}000 cells to come" in line
+    assert "1\N{NARROW NO-BREAK SPACE}234 cells/s" in line
+    assert 'aria-valuenow="99"' in progress_bar(30_000, 100) and progress_bar(30_000, 0) == ""
+    assert "all that is in view is solved" in progress(Work("", 2, 0.0), 0, [], (30_000, 0))
 
 
 def test_symbols_of_mathtext_are_written_in_unicode() -> None:

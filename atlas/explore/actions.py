@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from atlas.cell.orbit import CellOrbit, cell_orbit
-from atlas.explore.chosen import Chosen, Range
+from atlas.explore.chosen import CHART, CURVES, Chosen, Range
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.pins import pins_text
@@ -32,6 +32,8 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
     subject = explorer.subject
     ds = explorer.known.seen(chosen.plane, sight, chosen.names)
     options: dict[str, Any] = {"overlay": chosen.drawn(subject)}
+    if CURVES in options["overlay"] or chosen.kind == CHART:
+        options["curves"] = chosen.curves
     if chosen.kind == SCALAR:
         options |= {"variable": chosen.variable, "log": chosen.log}
     if chosen.kind == SCALAR or has_scale(chosen.kind):

@@ -12,6 +12,7 @@ from bokeh.models import Button, ColumnDataSource, Div
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from atlas.explore.access import named
 from atlas.explore.background import Background
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
@@ -94,6 +95,7 @@ class BasinsPanel:
 
     def __init__(self, explorer: Explorer, background: Background) -> None:
         self._explorer = explorer
+        self._background = background
         self._told, self._refuse = background.later(self._take), background.later(self._refused)
         self._cell: Cell | None = None
         self._labels = np.zeros((0, 0), dtype=np.int32)
@@ -103,6 +105,7 @@ class BasinsPanel:
         self._image = ColumnDataSource({"basins": [], "x0": [], "y0": [], "w": [], "h": []})
         self._start = ColumnDataSource({"start_x": [], "start_y": []})
         self._plot = figure(height=260, sizing_mode="stretch_width", toolbar_location=None, tools="", visible=False)
+        self._plot.html_attributes = named("basins of the cell over its initial states")
         self._plot.image_rgba(image="basins", x="x0", y="y0", dw="w", dh="h", source=self._image)
         look: dict[str, Any] = {"marker": "circle", "fill_color": "white", "line_color": "black"}
         self._plot.scatter(x="start_x", y="start_y", source=self._start, size=8, **look)
@@ -131,18 +134,29 @@ class BasinsPanel:
         self._explorer.patches.want(self, ())
 
     def _ask(self) -> None:
-        cell, system = self._cell, self._explorer.subject.system
+        cell = self._cell
         if cell is None:
             return
-        grid = Grid.of_cell(self._explorer.subject, cell.parameters)
+        self._says.update(text="solving initial states", visible=True)
+        self._button.visible = False
+
+        def work() -> Callable[[], None]:
+            return partial(self._begin, cell, Grid.of_cell(self._explorer.subject, cell.parameters))
+
+        self._background.run(work)
+
+    def _begin(self, cell: Cell, grid: Grid) -> None:
+        """Have the initial states of a plane solved."""
+        if cell is not self._cell:
+            return
+        system = self._explorer.subject.system
         self._labels = np.full((SIDE, SIDE), UNSOLVED, dtype=np.int32)
         self._plot.xaxis[0].axis_label, self._plot.yaxis[0].axis_label = (
             symbol_of(system, name) for name in (grid.x[0], grid.y[0])
         )
         own = [cell.parameters[name] for name in (grid.x[0], grid.y[0])]
         self._start.data = {"start_x": own[:1], "start_y": own[1:]}
-        self._says.update(text="solving initial states", visible=True)
-        self._plot.visible, self._button.visible = True, False
+        self._plot.visible = True
         rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
         jobs = [basin_job(grid, each, partial(self._told, cell), self._refuse) for each in rows]
         self._explorer.patches.want(self, jobs)

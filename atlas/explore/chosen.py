@@ -10,6 +10,7 @@ from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import Plane, Subject
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, needs
+from atlas.render.kinds import CURVES as CURVE_KINDS
 from workers.results import LARGEST, REGIME
 
 Range = tuple[float, float]
@@ -38,7 +39,7 @@ class Follow(NamedTuple):
     value: float
 
 
-_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow")
+_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow", "without")
 ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
 """What an address has besides parameters; ``token`` is the server's."""
 
@@ -51,6 +52,7 @@ class Chosen:
     pins   cells that stay marked
     cut    the line that was drawn
     follow the orbit of that point which is followed
+    hidden the kinds of curves that are left out
     """
 
     x: Range
@@ -66,6 +68,7 @@ class Chosen:
     pins: tuple[Pin, ...] = ()
     cut: Cut | None = None
     follow: Follow | None = None
+    hidden: tuple[str, ...] = ()
 
     @property
     def picture(self) -> "Chosen":
@@ -89,6 +92,11 @@ class Chosen:
     def drawn(self, subject: Subject) -> tuple[str, ...]:
         """The overlays that its plane has."""
         return tuple(name for name in self.overlays if name != CURVES or self.plane == subject.plane)
+
+    @property
+    def curves(self) -> tuple[str, ...] | None:
+        """The kinds of curves that may be drawn; None for all."""
+        return tuple(kind for kind in CURVE_KINDS if kind not in self.hidden) if self.hidden else None
 
     def without_curves(self, subject: Subject) -> str:
         """Why the curves that it asks for are not those of its plane; empty where they are, or it asks for none."""
@@ -141,15 +149,24 @@ def beginning(subject: Subject) -> Chosen:
 
 
 def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Chosen:
-    """The whole plane of another subject at these values, drawn as what was chosen as far as it has that."""
-    begun = beginning(subject)
+    """The whole plane of another subject at these values, drawn as what was chosen as far as it has that.
+
+    A parameter whose value is out of its range, as in the margin of a view, has that of the subject's own plane.
+    """
+    begun, parameter = beginning(subject), subject.system.parameter
     return replace(
         begun,
-        plane=Plane(tuple((name, values[name]) for name, _ in begun.plane.parameters)),
+        plane=Plane(
+            tuple(
+                (name, values[name] if parameter(name).admits(values[name]) else own)
+                for name, own in begun.plane.parameters
+            )
+        ),
         kind=chosen.kind if chosen.kind in kinds(subject) else begun.kind,
         variable=chosen.variable,
         log=chosen.log,
         pins=chosen.pins,
+        hidden=chosen.hidden,
         overlays=tuple(name for name in chosen.overlays if name in overlays(subject)),
     )
 
@@ -190,7 +207,8 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     pairs += [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y)), ("kind", chosen.kind)]
     if chosen.kind == SCALAR:
         pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
-    pairs += [("overlay", ",".join(chosen.overlays))] if chosen.overlays else []
+    lists = {"overlay": chosen.overlays, "without": chosen.hidden}
+    pairs += [(name, ",".join(each)) for name, each in lists.items() if each]
     pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
     own = dict(subject.plane.parameters)
     pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
@@ -212,12 +230,14 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         if value not in possible:
             raise InputError(f"{name}: found {value!r}; possible: {', '.join(possible)}")
         return replace(chosen, kind=value) if name == "kind" else replace(chosen, variable=value)
-    if name == "overlay":
+    if name in ("overlay", "without"):
         wanted = tuple(value.split(",")) if value else ()
-        known = overlays(subject)
+        known = overlays(subject) if name == "overlay" else CURVE_KINDS
         unknown = [each for each in wanted if each not in known]
         if unknown:
-            raise InputError(f"overlay: found {unknown[0]!r}; possible: {', '.join(known)}")
+            raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(known)}")
+        if name == "without":
+            return replace(chosen, hidden=tuple(sorted(wanted, key=CURVE_KINDS.index)))
         return replace(chosen, overlays=wanted)
     if name == "log":
         return replace(chosen, log=value == "1")

@@ -10,7 +10,9 @@ from bokeh.layouts import row
 from bokeh.models import Button, CheckboxGroup, Div, NumericInput, Select, Slider, Spinner, Toggle
 
 from atlas.errors import InputError
+from atlas.explore.access import named
 from atlas.explore.chosen import kinds, overlays, variables
+from atlas.explore.curvelist import CurveList
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import STEPS, Subject, slider_range
@@ -36,6 +38,7 @@ class Controls:
         self.variable = Select(title="variable", options=variables(subject), value=chosen.variable, **wide)
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
         self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
+        self.curves = CurveList(store)
         self.vmin = NumericInput(title="scale from", value=chosen.vmin, mode="float", placeholder="auto", **wide)
         self.vmax = NumericInput(title="to", value=chosen.vmax, mode="float", placeholder="auto", **wide)
         self.rescale = Button(label="fit the scale to the view", **wide)
@@ -58,7 +61,7 @@ class Controls:
         states = self._sliders(states=True)
         return [
             self.kind, self.variable, self.log, row(self.vmin, self.vmax, sizing_mode="stretch_width"), self.rescale,
-            _heading("lines over it"), self.overlays,
+            _heading("lines over it"), self.overlays, self.curves.widget,
             _heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"),
             _heading("axes"), *self.axes,
             _heading("parameters"), *self._sliders(states=False), self.keep,
@@ -72,6 +75,7 @@ class Controls:
         chosen, own = state.chosen, self.subject.plane
         self.variable.visible = self.log.visible = chosen.kind == SCALAR
         self.vmin.value, self.vmax.value = chosen.vmin, chosen.vmax
+        self.curves.show(state)
         for name, value in chosen.plane.parameters:
             slider = self.sliders[name]
             if not slider.start <= value <= slider.end:
@@ -131,7 +135,7 @@ class Controls:
         for name in names:
             parameter = self.subject.system.parameter(name)
             label = f"{parameter.meaning.split(':')[0]}, {plain(parameter.symbol or name)}"
-            line = row(self.sliders[name], self.typed[name], sizing_mode="stretch_width")
+            line = row(self.sliders[name], self.typed[name], sizing_mode="stretch_width", html_attributes=named(label))
             made += [Div(text=html.escape(label), margin=(4, 5, -6, 5)), line]
         return made
 

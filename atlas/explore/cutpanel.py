@@ -13,6 +13,8 @@ from bokeh.models import (
     CustomJS,
     Div,
     FreehandDrawTool,
+    Legend,
+    LegendItem,
     PanTool,
     Range1d,
     Span,
@@ -20,6 +22,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from atlas.errors import InputError
+from atlas.explore.access import named
 from atlas.explore.background import Background
 from atlas.explore.branches import Drawn
 from atlas.explore.branchlines import BranchLines
@@ -32,6 +35,13 @@ from atlas.explore.state import State, Store
 from atlas.explore.style import CUT, TEXT
 from atlas.explore.words import symbol_of, ticks
 from atlas.text import plural
+
+ENTRIES = "cells", "stable branches", "unstable branches", "events"
+SWITCHES: dict[str, Any] = {
+    "click_policy": "hide", "orientation": "horizontal", "border_line_color": None, "label_text_font_size": "11px",
+    "margin": 0, "padding": 0, "location": "left",
+}  # fmt: skip
+"""A legend above a diagram, whose entries switch what they name."""
 
 LINK = """
 const [x0, x1] = line.data.xs[0] ? [line.data.xs[0][0], line.data.xs[0].at(-1)] : [NaN, NaN]
@@ -208,6 +218,13 @@ class CutPanel:
             for axis in (plot.xaxis[0], plot.yaxis[0]):
                 quiet_axis(axis)
         of.xaxis[0].visible = False
+        entries = zip(ENTRIES, of.renderers, strict=True)
+        switches = Legend(items=[LegendItem(label=label, renderers=[lines]) for label, lines in entries], **SWITCHES)
+        of.add_layout(switches, "above")
+        of.html_attributes, below.html_attributes = (
+            named("section states along the cut"),
+            named("exponent along the cut"),
+        )
 
     def _link(self, logs: list[bool]) -> None:
         """Have the pointer on one move on the other."""

@@ -12,7 +12,7 @@ from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
-from atlas.explore.attractors import Attractors, known_attractors
+from atlas.explore.attractors import Attractors, known_attractors, search_job
 from atlas.explore.background import Background, Show
 from atlas.explore.basins import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
@@ -69,7 +69,8 @@ class Details:
         self._clicks = 0
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
         self._pointed = Div(text=POINTED, **style)
-        self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
+        read_out: Any = {"html_attributes": {"aria-live": "polite"}}
+        self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **read_out, **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
         self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
         self._follow = FollowPanel(explorer, background, store, plane)
@@ -88,7 +89,7 @@ class Details:
 
     def close(self) -> None:
         """Want nothing more."""
-        self._explorer.forget(self)
+        self._explorer.patches.want(self, ())
         self._basins.close()
         self._follow.close()
 
@@ -108,9 +109,13 @@ class Details:
         self._pointer = None
 
     def click(self, event: Tap) -> None:
-        """Choose the finest cell that is known at a point, or the point itself."""
+        """Choose the cell at a point."""
         if event.x is not None and event.y is not None:
-            self._background.run(partial(self._found, (event.x, event.y)))
+            self.choose(event.x, event.y)
+
+    def choose(self, x: float, y: float) -> None:
+        """Choose the finest cell that is known at a point, or the point itself."""
+        self._background.run(partial(self._found, (x, y)))
 
     def show(self, chosen: Chosen) -> None:
         """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
@@ -167,7 +172,7 @@ class Details:
         answer = partial(self._answer, cell.parameters, click)
         self._background.show(partial(answer, found))
         if found is None and not self._background.closed:
-            self._explorer.ask(self, cell, self._background.later(answer))
+            self._explorer.patches.want(self, [search_job(self._subject, cell, self._background.later(answer))])
         self._background.show(partial(self._show, cell, "drawing its portrait", click))
         try:
             orbit = orbit_of(self._subject, cell)

@@ -1,16 +1,17 @@
 """One subject explored by any number of pages: what is solved, for whom, and who is told."""
 
+import math
 import threading
+import time
 from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atlas.explore.attractors import Asked, Attractors
 from atlas.explore.kept import MOST_BYTES, Keeper
-from atlas.explore.known import Cell, Known
+from atlas.explore.known import Known
 from atlas.explore.patch import Patch, solve_patch
 from atlas.explore.patches import Job, Patches, Task
 from atlas.explore.subject import Plane, Subject
@@ -24,6 +25,8 @@ from workers.results import empty_results
 if TYPE_CHECKING:
     from distributed import Client
 
+AGAIN = 60.0
+"""Seconds after which a tile that was given up may be tried again."""
 MOST_OTHERS = 4
 """Other axes and layers whose cells are remembered; of more, those that no page shows are forgotten."""
 
@@ -32,7 +35,7 @@ class Explorer:
     """Looks, solves and keeps for the pages of one subject; ``connect`` leads to the cluster.
 
     known      what is known of the subject
-    failures   tiles that could not be solved, and why
+    failures   when tiles could not be solved, in seconds of ``time.monotonic``
     """
 
     def __init__(
@@ -43,14 +46,13 @@ class Explorer:
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
     ) -> None:
-        self.subject, self.failures = subject, dict[tuple[Plane, TileKey], str]()
+        self.subject, self.failures = subject, dict[tuple[Plane, TileKey], float]()
         self._keeping = keep, most_bytes
-        self._parents: dict[TileJob, Arrays] = {}
         self._kept_planes = {subject.plane}
         self._listeners: dict[Hashable, Callable[[Plane, TileKey], None]] = {}
-        self._asked = Asked(subject)
         self._lock = threading.Lock()
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
+        self._ending: list[Keeper] = []
         self.keeper = Keeper(subject, most_bytes, keep)
         self.known = Known(subject, self.keeper)
         if isinstance(connect, Patches):  # one of several: all of them together must fit in memory
@@ -62,8 +64,8 @@ class Explorer:
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
-        for each in (*self._others.values(), self):
-            each.keeper.stop()
+        for keeper in (*self._ending, *(each.keeper for each in (*self._others.values(), self))):
+            keeper.stop()
 
     def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
         """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
@@ -75,13 +77,13 @@ class Explorer:
         subject, layer = self.subject.turned(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
             idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
-            gone = [self._others.pop(key) for key in idle[: max(0, len(self._others) - MOST_OTHERS)]]
+            for key in idle[: max(0, len(self._others) - MOST_OTHERS)]:
+                keeper = self._others.pop(key).keeper
+                keeper.end()  # its last tiles are written while the page goes on
+                self._ending.append(keeper)
             if (axes, layer) not in self._others:
                 self._others[axes, layer] = Explorer(subject, self.patches, *self._keeping)
-            found = self._others[axes, layer]
-        for each in gone:
-            each.keeper.stop()
-        return found
+            return self._others[axes, layer]
 
     def listen(self, who: Hashable, told: Callable[[Plane, TileKey], None] | None) -> None:
         """Have a page told, in another thread, of every tile that is solved; None for a page that is gone."""
@@ -117,40 +119,32 @@ class Explorer:
                 self.keeper.offer(plane, key, arrays)
 
     def want(self, who: Hashable, plane: Plane, sight: Sight, stages: range) -> int:
-        """Have what is not known of the view solved, at these stages in this order, and return how many tiles."""
+        """Have what is not known of the view solved, at these stages in this order, and return how many tiles.
+
+        A tile that failed is tried again by whoever looks at it AGAIN seconds later.
+        """
+        since = time.monotonic() - AGAIN
         wanted = [
             TileJob(self, plane, key)
             for stage in stages
             for key in sight.tiles(stage)
-            if (plane, key) not in self.failures and not self.known.has(plane, key)
+            if self.failures.get((plane, key), -math.inf) <= since and not self.known.has(plane, key)
         ]
         self.patches.want(who, wanted)
         return len(wanted)
 
-    def ask(self, who: Hashable, cell: Cell, told: Callable[[Attractors], None]) -> None:
-        """Have all attractors of a cell found, and somebody told of them in another thread, and of no other cell's."""
-        self.patches.want(who, [self._asked.ask(who, cell, told)])
-
-    def forget(self, who: Hashable) -> None:
-        """Find nothing more for somebody who asked for attractors."""
-        self._asked.forget(who)
-        self.patches.want(who, ())
-
-    def make_tile(self, job: "TileJob") -> Patch | None:
-        """The patch of a tile, less the cells that the tile above has; None where it is known meanwhile."""
-        if self.known.whole(job.plane, job.key) is not None:
+    def make_tile(self, plane: Plane, key: TileKey) -> tuple[Patch, Arrays | None] | None:
+        """The patch of a tile less the cells that the tile above has, and these; None where it is known meanwhile."""
+        if self.known.whole(plane, key) is not None:
             return None
-        parent = self.known.parent(job.plane, job.key)
+        parent = self.known.parent(plane, key)
         solved = np.zeros((TILE, TILE), dtype=bool)
-        if parent is not None:
-            solved[::2, ::2] = True
-            self._parents[job] = parent
-        return self.subject.patch(job.plane, job.key, solved)
+        solved[::2, ::2] = parent is not None
+        return self.subject.patch(plane, key, solved), parent
 
-    def take_tile(self, job: "TileJob", patch: Patch, found: Arrays) -> None:
+    def take_tile(self, plane: Plane, key: TileKey, made: tuple[Patch, Arrays | None], found: Arrays) -> None:
         """Put a solved tile together, keep it, and tell the pages."""
-        plane, key = job.plane, job.key
-        mask, parent = patch.mask, self._parents.pop(job, None)
+        mask, parent = made[0].mask, made[1]
         arrays = empty_results(
             self.subject.system.variables(self.subject.settings), (TILE, TILE), extra_sizes(self.subject.spec)
         )
@@ -162,15 +156,12 @@ class Explorer:
             wanted, listeners = plane in self._kept_planes, list(self._listeners.values())
         kept = wanted and self.keeper.can_keep(key)
         self.known.tiles.put(plane, key, arrays, only_here=wanted and not kept)
+        self.failures.pop((plane, key), None)
         for told in listeners:
             told(plane, key)
         if kept:
             self.keeper.room()
             self.keeper.offer(plane, key, arrays)
-
-    def drop_tile(self, job: "TileJob") -> None:
-        """Let go of what was kept for a tile that is not solved after all."""
-        self._parents.pop(job, None)
 
 
 @dataclass(frozen=True)
@@ -181,21 +172,16 @@ class TileJob(Job):
     plane: Plane
     key: TileKey
 
-    def make(self) -> Task | None:
+    def make(self) -> tuple[Task, Any] | None:
         """See ``Job``."""
-        patch = self.explorer.make_tile(self)
-        return None if patch is None else (solve_patch, patch)
+        made = self.explorer.make_tile(self.plane, self.key)
+        return None if made is None else ((solve_patch, made[0]), made)
 
-    def solved(self, argument: Patch, found: Arrays) -> int:
+    def solved(self, held: Any, found: Arrays) -> int:
         """See ``Job``."""
-        self.explorer.take_tile(self, argument, found)
-        return int(argument.mask.sum())
+        self.explorer.take_tile(self.plane, self.key, held, found)
+        return int(held[0].mask.sum())
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
-        self.dropped()
-        self.explorer.failures[self.plane, self.key] = why
-
-    def dropped(self) -> None:
-        """See ``Job``."""
-        self.explorer.drop_tile(self)
+        self.explorer.failures[self.plane, self.key] = time.monotonic()

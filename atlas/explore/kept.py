@@ -109,9 +109,13 @@ class Keeper:
                 self._see(plane, of)
         return found
 
+    def end(self) -> None:
+        """Write what waits, and end, without waiting for that."""
+        self._stopped.set()
+
     def stop(self) -> None:
         """Write what waits, and end."""
-        self._stopped.set()
+        self.end()
         self._thread.join()
 
     def _see(self, plane: Plane, of: SheetKey) -> None:

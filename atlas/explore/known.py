@@ -81,6 +81,11 @@ class Known:
         known = self.tiles.has(plane, key, {REGIME.name}) or self.outside(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
+    def missing(self, plane: Plane, sight: Sight) -> int:
+        """How many cells in view are not known at the full density of the view."""
+        places = [sight.place(key) for key in sight.tiles(0) if not self.has(plane, key)]
+        return sum((rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in places)
+
     def outside(self, key: TileKey) -> bool:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
         return not (self._admits("x", key.level_x, key.x) and self._admits("y", key.level_y, key.y))

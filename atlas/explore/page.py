@@ -19,6 +19,7 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
 
 from atlas.errors import InputError
+from atlas.explore.access import make_accessible
 from atlas.explore.actions import new_atlas, picture_file
 from atlas.explore.background import Background
 from atlas.explore.chosen import Range, carried, from_address, to_address, turned_to
@@ -28,11 +29,12 @@ from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.keys import hear_keys
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.picture import Picture
 from atlas.explore.pins import Pins
 from atlas.explore.plot import label_axes, make_plot
 from atlas.explore.state import State, Store
-from atlas.explore.style import CUTTING, FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
-from atlas.explore.words import png_address, progress, title
+from atlas.explore.style import BAR, CUTTING, FOLD, KEY, LAST, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
+from atlas.explore.words import key_image, progress, progress_bar, title
 
 LEFT, RIGHT = 232, 350
 """Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
@@ -89,17 +91,19 @@ class Page:
         self._folder, self._home, chosen = folder, home, store.now.chosen
         self._background = Background(document, self._refused)
         self._controls = Controls(self._subject, store, self._go)
-        self._plot, self._image, mark = make_plot(self._subject, chosen)
+        self._plot, image, mark = make_plot(self._subject, chosen)
+        self._picture = Picture(image, self._controls.vmin, self._controls.vmax)
         self._details = Details(explorer, self._background, store, lambda: self._painter.sight, mark, self._plot)
         self._cut = CutPanel(explorer, self._background, store, self._plot)
         self._pins = Pins(self._subject, store, self._plot)
         self._make_panels()
         logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
-        self._keys = hear_keys(document, self._plot, logs, self._show_window, store.escape)
+        self._keys = hear_keys(document, self._plot, logs, self._show_window, store.escape, self._details.choose)
         self._wire()
         self._cut.show(store.now)
         self._pins.show(chosen)
         document.title = f"{self._subject.name}: explorer"
+        make_accessible(document)
         document.add_root(self._layout())
         document.add_periodic_callback(self._say_progress, 500)
         later = self._background.later
@@ -125,6 +129,7 @@ class Page:
         self._title = Div(text=title(self._subject, self._store.now.chosen.plane), **line)
         self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
         self._line = Div(**line)
+        self._bar = Div(sizing_mode="stretch_width", height=3, margin=0, stylesheets=[BAR])
         self._made = Div(sizing_mode="stretch_width", visible=False, **style)
         self._address, self._opened = Div(visible=False), Div(visible=False)
         self._download = ColumnDataSource({"name": [], "href": []})
@@ -155,11 +160,12 @@ class Page:
     def _layout(self) -> Any:
         panel: dict[str, Any] = {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"}
         left = column(*self._controls.columns(self._cut.buttons), width=LEFT, css_classes=[FOLDED], **panel)
+        left.stylesheets = [*left.stylesheets, InlineStyleSheet(css=LAST)]
         fold = Toggle(label="controls", sizing_mode="stretch_width", stylesheets=[FOLD])
         unfolding = CustomJS(args={"left": left}, code=f"left.css_classes = cb_obj.active ? [] : ['{FOLDED}']")
         fold.js_on_change("active", unfolding)
         plane = row(self._plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
-        parts = self._title, plane, self._cut.panel, self._line, fold
+        parts = self._title, self._bar, plane, self._cut.panel, self._line
         middle = column(*parts, sizing_mode="stretch_both", stylesheets=[MIDDLE])
         widen = f"middle.css_classes = cb_obj.visible ? ['{CUTTING}'] : []"
         self._cut.panel.js_on_change("visible", CustomJS(args={"middle": middle}, code=widen))
@@ -169,7 +175,7 @@ class Page:
         )
         # A source without a view is sent along, and heard, as the tag of a model that has one.
         self._address.tags = [self._download, self._keys]
-        whole = row(left, middle, right, sizing_mode="stretch_both")
+        whole = row(left, middle, right, fold, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
         return whole
 
@@ -224,20 +230,18 @@ class Page:
 
     def _show(self, painted: Painted) -> None:
         """Put a picture on the page."""
-        pixels = np.ascontiguousarray(painted.cells[::-1]).view(np.uint32)[..., 0]
-        (left, right), (low, high) = painted.x, painted.y
-        self._image.data = {"image": [pixels], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
-        above = int(np.argmax(np.any(painted.key[..., :3] != 255, axis=(1, 2))))  # rows of white
-        source = png_address(painted.key[above:])
-        self._key.text = f'<img alt="colour bar and legend" style="--above: {above}px" src="{source}">'
-        self._store.set(ends=painted.ends, lacking=painted.lacking)
+        self._picture.show(painted)
+        self._key.text = key_image(painted.screen)
+        self._bar.text = progress_bar(painted.cells, painted.left)
+        cells = painted.cells, painted.left
+        self._store.set(ends=painted.ends, lacking=painted.lacking, lines=painted.screen.lines, cells=cells)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
     def _unpainted(self, why: str) -> None:
         """Show no picture, least of all one of something else, and say why."""
-        self._image.data = {name: [] for name in self._image.data}
-        self._key.text = ""
-        self._store.set(lacking=why)
+        self._picture.clear()
+        self._key.text = self._bar.text = ""
+        self._store.set(lacking=why, cells=(0, 0))
         self._details.refused()
 
     def _refused(self, why: str) -> None:
@@ -250,10 +254,10 @@ class Page:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
         left = explorer.patches.left(self._painter)
-        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble])
+        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble], now.cells)
         if trouble:
-            text = f'<span class="trouble">{html.escape(trouble)}</span> &middot; {text}'
-        self._line.text = f'<span role="status">{text}</span>'
+            text = f'<span class="trouble" role="alert">{html.escape(trouble)}</span> &middot; {text}'
+        self._line.text = f"<span>{text}</span>"
 
     def _notes(self) -> list[str]:
         subject, chosen = self._subject, self._store.now.chosen

@@ -1,6 +1,6 @@
 """What a page shows, made in a thread of the page's own: looked up, drawn, wanted, drawn again as tiles come in.
 
-Each step has a time at which it is due; what is chosen meanwhile replaces the steps that are not taken yet.
+Each step is planned for a time; what is chosen meanwhile replaces the steps that are not taken yet.
 """
 
 import logging
@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
 from atlas.explore.chosen import CHART, Chosen, Range, beginning
@@ -42,21 +41,23 @@ SETTLED = 0.01
 """Share of pending cells from which on a picture can say how far a scale should reach."""
 KEY_WIDTH = 165
 
-Step = Callable[[], None]
+FIRST, ALL = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
+"""The stages that are solved of a view while a slider moves, and once it rests."""
 
 
 @dataclass(frozen=True)
 class Painted:
-    """A picture: its pixels from the top, what explains its colours, the window that it fills, the scale's ends, and
-    why lines that were asked for are not in it.
+    """A picture: its pixels, the window that it fills, the ends of its scale, and why lines that were asked for are not
+    in it; how many cells are in view, and how many of them are still to be solved.
     """
 
-    cells: NDArray[np.uint8]
-    key: NDArray[np.uint8]
+    screen: Screen
     x: Range
     y: Range
     ends: tuple[float | None, float | None]
     lacking: str
+    cells: int
+    left: int
 
 
 def warm(explorer: Explorer) -> None:
@@ -71,10 +72,11 @@ class Painter:
 
     def __init__(self, explorer: Explorer, deliver: Callable[[Painted], None], refuse: Callable[[str], None]) -> None:
         self._explorer, self._deliver, self._refuse = explorer, deliver, refuse
-        self._wake, self._lock, self._closed = threading.Event(), threading.Lock(), False
+        self._changed, self._closed, self._at_work = threading.Condition(), False, False
         self._asked: tuple[Chosen, tuple[int, int]] | None = None
-        self._due: dict[Step, float] = {}
-        self._at_work: Step | None = None
+        self._looked: tuple[Chosen, tuple[int, int]] | None = None
+        self._plan: dict[range | None, float] = {}
+        self._rested = 0.0
         self._scales: dict[tuple[str, str, bool], Range] = {}
         self.looked = 0
         self.sight: Sight | None = None
@@ -85,16 +87,16 @@ class Painter:
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool = True) -> None:
         """Show this on so many pixels. While a slider moves, nothing ``rests``: at first the first stage is solved."""
         asked, now = (chosen.picture, size), time.monotonic()
-        with self._lock:
+        with self._changed:
             if asked != self._asked:
                 self._asked = asked
-                self._due = {self._look: now + REST} | ({} if rests else {self._solve: now + STAY})
-        self._wake.set()
+                self._plan = {ALL: now + REST} if rests else {FIRST: now + REST, ALL: now + STAY}
+                self._changed.notify()
 
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not looked up, solved and drawn yet."""
-        return bool(self._due) or self._at_work is not None or self._explorer.patches.left(self) > 0
+        return bool(self._plan) or self._at_work or self._explorer.patches.left(self) > 0
 
     def fitted(self, chosen: Chosen) -> Range | None:
         """The ends of the scale that suit what is in view; None for a picture without one scale."""
@@ -106,8 +108,9 @@ class Painter:
 
     def close(self) -> None:
         """Paint no more, and want nothing more."""
-        self._closed = True
-        self._wake.set()
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
         self._explorer.listen(self, None)
 
     def wait(self) -> None:
@@ -116,30 +119,27 @@ class Painter:
 
     def _told(self, plane: Plane, key: TileKey) -> None:
         if self._asked and plane == self._asked[0].plane and self.sight is not None and _concerns(self.sight, key):
-            with self._lock:
-                self._due.setdefault(self._paint, 0.0)
-            self._wake.set()
-
-    def _next(self) -> Step | None:
-        """The step whose time has come; a picture waits while a view is about to be looked up."""
-        with self._lock:
-            steps = [step for step in self._due if step != self._paint or self._look not in self._due]
-            step = min(steps, key=self._due.__getitem__, default=None)
-            if step is None or self._due[step] > time.monotonic():
-                return None
-            del self._due[step]
-            self._at_work = step
-            return step
+            with self._changed:
+                self._plan.setdefault(None, self._rested)
+                self._changed.notify()
 
     def _run(self) -> None:
-        while not self._closed:
-            step = self._next()
-            if step is None:
-                self._wake.wait(REST / 3)
-                self._wake.clear()
-                continue
+        while True:
+            with self._changed:
+                if self._closed:
+                    break
+                step = min(self._plan, key=self._plan.__getitem__, default=None)
+                wait = self._plan[step] - time.monotonic() if self._plan else None
+                if wait is None or wait > 0.0:
+                    self._changed.wait(wait)
+                    continue
+                del self._plan[step]
+                self._at_work = True
             try:
-                step()
+                if step is not None:
+                    self._find(step)
+                elif self._looked == self._asked:  # else another view is about to be looked up
+                    self._paint()
             except (InputError, RunError) as error:
                 self._refuse(str(error))
             except OSError as error:
@@ -148,19 +148,12 @@ class Painter:
                 logging.getLogger(__name__).exception("a picture could not be made")
                 self._refuse(f"this picture could not be made: {type(error).__name__}: {error}")
             finally:
-                self._at_work = None
+                self._at_work = False
         self._explorer.listen(self, None)
 
-    def _look(self) -> None:
-        """Find out what is known of a view, show it, and have the rest solved: its first stage while a slider moves."""
-        self._find(range(STAGES, STAGES - 1 if self._solve in self._due else -1, -1))
-
-    def _solve(self) -> None:
-        """Have all of a view solved, now that the slider rests."""
-        self._find(range(STAGES, -1, -1))
-
     def _find(self, stages: range) -> None:
-        asked = self._asked
+        """Find out what is known of a view, show it, and have these stages of the rest solved."""
+        self._looked = asked = self._asked
         if asked is None:
             return
         (chosen, size), explorer = asked, self._explorer
@@ -189,8 +182,12 @@ class Painter:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:
-            self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high), lacking))
-        self._wait(max(PAUSE, seconds / SHARE) - seconds)
+            left = self._explorer.known.missing(chosen.plane, sight)
+            self._deliver(Painted(made, x, y, made.ends or (low, high), lacking, ds[REGIME.name].size, left))
+        with self._changed:
+            self._rested = begin + max(PAUSE, seconds / SHARE)
+            if None in self._plan:
+                self._plan[None] = self._rested
 
     def _drawn(
         self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
@@ -202,7 +199,7 @@ class Painter:
         lacking, shown = [why] if why else [], replace(chosen, overlays=chosen.drawn(self._explorer.subject))
         while True:
             try:
-                return _drawn(ds, shown, pixels, low, high), "; ".join(lacking)
+                return _drawn(ds, shown, pixels, low, high, numbers=True), "; ".join(lacking)
             except OverlayError as error:
                 lacking.append(str(error))
                 kept = tuple(name for name in shown.overlays if name != error.overlay)
@@ -228,20 +225,21 @@ class Painter:
         made = _drawn(ds, replace(chosen, overlays=()), WHOLE, None, None)
         return {} if made.ends is None else {chosen.scale: made.ends}
 
-    def _wait(self, seconds: float) -> None:
-        """Let others have the processor, unless something else is to be shown."""
-        end = time.monotonic() + seconds
-        while not (self._closed or self._look in self._due) and time.monotonic() < end:
-            time.sleep(0.02)
 
-
-def _drawn(ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None) -> Screen:
+def _drawn(
+    ds: "xr.Dataset",
+    chosen: Chosen,
+    pixels: tuple[int, int],
+    low: float | None,
+    high: float | None,
+    numbers: bool = False,
+) -> Screen:
     """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
     scalar = chosen.kind == SCALAR
     ends = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
     return screen(
         ds, chosen.kind, pixels, KEY_WIDTH, overlays=chosen.overlays, variable=chosen.variable if scalar else None,
-        log=chosen.log and scalar, **ends,
+        log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **ends,
     )  # fmt: skip
 
 

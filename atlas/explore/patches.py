@@ -32,6 +32,7 @@ RATE_SECONDS = 10.0
 _LOST = LOST.partition(";")[0]  # what follows is advice for a run
 
 Task = tuple[Callable[[Any], Any], Any]
+"""A function and its argument."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +52,14 @@ class State:
 class Job(Protocol):
     """Something that a worker does for those who want it; its methods are called from a thread of this service."""
 
-    def make(self) -> Task | None:
-        """The function and its argument, just before they are sent; None if the result is known meanwhile."""
+    def make(self) -> tuple[Task, Any] | None:
+        """What is sent, and what ``solved`` gets beside its result; None if the result is known meanwhile."""
 
-    def solved(self, argument: Any, found: Any) -> int:
+    def solved(self, held: Any, found: Any) -> int:
         """Take the result, and return how many cells it has."""
 
     def failed(self, why: str) -> None:
         """Take note that the job is given up, for bad input or after ATTEMPTS tries, and what it raised."""
-
-    def dropped(self) -> None:
-        """Let go of what was made, if that is held: ``make`` is called again if the job is still wanted."""
-        return
 
 
 @dataclass(frozen=True)
@@ -76,11 +73,11 @@ class Errand(Job):
     refuse: Callable[[str], None] = field(compare=False)
     key: Hashable = field(default_factory=object)
 
-    def make(self) -> Task | None:
+    def make(self) -> tuple[Task, Any]:
         """See ``Job``."""
-        return self.task
+        return self.task, None
 
-    def solved(self, argument: Any, found: Any) -> int:
+    def solved(self, held: Any, found: Any) -> int:
         """See ``Job``."""
         return self.take(found)
 
@@ -150,11 +147,8 @@ class Patches:
                 self._say(f"{str(error).replace(LOST, _LOST)}; trying again")
             finally:
                 with self._lock:
-                    lost = [job for job, _ in self._running.values()]
                     self._running.clear()
                     self._under_way.clear()
-                for job in lost:
-                    job.dropped()
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
@@ -200,7 +194,7 @@ class Patches:
             idle = [future for future in stale if future.key not in begun and not future.done()]
             client.cancel(idle)
             for future in idle:
-                self._forget(future).dropped()
+                self._forget(future)
 
     def _next(self) -> Job | None:
         """The next job to send: of all who want some in turn, the first that is not under way."""
@@ -218,22 +212,23 @@ class Patches:
         job = self._next()
         if job is None:
             return False
-        task = self._tried(job, job.make)
-        if task is None:
+        made = self._tried(job, job.make)
+        if made is None:
             self._done_with(job)
             return True
+        task, held = made
         future = client.submit(*task, pure=False)
         with self._lock:
-            self._running[future] = (job, task[1])
+            self._running[future] = (job, held)
         future.add_done_callback(self._ended.put)
         return True
 
     def _finish(self, future: "Future[Any]") -> None:
-        job, argument = self._running[future]
+        job, held = self._running[future]
         if future.status == "finished":
             found = future.result()
             self._forget(future)
-            cells = self._tried(job, partial(job.solved, argument, found)) or 0
+            cells = self._tried(job, partial(job.solved, held, found)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
             self._done_with(job)  # not before it is known: who asks meanwhile would have it solved again
@@ -247,8 +242,6 @@ class Patches:
             self._tries.pop(job)
             self._done_with(job)
             job.failed(_why(error))
-        else:
-            job.dropped()
 
     def _tried(self, job: Job, step: Callable[[], Any]) -> Any:
         """What a step of a job returns; None after a mistake of ours, which ends that job and not the work for all."""
@@ -261,13 +254,12 @@ class Patches:
             job.failed(_why(error))
             return None
 
-    def _forget(self, future: "Future[Any]") -> Job:
-        """Count a job as no longer sent, and return it."""
+    def _forget(self, future: "Future[Any]") -> None:
+        """Count a job as no longer sent."""
         with self._lock:
             job, _ = self._running.pop(future)
             self._under_way.discard(job)
         future.release()
-        return job
 
     def _done_with(self, job: Job) -> None:
         """Nobody has to wait for a job any more."""

@@ -7,6 +7,7 @@ from bokeh.layouts import column, row
 from bokeh.models import Button, ColumnDataSource, TextInput
 from bokeh.plotting import figure
 
+from atlas.explore.access import named
 from atlas.explore.chosen import Chosen, Pin
 from atlas.explore.state import Store
 from atlas.explore.subject import Plane, Subject
@@ -24,7 +25,8 @@ class Pins:
         plot.scatter(marker="inverted_triangle", size=13, fill_color="#ffdd55", line_color="black", **at)
         look: dict[str, Any] = {"text_color": "black", "text_outline_color": "white", "text_font_style": "bold"}
         plot.text(text="number", x_offset=8, y_offset=-4, **at, **look)
-        self._note = TextInput(placeholder="a note on the cell clicked", sizing_mode="stretch_width")
+        note = "a note on the cell clicked"
+        self._note = TextInput(placeholder=note, html_attributes=named(note), sizing_mode="stretch_width")
         self._pin = Button(label="pin it", width=70)
         self._pin.on_click(self._add)
         self._new = row(self._note, self._pin, sizing_mode="stretch_width", visible=False)

@@ -5,6 +5,7 @@ from typing import Any
 from bokeh.models import BoxSelectTool, ColumnDataSource, CustomJSTickFormatter, Range1d, WheelZoomTool
 from bokeh.plotting import figure
 
+from atlas.explore.access import named
 from atlas.explore.chosen import Chosen
 from atlas.explore.style import PLOT
 from atlas.explore.subject import Subject
@@ -17,6 +18,9 @@ const text = Math.abs(unit) === 1 && base === 0
     : Number(((tick - base) / unit).toFixed(decimals)).toString()
 return text.replace("-", "\\u2212")
 """
+
+
+KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
 def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSource, ColumnDataSource]:
@@ -50,6 +54,7 @@ def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSourc
         ring: dict[str, Any] = {"fill_alpha": 0.0, "line_color": color, "line_width": width}
         plot.scatter(x="x", y="y", source=mark, marker="circle", size=15, **ring)
     label_axes(plot, subject, chosen)
+    plot.html_attributes = named(f"map of {plot.xaxis[0].axis_label} across and {plot.yaxis[0].axis_label} up: {KEYS}")
     return plot, image, mark
 
 

@@ -81,7 +81,7 @@ class PageServer:
             self._ready.set()
             return
         self.port = int(sockets[0].getsockname()[1])
-        pages = _guarded_pages(self._make, [f"{HOST}:{self.port}", f"localhost:{self.port}"], self.token)
+        pages = _guarded_pages(self._make, own_hosts(self.port), self.token)
         http = HTTPServer(pages)
         http.add_sockets(sockets)
         server = BaseServer(loop, pages, http)
@@ -92,6 +92,12 @@ class PageServer:
         server.stop(wait=False)
         http.stop()
         loop.close(all_fds=False)
+
+
+def own_hosts(port: int) -> list[str]:
+    """What a request to a port of this machine's loopback may name as its host: browsers leave out port 80."""
+    names = (HOST, "localhost")
+    return [f"{name}:{port}" for name in names] + [name for name in names if port == 80]
 
 
 def refusal(request: "HTTPServerRequest", hosts: list[str], token: str = "") -> int | None:

@@ -16,9 +16,11 @@ class State:
     chosen    what its address holds
     size      pixels of the plane; 0 before the browser has laid it out
     rests     whether nothing moves: while a slider does, only the first stage is solved
-    box       the window that was chosen for a new atlas
+    box       the window that was chosen for a new atlas, in this view
     ends      those of the scale of the picture in view
     lacking   what the picture in view lacks, and why
+    lines     the kinds of curves that it shows
+    cells     how many cells are in view, and how many of them are still to be solved
     trouble   what else cannot be done, and why
     """
 
@@ -28,6 +30,8 @@ class State:
     box: tuple[Range, Range] | None = None
     ends: Ends = (None, None)
     lacking: str = ""
+    lines: tuple[str, ...] = ()
+    cells: tuple[int, int] = (0, 0)
     trouble: str = ""
 
 
@@ -50,15 +54,16 @@ class Store:
                 listener(old, self.now)
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
-        """Change fields of what is chosen; what was said against the last choice no longer holds.
+        """Change fields of what is chosen; the trouble of the last choice goes, and the box of another view.
 
         An orbit is followed until another cell is chosen.
         """
-        chosen = replace(self.now.chosen, **fields)
-        if chosen.cell != self.now.chosen.cell and "follow" not in fields:
+        before, chosen = self.now.chosen, replace(self.now.chosen, **fields)
+        if chosen.cell != before.cell and "follow" not in fields:
             chosen = replace(chosen, follow=None)
-        if chosen != self.now.chosen:
-            self.set(chosen=chosen, rests=rests, trouble="")
+        if chosen != before:
+            stays = (chosen.x, chosen.y, chosen.plane) == (before.x, before.y, before.plane)
+            self.set(chosen=chosen, rests=rests, trouble="", box=self.now.box if stays else None)
 
     def escape(self) -> None:
         """Follow an orbit no further, or else close the cut."""

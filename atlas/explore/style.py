@@ -44,10 +44,23 @@ PLANE = f"""
 
 FOLD = f"""
 :host {{ display: none !important; }}
-@media {SINGLE} {{ :host {{ display: block !important; }} }}
+@media {SINGLE} {{ :host {{ display: block !important; order: 1; }} }}
 """
 
-TEXT = """
+LAST = f"@media {SINGLE} {{ :host {{ order: 2; }} }}"
+"""Where the controls stand on a phone: below the details of a cell, which a tap on the plane shows."""
+
+BAR = """
+div[role=progressbar] { height: 3px; background: #1f5fa8; margin-left: 76px; max-width: calc(100% - 76px); }
+"""
+
+FOCUS = """
+:focus-visible { outline: 3px solid #1f5fa8 !important; outline-offset: 1px; }
+@media (pointer: coarse) { .bk-btn, input:not([type=checkbox]), select { min-height: 38px; } }
+"""
+
+TEXT = (
+    """
 :host { font: 12.5px/1.45 system-ui, sans-serif; color: #1a2433; }
 table { font-size: 12px; line-height: 1.3; }
 b { font-size: 14px; } i { font-family: Georgia, "Times New Roman", serif; font-size: 14px; }
@@ -64,6 +77,8 @@ img.portrait { cursor: zoom-in; } img.portrait.large { position: fixed; inset: 2
 @media (prefers-color-scheme: dark) { img { filter: invert(1); } }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
+    + FOCUS
+)
 
 PLOT = f"""
 @media (prefers-color-scheme: dark) {{ :host {{ filter: invert(1); }} }}

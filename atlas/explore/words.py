@@ -20,6 +20,7 @@ from atlas.explore.patches import State
 from atlas.explore.subject import Plane, Subject
 from atlas.query.extremes import regimes_with
 from atlas.render.classes import PALETTE
+from atlas.render.screen import Screen
 from atlas.spec.system import impacts_of
 from atlas.text import plain, plural
 from workers.model.system import System
@@ -191,17 +192,50 @@ def point_line(cell: Cell, subject: Subject) -> str:
     return shlex.join(point_words(subject.system, cell.parameters, settings, cell.results.keys()))
 
 
-def progress(state: State, left: int, notes: Iterable[str]) -> str:
-    """The line under the plane, as HTML."""
+def share_solved(cells: int, left: int) -> int:
+    """How many of the cells in view are solved, in per cent; 100 for all of them alone."""
+    return 100 * (cells - left) // cells if cells else 0
+
+
+def progress_bar(cells: int, left: int) -> str:
+    """The bar over the plane that shows how much of the view is solved, as HTML; empty once that is all."""
+    share = share_solved(cells, left)
+    if not left:
+        return ""
+    return (
+        '<div role="progressbar" aria-label="cells in view that are solved" aria-valuemin="0" aria-valuemax="100" '
+        f'aria-valuenow="{share}" style="width: {share}%"></div>'
+    )
+
+
+def progress(state: State, left: int, notes: Iterable[str], cells: tuple[int, int] = (0, 0)) -> str:
+    """The line under the plane, as HTML; ``cells`` are those in view and those of them still to be solved."""
     parts = [f"{plural(left, 'tile')} left" if left else "all that is in view is solved"]
+    if left and cells[1]:
+        parts[0] = f"{share_solved(*cells)} % solved, {spaced(cells[1])} of {spaced(cells[0])} cells to come"
     if left:
-        parts.append(f"{state.rate:,.0f} cells/s".replace(",", "\N{NARROW NO-BREAK SPACE}"))
+        parts.append(f"{spaced(state.rate)} cells/s")
     parts.append(plural(state.workers, "worker"))
     parts += [html.escape(note) for note in notes if note]
     text = " &middot; ".join(parts)
     if state.trouble:
-        text = f'<span class="trouble">{html.escape(state.trouble)}</span> &middot; {text}'
+        text = f'<span class="trouble" role="alert">{html.escape(state.trouble)}</span> &middot; {text}'
     return text
+
+
+def key_image(screen: Screen) -> str:
+    """The colour bar and the legend of a picture, on a light page and on a dark one, as HTML."""
+    above = int(np.argmax(np.any(screen.key[..., :3] != 255, axis=(1, 2))))  # rows of white
+    light, dark = (png_address(key[above:]) for key in (screen.key, screen.dark_key))
+    return (
+        f'<picture><source media="(prefers-color-scheme: dark)" srcset="{dark}">'
+        f'<img alt="colour bar and legend" style="--above: {above}px" src="{light}"></picture>'
+    )
+
+
+def spaced(count: float) -> str:
+    """A whole number with its thousands apart."""
+    return f"{count:,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def png_address(rgba: NDArray[np.uint8]) -> str:

@@ -3,13 +3,13 @@
 A code stands for a colour of its own, or for a scale, on which the page places the cell's number.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm, to_hex
+from matplotlib.colors import to_hex
 from matplotlib.markers import MarkerStyle
 from numpy.typing import NDArray
 
@@ -167,14 +167,11 @@ def _bar(bar: Bar, stored: NDArray[Any], variable: str) -> dict[str, Any]:
         "variable": variable,
         "label": text_of(bar.label),
         "title": bar.title,
-        "scale": _SCALES[type(bar.norm)],
+        "scale": scales.FORMS[type(bar.norm)],
         "ends": [float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 0.0)],
         "colors": colors.tobytes().hex(),
         "zero": float(zeros[0]) if zeros.size else 0.0,  # where a number of exactly 0 stands on a logarithmic scale
     }
-
-
-_SCALES: Mapping[type, str] = {Normalize: "linear", LogNorm: "log", TwoSlopeNorm: "two-sided"}
 
 
 def _entry(entry: Any) -> dict[str, Any]:

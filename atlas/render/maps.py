@@ -118,14 +118,19 @@ class Painted:
 
 def draw_map(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The map of a kind as a figure, with its overlays; InputError where the atlas does not hold what it draws."""
+    view = read(kind, ds, wanted)
+    return draw_painted(view, kind.painter(view))
+
+
+def draw_painted(view: View, painted: Painted) -> Figure:
+    """The map of a view in its colours as a figure, with its overlays."""
     from atlas.render import overlays, scales
 
-    view, page = read(kind, ds, wanted), wanted.page
-    painted: Painted = kind.painter(view)
+    wanted, page = view.wanted, view.page
     with page.context():
-        drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(ds))
+        drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(view.ds))
         entries = [*lay(ax, view.plane, painted, page), *overlays.draw(ax, view)]
-        explain_pending(entries, ds)
+        explain_pending(entries, view.ds)
         scales.draw_bars(drawn, [ax], painted.bars, page)
         page.legend(drawn, entries, beside=painted.beside)
         if painted.names and wanted.names:

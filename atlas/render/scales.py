@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
 """Colours of numbers below zero in a scale of both signs, from the largest to the smallest."""
+FORMS = {Normalize: "linear", LogNorm: "log", TwoSlopeNorm: "two-sided"}
+"""How a number is placed on a scale, for pages that do it themselves."""
 NEUTRAL = "#e4e2d6"
 """The colour of cells whose motion is known but has no such number, and of zero, which has no logarithm."""
 
@@ -172,7 +174,12 @@ def signed_colormap(norm: Normalize, above: tuple[str, ...] = kinds.TABLE[kinds.
     if not low < 0.0 < high:
         return colormap_of(above)
     shares = np.linspace(low, high, 512) / max(-low, high)
-    return ListedColormap(colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)(0.5 + 0.5 * shares), name="signed")
+    return ListedColormap(both_signs(above)(0.5 + 0.5 * shares), name="signed")
+
+
+def both_signs(above: tuple[str, ...]) -> Colormap:
+    """The colours of numbers below and above zero, which is pale and in the middle."""
+    return colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)
 
 
 def error(view: View) -> Painted:

@@ -1,5 +1,6 @@
 """A map as pixels of a screen: the plot area alone, and beside it what explains its colours."""
 
+import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +12,16 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from numpy.typing import NDArray
 
 from atlas.query.window import axis_names, is_log
+from atlas.render.drawing import check_units
+from atlas.render.kinds import CURVES, check_overlays, chosen_kind
+from atlas.render.maps import Colors, draw_painted, read
+from atlas.render.numbered import PixelScale, cell_numbers, numbered
+from atlas.render.options import Wanted
+from atlas.render.page import page as page_of
 from atlas.render.style import house
 
 DPI = 110.0
@@ -35,12 +43,18 @@ MOST_LEGEND = 0.9
 class Screen:
     """Pixels of a map, (rows, columns, 4) in bytes from the top: its cells, and its colour bar and legend.
 
-    ``ends`` are the ends of the one scale that it has; None without one, or with several.
+    ends      the ends of the one scale that it has; None without one, or with several
+    dark_key  bar and legend for a dark page: in the same colours, with white type on black
+    scale     of pixels that hold numbers; None where they have their colours
+    lines     the kinds of curves that are drawn, of CURVES
     """
 
     cells: NDArray[np.uint8]
     key: NDArray[np.uint8]
     ends: tuple[float, float] | None
+    dark_key: NDArray[np.uint8]
+    scale: PixelScale | None = None
+    lines: tuple[str, ...] = ()
 
 
 def screen(
@@ -50,14 +64,18 @@ def screen(
     key_width: int,
     *,
     overlays: Sequence[str] = (),
-    **look: Any,
+    curves: tuple[str, ...] | None = None,
+    variable: str | None = None,
+    log: bool = False,
+    vmin: float | None = None,
+    vmax: float | None = None,
+    numbers: bool = False,
 ) -> Screen:
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
-    Logarithmic axes are evenly spaced in the logarithm, however short. Other arguments and errors as in ``figure``.
+    Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
+    hold that number, see ``numbered``. Other arguments and errors as in ``figure``.
     """
-    from atlas.render import figure
-
     width, height = size
     whole, settings = width + key_width, house(SCALE)
     with drawing, mpl.rc_context(settings):  # type: ignore[arg-type]
@@ -65,7 +83,18 @@ def screen(
         canvas = FigureCanvasAgg(drawn)
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
-        figure(ds, kind, pixels=size, **look, overlay=overlays, ax=ax, title=False)
+        page = page_of(ax=ax, title=False, vmin=vmin, vmax=vmax)
+        wanted = Wanted(page, kind, overlays=tuple(overlays), curves=curves, pixels=size, variable=variable, log=log)
+        fitting = chosen_kind(ds, wanted)
+        check_overlays(ds, wanted.overlays)
+        check_units(ds)
+        painted = None
+        if ".figure" in fitting.paint:
+            fitting.painter(ds, wanted)
+        else:
+            view = read(fitting, ds, wanted)
+            painted = fitting.painter(view)
+            draw_painted(view, painted)
         _bare(ax, ds)
         ax.set_position(area)
         bars = [each for each in drawn.axes if each is not ax]
@@ -78,8 +107,29 @@ def screen(
             label.set_fontsize(float(label.get_fontsize()) * min(1.0, room / label.get_window_extent().height))
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())
-    ends = [(float(first), float(last)) for first, last in (bar.get_ylim() for bar in bars)]
-    return Screen(pixels[:, :width].copy(), pixels[:, width:].copy(), ends[0] if len(ends) == 1 else None)
+        gids = {"codimension_two" if each.get_gid() == "corner" else each.get_gid() for each in ax.get_children()}
+        cells, key, scale = pixels[:, :width].copy(), pixels[:, width:].copy(), None
+        dark = _dark(pixels, [*bars, *ax.child_axes], drawn.legends)[:, width:]
+        ends = [(float(first), float(last)) for first, last in (bar.get_ylim() for bar in bars)]
+        if numbers and painted is not None and len(painted.bars) == 1:
+            places = cell_numbers(canvas, ax, view.plane.regime.shape)[:, :width]
+            cells, scale = numbered(cells, places, painted, fitting)
+    one = ends[0] if len(ends) == 1 else None
+    return Screen(cells, key, one, dark, scale, tuple(kind for kind in CURVES if kind in gids))
+
+
+def _dark(pixels: Colors, bars: Sequence[Any], legends: Sequence[Legend]) -> Colors:
+    """What explains colours for a dark page: all but the colours inverted."""
+    found = np.dstack([255 - pixels[..., :3], pixels[..., 3]])
+    boxes = [bar.get_position(original=True).transformed(bar.figure.transFigure) for bar in bars]
+    handles = [each for legend in legends for each in legend.legend_handles if each is not None]
+    boxes += [each.get_window_extent().padded(2.0) for each in handles]
+    for box in boxes:
+        left, right = math.floor(box.x0), math.ceil(box.x1)
+        top, bottom = (pixels.shape[0] - end for end in (math.ceil(box.y1), math.floor(box.y0)))
+        part = slice(max(0, top), max(0, bottom)), slice(max(0, left), max(0, right))
+        found[part] = pixels[part]
+    return found
 
 
 def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:

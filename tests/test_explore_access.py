@@ -1,0 +1,215 @@
+"""The page for fingers, keyboards and screen readers, and on a dark or a narrow screen, in a real browser."""
+
+from collections.abc import Iterator
+from io import BytesIO
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+from distributed import Client
+from PIL import Image
+
+from atlas.explore.session import Exploration, explore
+from tests.browser import Tab, opened
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
+
+WINDOW = "omega=3.2:4.2&b=0.3:0.5"
+PHONE: dict[str, Any] = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
+DEEP = """
+const find = (node) => [...node.querySelectorAll("*")].flatMap(
+    (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])])
+const parent = (each) => each.parentNode instanceof ShadowRoot ? each.parentNode.host : each.parentElement
+const name = (each) => (each.ariaLabel || [...(each.labels ?? [])].map((label) => label.textContent).join(" ").trim()
+    || each.textContent.trim() || each.title || each.alt || "")
+"""
+
+
+@pytest.fixture(scope="module")
+def running(client: Client) -> Iterator[Exploration]:
+    made = explore("omega-b", client=client)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def phone(running: Exploration, browser: Any) -> Iterator[Tab]:
+    """The page on a phone."""
+    with opened(browser, f"{running.url}?{WINDOW}", **PHONE) as made:
+        made.until(made.image)
+        made.until(lambda: "kind=" in made.address())
+        yield made
+        assert made.complaints == []
+
+
+@pytest.fixture
+def desk(running: Exploration, browser: Any) -> Iterator[Tab]:
+    """The page on a wide screen."""
+    with opened(browser, f"{running.url}?{WINDOW}", 1440, 900) as made:
+        made.until(made.image)
+        made.page.wait_for_timeout(1500)  # what has no label gets its name
+        yield made
+        assert made.complaints == []
+
+
+def ends(tab: Tab, name: str) -> np.ndarray:
+    """The window of an axis, as the address has it."""
+    return np.array([float(end) for end in parse_qs(urlsplit(tab.address()).query)[name][0].split(":")])
+
+
+def touch(tab: Tab, *steps: list[tuple[float, float]]) -> None:
+    """Put fingers onto the page, move them through these places, and take them away."""
+    session = tab.page.context.new_cdp_session(tab.page)
+    for k, places in enumerate(steps):
+        points = [{"x": x, "y": y, "id": finger} for finger, (x, y) in enumerate(places)]
+        session.send("Input.dispatchTouchEvent", {"type": "touchMove" if k else "touchStart", "touchPoints": points})
+        tab.page.wait_for_timeout(30)
+    session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+
+def test_two_fingers_that_part_zoom_about_their_middle(phone: Tab) -> None:
+    left, top, width, height = phone.plot()
+    x, y = left + 0.5 * width, top + 0.5 * height
+    before = ends(phone, "omega"), ends(phone, "b")
+    touch(phone, *[[(x - apart, y), (x + apart, y)] for apart in (30, 40, 50, 60)])
+    phone.until(lambda: np.ptp(ends(phone, "omega")) < 0.55 * np.ptp(before[0]), 20.0)
+    phone.page.wait_for_timeout(500)
+    after = ends(phone, "omega"), ends(phone, "b")
+    for old, new in zip(before, after, strict=True):
+        assert np.ptp(new) == pytest.approx(0.5 * np.ptp(old), rel=0.01)
+        assert abs(new.mean() - old.mean()) < 0.01 * np.ptp(old)
+    assert phone.mark() is None
+
+
+def test_a_finger_moves_the_view_and_not_the_page(phone: Tab) -> None:
+    left, top, width, height = phone.plot()
+    x, y = left + 0.5 * width, top + 0.5 * height
+    before = ends(phone, "omega")
+    touch(phone, *[[(x + moved, y + moved)] for moved in (0, 20, 40, 60)])
+    phone.until(lambda: np.abs(ends(phone, "omega") - before).max() > 0.01)
+    phone.page.wait_for_timeout(500)
+    after = ends(phone, "omega")
+    assert np.ptp(after) == pytest.approx(np.ptp(before))
+    assert (before - after)[0] == pytest.approx(60 / width * np.ptp(before), rel=0.2)
+    assert phone.page.evaluate("() => window.scrollY") == 0
+
+
+def test_a_tap_chooses_the_cell_and_its_details_come_before_the_controls(phone: Tab) -> None:
+    left, top, width, height = phone.plot()
+    phone.page.touchscreen.tap(left + 0.6 * width, top + 0.4 * height)
+    mark = phone.until(phone.mark)
+    x, y = ends(phone, "omega"), ends(phone, "b")
+    assert abs(mark[0] - (x[0] + 0.6 * np.ptp(x))) < 0.02 * np.ptp(x)
+    assert abs(mark[1] - (y[0] + 0.6 * np.ptp(y))) < 0.02 * np.ptp(y)
+    phone.page.locator("img.portrait").wait_for(timeout=120_000)
+    phone.page.get_by_role("button", name="controls").click()
+    scale = phone.page.get_by_role("button", name="fit the scale to the view")
+    scale.wait_for()
+    portrait = phone.page.locator("img.portrait").bounding_box()
+    assert portrait["y"] + portrait["height"] <= scale.bounding_box()["y"]
+    assert phone.page.evaluate("() => document.documentElement.scrollWidth") == 390
+
+
+def test_buttons_are_large_enough_for_a_finger(phone: Tab) -> None:
+    phone.page.get_by_role("button", name="controls").click()
+    button = phone.page.get_by_role("button", name="cut across")
+    button.wait_for()
+    assert button.bounding_box()["height"] >= 36
+
+
+def stops(tab: Tab) -> list[dict[str, Any]]:
+    """What the key Tab leads to, from the first to the last: its name, its place, and whether the focus is seen."""
+    found: list[dict[str, Any]] = []
+    script = (
+        "() => {"
+        + DEEP
+        + """
+        let at = document.activeElement
+        while (at?.shadowRoot?.activeElement) at = at.shadowRoot.activeElement
+        if (!at || at === document.body) return null
+        const box = at.getBoundingClientRect(), look = getComputedStyle(at)
+        const seen = look.outlineStyle !== "none" && parseFloat(look.outlineWidth) >= 1
+        return {name: name(at), tag: at.outerHTML.slice(0, 200), x: box.left, y: box.top, seen}
+    }"""
+    )
+    for _ in range(150):
+        tab.page.keyboard.press("Tab")
+        stop = tab.page.evaluate(script)
+        if stop is None or (found and stop["tag"] == found[0]["tag"]):
+            break
+        found.append(stop)
+    return found
+
+
+def test_tab_leads_through_controls_plane_and_details_each_named_and_seen(desk: Tab) -> None:
+    left, _, width, _ = desk.plot()
+    found = stops(desk)
+    names = [stop["name"] for stop in found]
+    assert len(found) > 25
+    assert [stop["tag"] for stop in found if not stop["name"]] == []
+    assert [stop["tag"] for stop in found if not stop["seen"]] == []
+    columns = [0 if stop["x"] < left - 80 else 1 if stop["x"] < left + width else 2 for stop in found]
+    assert columns == sorted(columns) and {0, 1} <= set(columns)
+    assert names[0] == "map" and any(name.startswith("map of ") for name in names)
+    assert any("coefficient of restitution" in name for name in names)
+
+
+def test_enter_on_the_plane_chooses_the_cell_in_the_middle(desk: Tab) -> None:
+    script = """() => {
+        let at = document.activeElement
+        while (at?.shadowRoot?.activeElement) at = at.shadowRoot.activeElement
+        return at?.classList.contains("bk-events")
+    }"""
+    while not desk.page.evaluate(script):
+        desk.page.keyboard.press("Tab")
+    desk.page.keyboard.press("Enter")
+    mark = desk.until(desk.mark)
+    assert abs(mark[0] - 3.7) < 0.02 and abs(mark[1] - 0.4) < 0.01
+
+
+def test_the_focus_is_seen_on_the_plane_and_in_the_dark(running: Exploration, browser: Any) -> None:
+    with opened(browser, f"{running.url}?{WINDOW}", 1440, 900, color_scheme="dark") as tab:
+        tab.until(tab.image)
+        tab.page.wait_for_timeout(1500)
+        found = stops(tab)
+        assert all(stop["seen"] for stop in found) and any(stop["name"].startswith("map of") for stop in found)
+
+
+def test_everything_that_can_be_used_has_a_name(desk: Tab) -> None:
+    unnamed = desk.page.evaluate(
+        "() => {"
+        + DEEP
+        + """
+        return find(document).filter((each) => each.matches("button, select, input, img, [tabindex], [role]"))
+            .filter((each) => each.getBoundingClientRect().width && !name(each)).map((each) => each.outerHTML)
+    }"""
+    )
+    assert unnamed == []
+
+
+def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: Exploration, browser: Any) -> None:
+    with opened(browser, f"{running.url}?omega=3.3:4.3&b=0.31:0.51", 1440, 900) as tab:
+        bar = tab.page.get_by_role("progressbar")
+        share = int(tab.until(lambda: bar.count() and bar.get_attribute("aria-valuenow")))
+        assert 0 <= share < 100
+        tab.until(lambda: "cells to come" in tab.text() or "all that is in view is solved" in tab.text())
+        tab.until(lambda: "all that is in view is solved" in tab.text() and bar.count() == 0, 240.0)
+        assert tab.complaints == []
+
+
+def test_in_dark_mode_the_key_has_a_dark_paper_and_the_colours_of_the_map(running: Exploration, browser: Any) -> None:
+    shots = {}
+    for scheme in ("light", "dark"):
+        with opened(browser, f"{running.url}?{WINDOW}", 1440, 900, color_scheme=scheme) as tab:
+            tab.until(tab.image)
+            key = tab.page.locator('img[alt="colour bar and legend"]')
+            key.wait_for()
+            tab.page.wait_for_timeout(1500)
+            shots[scheme] = np.asarray(Image.open(BytesIO(key.screenshot())).convert("RGB")).astype(int)
+    light, dark = shots["light"], shots["dark"]
+    assert np.median(light) == 255 and np.median(dark) == 0
+    vivid = [np.ptp(shot, axis=-1) > 40 for shot in (light, dark)]
+    assert vivid[0].sum() > 1000
+    colors = [set(map(tuple, shot[where] // 8)) for shot, where in zip((light, dark), vivid, strict=True)]
+    assert len(colors[0] & colors[1]) > 0.8 * len(colors[0])
