@@ -32,6 +32,7 @@ class Explorer:
     """Looks, solves and keeps for the pages of one subject; ``connect`` leads to the cluster.
 
     known      what is known of the subject
+    other      the explorer of another atlas, which pages may show beside this one
     failures   tiles that could not be solved, and why
     """
 
@@ -42,6 +43,7 @@ class Explorer:
         keep: bool = True,
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
+        other: Subject | None = None,
     ) -> None:
         self.subject, self.failures = subject, dict[tuple[Plane, TileKey], str]()
         self._keeping = keep, most_bytes
@@ -58,12 +60,15 @@ class Explorer:
             self.patches = connect
         else:
             self.patches = Patches(connect, timing)
+        self.other = None if other is None else Explorer(other, self.patches, keep, most_bytes)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
         for each in (*self._others.values(), self):
             each.keeper.stop()
+        if self.other is not None:
+            self.other.stop()
 
     def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
         """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.

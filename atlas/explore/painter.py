@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, RunError
 from atlas.explore.chosen import CHART, Chosen, Range, beginning
 from atlas.explore.explorer import Explorer
-from atlas.explore.lattice import Lattice
-from atlas.explore.subject import Plane
+from atlas.explore.subject import Plane, Subject
 from atlas.explore.view import STAGES, Sight, TileKey, View
 from atlas.render import SCALAR, has_scale
 from atlas.render.kinds import OverlayError
@@ -48,7 +47,7 @@ Step = Callable[[], None]
 @dataclass(frozen=True)
 class Painted:
     """A picture: its pixels from the top, what explains its colours, the window that it fills, the scale's ends, and
-    why lines that were asked for are not in it.
+    a note on it, such as why lines that were asked for are missing.
     """
 
     cells: NDArray[np.uint8]
@@ -56,7 +55,7 @@ class Painted:
     x: Range
     y: Range
     ends: tuple[float | None, float | None]
-    lacking: str
+    note: str
 
 
 def warm(explorer: Explorer) -> None:
@@ -75,7 +74,7 @@ class Painter:
         self._asked: tuple[Chosen, tuple[int, int]] | None = None
         self._due: dict[Step, float] = {}
         self._at_work: Step | None = None
-        self._scales: dict[tuple[str, str, bool], Range] = {}
+        self._scales: dict[tuple[object, ...], Range] = {}
         self.looked = 0
         self.sight: Sight | None = None
         self._thread = threading.Thread(target=self._run, name="atlas-painter", daemon=True)
@@ -115,10 +114,17 @@ class Painter:
         self._thread.join()
 
     def _told(self, plane: Plane, key: TileKey) -> None:
-        if self._asked and plane == self._asked[0].plane and self.sight is not None and _concerns(self.sight, key):
+        if self._asked and self._concerns(self._asked[0], plane, key):
             with self._lock:
                 self._due.setdefault(self._paint, 0.0)
             self._wake.set()
+
+    def _concerns(self, chosen: Chosen, plane: Plane, key: TileKey) -> bool:
+        """Whether a tile is seen in a picture."""
+        sight = self.sight
+        if plane != chosen.plane or sight is None or key.level_x > sight.level_x or key.level_y > sight.level_y:
+            return False
+        return sight.shows(key)
 
     def _next(self) -> Step | None:
         """The step whose time has come; a picture waits while a view is about to be looked up."""
@@ -176,21 +182,28 @@ class Painter:
         if asked is None or sight is None:
             return
         (chosen, size), begin = asked, time.monotonic()
-        ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
-        x, y = _edges(self._explorer.subject.x, sight, "x"), _edges(self._explorer.subject.y, sight, "y")
+        ds, (x, y) = self._cells(chosen, sight), self._edges(chosen, sight)
         pixels = (
             _pixels(size[0], x, chosen.x, self._explorer.subject.x.log),
             _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
         )
         low, high = self._ends(chosen)
-        made, lacking = self._drawn(ds, chosen, pixels, low, high)
+        made, note = self._drawn(ds, chosen, pixels, low, high)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
         if made.ends is not None and pending <= SETTLED and chosen.vmin is None and chosen.vmax is None:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:
-            self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high), lacking))
+            self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high), note))
         self._wait(max(PAUSE, seconds / SHARE) - seconds)
+
+    def _cells(self, chosen: Chosen, sight: Sight) -> "xr.Dataset":
+        """The cells of a picture."""
+        return self._explorer.known.seen(chosen.plane, sight, chosen.names)
+
+    def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
+        """The window that they fill."""
+        return edges_in_view(self._explorer.subject, sight)
 
     def _drawn(
         self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
@@ -215,7 +228,7 @@ class Painter:
         low, high = self._scales.get(chosen.scale, (None, None))
         return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
 
-    def _whole(self, chosen: Chosen) -> dict[tuple[str, str, bool], Range]:
+    def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
         """The ends that suit the whole plane of the atlas, as far as it is known."""
         subject = self._explorer.subject
         if subject.ds is None or not (chosen.kind == SCALAR or has_scale(chosen.kind)):
@@ -245,14 +258,10 @@ def _drawn(ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float
     )  # fmt: skip
 
 
-def _concerns(sight: Sight, key: TileKey) -> bool:
-    return key.level_x <= sight.level_x and key.level_y <= sight.level_y and sight.shows(key)
-
-
-def _edges(lattice: Lattice, sight: Sight, along: str) -> Range:
-    if along == "x":
-        return lattice.edges(sight.level_x, sight.first_x, sight.last_x)
-    return lattice.edges(sight.level_y, sight.first_y, sight.last_y)
+def edges_in_view(subject: Subject, sight: Sight) -> tuple[Range, Range]:
+    """Where the cells in view begin and end, along x and along y."""
+    x = subject.x.edges(sight.level_x, sight.first_x, sight.last_x)
+    return x, subject.y.edges(sight.level_y, sight.first_y, sight.last_y)
 
 
 def _pixels(pixels: int, edges: Range, window: Range, log: bool) -> int:

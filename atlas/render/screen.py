@@ -14,6 +14,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from atlas.query.window import axis_names, is_log
+from atlas.render.kinds import Kind
+from atlas.render.maps import draw_map
+from atlas.render.options import Wanted
+from atlas.render.page import page
 from atlas.render.style import house
 
 DPI = 110.0
@@ -45,7 +49,7 @@ class Screen:
 
 def screen(
     ds: xr.Dataset,
-    kind: str,
+    kind: str | Kind,
     size: tuple[int, int],
     key_width: int,
     *,
@@ -57,7 +61,8 @@ def screen(
 ) -> Screen:
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
-    Logarithmic axes are evenly spaced in the logarithm, however short. Other arguments and errors as in ``figure``.
+    Logarithmic axes are evenly spaced in the logarithm, however short. Other arguments and errors as in ``figure``;
+    ``kind`` may also be one that is in no table, such as ``change_of`` makes.
     """
     from atlas.render import figure
 
@@ -69,7 +74,10 @@ def screen(
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
         look: Any = {"title": False, "vmin": vmin, "vmax": vmax}
-        figure(ds, kind, overlay=overlays, pixels=size, variable=variable, log=log, ax=ax, **look)
+        if isinstance(kind, Kind):
+            draw_map(kind, ds, Wanted(page(ax=ax, **look), overlays=tuple(overlays), pixels=size))
+        else:
+            figure(ds, kind, overlay=overlays, pixels=size, variable=variable, log=log, ax=ax, **look)
         _bare(ax, ds)
         ax.set_position(area)
         bars = [each for each in drawn.axes if each is not ax]
