@@ -170,7 +170,7 @@ def _classes(
     for name in names:
         differ |= (one[name] != other[name]) & np.isin(here, list(regimes_with(name)))
     differ &= compared
-    return differ.astype(np.int8), f"{differ.sum():,} of {plural(int(compared.sum()), 'cell')} differ"
+    return differ.astype(np.int8), f"{differ.sum()} of {plural(int(compared.sum()), 'cell')} differ"
 
 
 def _spread(cells: Arrays, known: NDArray[np.bool_], sight: Sight) -> None:

@@ -248,9 +248,9 @@ def _subject(
 
 def check_axes(one: Subject, other: Subject) -> None:
     """InputError unless two subjects have the same axes, by name and scale, so that they can share a view."""
-    named = [", ".join(f"{axis.name} ({axis.scale})" for axis in each.spec.axes) for each in (one, other)]
-    if named[0] != named[1]:
-        raise InputError(f"the axes differ: {named[0]} of {one.name}, {named[1]} of {other.name}")
+    first, second = (", ".join(f"{axis.name} ({axis.scale})" for axis in each.spec.axes) for each in (one, other))
+    if first != second:
+        raise InputError(f"the axes of the second atlas: found {second}; must be those of the first, {first}")
 
 
 def own_axis(parameter: Parameter, value: float) -> Axis:
