@@ -92,9 +92,9 @@ def test_another_value_that_is_a_layer_of_the_stack_is_that_layer(tmp_path: Path
     [
         (Beside("R", 1.5), "R = 1.5: must satisfy 0 <= R <= 1"),
         (Beside("omega", 1.5), "omega is no parameter of this plane"),
-        (Beside("R"), "beside: found 'R', must be plane, atlas or PARAMETER,VALUE"),
-        (Beside("plane", drawn="regions"), "drawn: two-mass has no 'regions'"),
-        (Beside("plane", drawn="scalar:colour"), "drawn: two-mass has no 'colour'"),
+        (Beside("R"), "second.of: found 'R', must be plane, atlas or PARAMETER,VALUE"),
+        (Beside("plane", drawn="regions"), "second.drawn: two-mass has no 'regions'"),
+        (Beside("plane", drawn="scalar:colour"), "second.drawn: two-mass has no 'colour'"),
     ],
 )
 def test_a_second_plane_that_there_is_not_is_refused(home: Explorer, beside: Beside, message: str) -> None:

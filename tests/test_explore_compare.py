@@ -35,7 +35,7 @@ def running(tmp_path_factory: pytest.TempPathFactory, client: Client, browser: A
 @pytest.fixture
 def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
     """Its page with both planes, once there are pictures; afterwards nothing may have gone wrong in the browser."""
-    with shown(running, browser, "beside=R,0.7") as made:
+    with shown(running, browser, "second.of=R,0.7") as made:
         yield made
         assert made.complaints == []
         assert made.hosts == {"127.0.0.1"}
@@ -121,28 +121,28 @@ def test_another_value_is_typed_and_one_out_of_range_refused(tab: Tab) -> None:
     value = tab.page.locator(".bk-input-group").filter(has_text="with the value").locator("input").first
     value.fill("0.4")
     value.press("Enter")
-    tab.until(lambda: query(tab).get("beside") == "R,0.4")
+    tab.until(lambda: query(tab).get("second.of") == "R,0.4")
     tab.until(lambda: planes(tab)[1]["sum"] not in (0, before[1]["sum"]), 120.0)
     value.fill("1.4")
     value.press("Enter")
     tab.until(lambda: "R = 1.4: must satisfy 0 <= R <= 1" in tab.text())
-    assert query(tab)["beside"] == "R,0.4"
+    assert query(tab)["second.of"] == "R,0.4"
 
 
 def test_a_slider_moves_the_first_plane_and_not_the_value_of_the_second(tab: Tab) -> None:
     tab.page.locator(".noUi-handle").first.focus()
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: "R" in query(tab))
-    assert query(tab)["beside"] == "R,0.7"
+    assert query(tab)["second.of"] == "R,0.7"
 
 
 def test_the_other_atlas_is_shown_and_its_difference_counts_the_cells_of_another_class(tab: Tab) -> None:
     select(tab, "the second plane shows", "the atlas other.zarr")
-    tab.until(lambda: query(tab).get("beside") == "atlas" and len(windows(tab)) == 2 and all(windows(tab)))
+    tab.until(lambda: query(tab).get("second.of") == "atlas" and len(windows(tab)) == 2 and all(windows(tab)))
     tab.until(lambda: "R = 0.6" in tab.text())
     select(tab, "map", "period")
     select(tab, "drawn as", "the difference")
-    tab.until(lambda: query(tab).get("drawn") == "difference")
+    tab.until(lambda: query(tab).get("second.drawn") == "difference")
     text = tab.until(
         lambda: tab.text() if "cells differ, compared where both are known at the same" in tab.text() else ""
     )
@@ -153,22 +153,22 @@ def test_the_other_atlas_is_shown_and_its_difference_counts_the_cells_of_another
 def test_a_difference_of_exponents_is_on_a_scale_about_zero_and_zero_where_the_planes_are_one(
     running: Exploration, browser: Any
 ) -> None:
-    with shown(running, browser, "beside=plane&drawn=difference") as tab:
+    with shown(running, browser, "second.of=plane&second.drawn=difference") as tab:
         tab.until(lambda: "mean difference 0, mean size 0" in tab.text(), 120.0)
         assert tab.complaints == []
 
 
 def test_a_link_restores_both_planes_and_escape_closes_the_second(running: Exploration, browser: Any) -> None:
-    with shown(running, browser, "beside=atlas&drawn=difference&kind=period") as tab:
+    with shown(running, browser, "second.of=atlas&second.drawn=difference&kind=period") as tab:
         tab.until(lambda: "cells differ" in tab.text(), 120.0)
         tab.page.goto(tab.address())
         tab.until(lambda: len(windows(tab)) == 2 and all(windows(tab)) and "cells differ" in tab.text(), 120.0)
-        assert (query(tab)["beside"], query(tab)["drawn"]) == ("atlas", "difference")
+        assert (query(tab)["second.of"], query(tab)["second.drawn"]) == ("atlas", "difference")
         tab.page.keyboard.press("Escape")
-        tab.until(lambda: "beside" not in query(tab) and len(planes(tab)) == 1)
+        tab.until(lambda: "second.of" not in query(tab) and len(planes(tab)) == 1)
         tab.page.wait_for_timeout(2000)
         tab.page.get_by_role("button", name="compare").click()
-        tab.until(lambda: query(tab).get("beside") == "atlas" and len(windows(tab)) == 2)
+        tab.until(lambda: query(tab).get("second.of") == "atlas" and len(windows(tab)) == 2)
         tab.page.get_by_role("button", name="close the second plane").click()
         tab.until(lambda: len(planes(tab)) == 1)
         tab.page.go_back()
@@ -176,7 +176,7 @@ def test_a_link_restores_both_planes_and_escape_closes_the_second(running: Explo
 
 
 def test_a_second_plane_that_there_is_not_is_named_and_the_first_shown(running: Exploration, browser: Any) -> None:
-    with opened(browser, f"{running.url.partition('?')[0]}?{WINDOW}&beside=R,7") as tab:
+    with opened(browser, f"{running.url.partition('?')[0]}?{WINDOW}&second.of=R,7") as tab:
         tab.until(lambda: "R = 7: must satisfy 0 <= R <= 1" in tab.text())
         tab.until(tab.image)
         assert len(planes(tab)) == 1 and tab.complaints == []
@@ -186,7 +186,7 @@ def test_a_second_plane_that_there_is_not_is_named_and_the_first_shown(running: 
 def test_both_planes_have_the_room_of_the_page_side_by_side_or_one_below_the_other(
     running: Exploration, browser: Any, width: int, beside: bool
 ) -> None:
-    with shown(running, browser, "beside=R,0.7", width, 800) as tab:
+    with shown(running, browser, "second.of=R,0.7", width, 800) as tab:
         (left, top, across, down), (x, y, also, tall) = (plane["box"] for plane in planes(tab))
         assert abs(across - also) <= 2 and abs(down - tall) <= 2
         assert (y == top and x >= left + across) if beside else (x == left and y >= top + down)

@@ -39,7 +39,7 @@ def second(home: Explorer, explorer: Explorer, state: State) -> tuple[Explorer, 
     elif kind == SCALAR or has_scale(chosen.kind):
         shown = replace(shown, vmin=state.ends[0], vmax=state.ends[1])  # one scale for both
     if shown.kind not in kinds(there.subject) or (variable and variable not in variables(there.subject)):
-        raise InputError(f"drawn: {there.subject.name} has no {variable or shown.kind!r}")
+        raise InputError(f"second.drawn: {there.subject.name} has no {variable or shown.kind!r}")
     return there, shown
 
 
@@ -50,7 +50,7 @@ def _plane(home: Explorer, explorer: Explorer, chosen: Chosen, beside: Beside) -
         return explorer, chosen.plane
     if beside.of == ATLAS:
         if home.other is None:
-            raise InputError("beside: there is no second atlas; name it by --with")
+            raise InputError("second.of: there is no second atlas; name it by --with")
         own, third = home.other.subject, home.other.subject.third
         layer = values.get(third.name) if third is not None else None
         found = home.other.turned(subject.axes, layer if third is not None and layer in third.values else None)
@@ -58,7 +58,7 @@ def _plane(home: Explorer, explorer: Explorer, chosen: Chosen, beside: Beside) -
         there = found.subject.plane.parameters
         return found, Plane(tuple((n, values.get(n, value) if n in own.axes else value) for n, value in there))
     if beside.value is None:
-        raise InputError(f"beside: found {beside.of!r}, must be {PLANE}, {ATLAS} or PARAMETER,VALUE")
+        raise InputError(f"second.of: found {beside.of!r}, must be {PLANE}, {ATLAS} or PARAMETER,VALUE")
     plane = subject.moved(chosen.plane, beside.of, beside.value)
     third = subject.third
     if third is not None and beside.of == third.name and beside.value in third.values:
@@ -72,8 +72,8 @@ class BesidePanel:
     def __init__(self, home: Explorer, subject: Subject, store: Store) -> None:
         self._subject, self._store = subject, store
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
-        states = subject.system.states
-        names = sorted(dict(subject.plane.parameters), key=lambda name: name in states)
+        states, third = subject.system.states, "" if subject.third is None else subject.third.name
+        names = sorted(dict(subject.plane.parameters), key=lambda name: (name != third, name in states))
         other = [] if home.other is None else [(ATLAS, f"the atlas {home.other.subject.name}")]
         of = [*other, *((name, f"another {symbol_of(subject.system, name)}") for name in names), (PLANE, "this plane")]
         drawn = {

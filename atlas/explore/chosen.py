@@ -27,9 +27,9 @@ PLANE, ATLAS, DIFFERENCE = "plane", "atlas", "difference"
 plane that shows the difference.
 """
 
-_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "beside", "drawn")
+_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "second.of", "second.drawn")
 ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
-"""What an address has besides parameters; ``token`` is the server's."""
+"""What an address has besides parameters, whose names have no dot; ``token`` is the server's."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,9 @@ def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chos
     """What an address asks for of a subject; InputError, which names the argument, for what it cannot."""
     chosen, given = beginning(subject), {name: values[-1].decode() for name, values in arguments.items()}
     x, y = subject.axes
-    for name, value in sorted(given.items(), key=lambda pair: pair[0] in ("cell", "drawn")):  # which go with others
+    for name, value in sorted(
+        given.items(), key=lambda pair: pair[0] in ("cell", "second.drawn")
+    ):  # which go with others
         if name == x:
             chosen = replace(chosen, x=_range(name, value, subject.x.log))
         elif name == y:
@@ -196,8 +198,8 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
     if chosen.beside is not None:
         of, value = chosen.beside.of, chosen.beside.value
-        pairs.append(("beside", of if value is None else f"{of},{value!r}"))
-        pairs += [("drawn", chosen.beside.drawn)] if chosen.beside.drawn else []
+        pairs.append(("second.of", of if value is None else f"{of},{value!r}"))
+        pairs += [("second.drawn", chosen.beside.drawn)] if chosen.beside.drawn else []
     for values, note in chosen.pins:
         shown = [f"{name}={value!r}" for name, value in values if value != own.get(name)]
         pairs.append(("pin", f"{','.join(shown)};{note}"))
@@ -227,10 +229,10 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         if (x, y) == (to_x, to_y):
             raise InputError(f"cut: found {value!r}, which begins and ends at one point")
         return replace(chosen, cut=(x, y, to_x, to_y))
-    if name == "beside":
+    if name == "second.of":
         of, comma, number = value.partition(",")
         return replace(chosen, beside=Beside(of, _number(name, number) if comma else None))
-    if name == "drawn":
+    if name == "second.drawn":
         return replace(chosen, beside=replace(chosen.beside, drawn=value)) if chosen.beside else chosen
     end = _number(name, value)
     return replace(chosen, vmin=end) if name == "vmin" else replace(chosen, vmax=end)

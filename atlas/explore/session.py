@@ -113,7 +113,7 @@ def explore(
     connect = _connection(client, scheduler, workers or processors(), timing)
     explorer = Explorer(subject, connect, keep, most_bytes, timing, beside)
     shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
-    query = urlencode([*shown, *([("beside", ATLAS)] if beside else [])], safe=":")
+    query = urlencode([*shown, *([("second.of", ATLAS)] if beside else [])], safe=":")
     try:
         return Exploration(explorer, folder or Path.cwd(), port, query, host)
     except BaseException:
