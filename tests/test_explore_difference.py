@@ -156,6 +156,17 @@ def test_grids_are_compared_at_their_common_points_alone() -> None:
     assert says.startswith(f"{both.sum()} cells: ")
 
 
+def test_planes_without_a_common_cell_are_said_to_have_none() -> None:
+    one, other = (known_of({"omega": {"start": start, "stop": 4, "num": 101}, "b": AXES["b"]}) for start in (2, 2.003))
+    seen = [Seen(known, known.subject.plane, sight_of(known)) for known in (one, other)]
+    for known, sight in ((each.known, each.sight) for each in seen):
+        put(known, dict(known.subject.plane.parameters)["R"], sight.tiles(0), 1)
+    made, says = changes(*seen, replace(beginning(one.subject), kind="exponent"))
+    assert says == "no cell in view is known in both planes at the same parameters"
+    assert np.all(made.regime.values == PENDING) and np.all(np.isnan(made[CHANGE].values))
+    assert screen(made, change_of("exponent"), (150, 100), 60).ends is None
+
+
 def test_points_that_round_differently_are_the_same_and_neighbours_are_not() -> None:
     coarse, fine = np.linspace(0.1, 4.5, 101), 0.1 + 4.4 * (np.arange(201) / 200)
     one, other = same_points(coarse, fine)

@@ -49,9 +49,9 @@ class Seen(NamedTuple):
 def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]":
     """The changes from the first plane to the second, as ``render.change`` draws them, and in words.
 
-    They are those of the picture that is chosen, at the cells in view of the first. A cell that is not compared takes
-    the colour of the nearest one of a coarser stage that is, as maps do while they are solved. InputError where one of
-    both has no such variable.
+    They are those of the picture that is chosen, at the cells in view of the first. A cell that is not compared shows
+    the change of the nearest compared cell of a coarser stage, as maps do while they are solved. InputError where one
+    of both has no such variable.
     """
     kind = change_of(chosen.kind, chosen.variable)
     own = [name for name in kind.variables if name != CHANGE]
@@ -70,6 +70,8 @@ def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]"
     _spread(other | {CHANGE: change}, compared, here.sight)
     made = dataset(there.known.subject, there.plane, *here.points[::-1], other)
     made[CHANGE] = (made[REGIME.name].dims, change)
+    if not compared.any():
+        return made, "no cell in view is known in both planes at the same parameters"
     return made, f"{says}, compared where both are known at the same parameters"
 
 
@@ -156,7 +158,7 @@ def _numbers(one: Arrays, other: Arrays, name: str, compared: NDArray[np.bool_])
     change = values[1] - values[0]
     known = change[np.isfinite(change)]
     if not known.size:
-        return change, "no cell has a difference"
+        return change, "no cell has this number in both planes"
     mean, size = number(float(known.mean()), 3), number(float(np.abs(known).mean()), 3)
     return change, f"{plural(known.size, 'cell')}: mean difference {mean}, mean size {size}"
 
@@ -174,7 +176,7 @@ def _classes(
 
 
 def _spread(cells: Arrays, known: NDArray[np.bool_], sight: Sight) -> None:
-    """Give cells that are not known what the nearest one of a coarser stage has that is, in place."""
+    """Give cells that are not known, in place, what the nearest known cell of a coarser stage has."""
     left = ~known
     for stage in range(1, STAGES + 1):
         half, places, inside = (1 << stage) // 2, [], []
