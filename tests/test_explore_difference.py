@@ -1,8 +1,9 @@
 """The difference of two planes in view: compared at cells that both know, no others; nothing is solved."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ AXES = {"omega": {"start": 2, "stop": 4, "num": 101}, "b": {"start": 0.1, "stop"
 WINDOW = View((2.3, 2.9), (0.2, 0.3), 150, 100)
 
 
-def known_of(axes: object = AXES) -> Known:
+def known_of(axes: Mapping[str, Any] = AXES) -> Known:
     spec = atlas.Spec("two-mass", axes)
     subject = Subject(spec, exploring(spec.settings))
     return Known(subject, Keeper(subject))
@@ -161,7 +162,7 @@ def test_planes_without_a_common_cell_are_said_to_have_none() -> None:
     seen = [Seen(known, known.subject.plane, sight_of(known)) for known in (one, other)]
     for known, sight in ((each.known, each.sight) for each in seen):
         put(known, dict(known.subject.plane.parameters)["R"], sight.tiles(0), 1)
-    made, says = changes(*seen, replace(beginning(one.subject), kind="exponent"))
+    made, says = changes(seen[0], seen[1], replace(beginning(one.subject), kind="exponent"))
     assert says == "no cell in view is known in both planes at the same parameters"
     assert np.all(made.regime.values == PENDING) and np.all(np.isnan(made[CHANGE].values))
     assert screen(made, change_of("exponent"), (150, 100), 60).ends is None
