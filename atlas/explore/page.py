@@ -241,7 +241,6 @@ class Page:
     def _refused(self, why: str) -> None:
         self._store.set(trouble=why)
         self._details.refused()
-        self._planes.refused()
         if self._made.text == PROBING:
             self._made.visible = False
 

@@ -2,7 +2,6 @@
 
 import html
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CrosshairTool, Div, Span
 from bokeh.plotting import figure
 
-from atlas.explore.background import Background, Show
+from atlas.explore.background import Background, Latest, Show
 from atlas.explore.chosen import Chosen
 from atlas.explore.explorer import Explorer
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
@@ -28,6 +27,8 @@ class Pane:
     paint   makes its painter of what takes pictures and of what hears why there is none
     heard   hears of each picture, or why there is none; without it the plane says so itself
     like    the plane beside it, whose view it shares
+
+    ``pointed`` is asked for the cells at points, (x, y).
     """
 
     def __init__(
@@ -39,7 +40,7 @@ class Pane:
         heard: Callable[[Painted | str], None] | None = None,
         like: "Pane | None" = None,
     ) -> None:
-        self.explorer, self._background, self._chosen = explorer, background, chosen
+        self._explorer, self._chosen = explorer, chosen
         self._heard = self._say if heard is None else heard
         # Of fixed height, whatever they say: else the plane would change its size with every word.
         line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
@@ -52,14 +53,13 @@ class Pane:
         plane = row(self.plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
         parts = self._title, self._reading, self._note, plane
         self.panel = column(*parts, sizing_mode="stretch_both", stylesheets=[PANE])
-        self._pointer: tuple[float, float] | None = None
-        self._looking = False
+        self.pointed = Latest(background, self._look_up)
         later = background.later
         self.painter = paint(later(self._show), later(self._unpainted))
 
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool) -> None:
         """Show what is chosen on so many pixels."""
-        old, self._chosen, subject = self._chosen, chosen, self.explorer.subject
+        old, self._chosen, subject = self._chosen, chosen, self._explorer.subject
         if (chosen.x, chosen.y) != (old.x, old.y):
             label_axes(self.plot, subject, chosen)
         if chosen.plane != old.plane:
@@ -73,29 +73,12 @@ class Pane:
         tools = [tool for tool in self.plot.tools if not isinstance(tool, CrosshairTool)]
         self.plot.tools = tools if crosshair is None else [*tools, CrosshairTool(overlay=crosshair)]
 
-    def point(self, x: float, y: float) -> None:
-        """Show what is known of the cell at a point."""
-        self._pointer = x, y
-        if not self._looking:
-            self._looking = True
-            self._background.run(partial(self._look_up, self._pointer))
-
-    def refused(self) -> None:
-        """Go on after something could not be done."""
-        self._looking = False
-
     def _look_up(self, at: tuple[float, float]) -> Show:
-        chosen, sight, subject = self._chosen, self.painter.sight, self.explorer.subject
-        cell = None if sight is None else self.explorer.known.cell(chosen.plane, sight, *at)
+        """Show what is known of the cell at a point."""
+        chosen, sight, subject = self._chosen, self.painter.sight, self._explorer.subject
+        cell = None if sight is None else self._explorer.known.cell(chosen.plane, sight, *at)
         text = "not known yet" if cell is None else cell_reading(cell, subject, chosen.names)
-
-        def show() -> None:
-            self._looking = False
-            self._reading.text = text
-            if self._pointer != at and self._pointer is not None:
-                self.point(*self._pointer)
-
-        return show
+        return lambda: self._reading.update(text=text)
 
     def _say(self, found: Painted | str) -> None:
         """Show the note on a picture, or why there is none."""

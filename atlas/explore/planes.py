@@ -69,11 +69,6 @@ class Planes:
         for pane in self._each:
             pane.painter.wait()
 
-    def refused(self) -> None:
-        """Go on after something could not be done."""
-        for pane in self._each:
-            pane.refused()
-
     @property
     def left(self) -> int:
         """Tiles that are still to be solved."""
@@ -106,4 +101,4 @@ class Planes:
         """Show the cells at the pointer of both planes."""
         if len(self._each) > 1 and event.x is not None and event.y is not None:
             for pane in self._each:
-                pane.point(event.x, event.y)
+                pane.pointed.ask((event.x, event.y))
