@@ -18,7 +18,7 @@ from atlas.explore.chosen import Beside, beginning, carried, from_address, to_ad
 from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Patches
 from atlas.explore.session import explore
-from atlas.explore.state import State
+from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, check_axes, exploring, subject_of
 
 
@@ -50,6 +50,14 @@ def test_the_same_map_at_another_value_is_on_the_scale_of_the_first(home: Explor
     there, chosen = second(home, home, state(home, Beside("R", 0.7)))
     assert there is home and chosen.plane == home.subject.plane.moved("R", 0.7)
     assert (chosen.kind, chosen.vmin, chosen.vmax, chosen.beside) == ("exponent", -0.5, 0.25, None)
+
+
+def test_ends_of_a_scale_are_forgotten_with_the_map_that_has_them(home: Explorer) -> None:
+    store = Store(state(home, Beside("R", 0.7)))
+    store.choose(x=(1.5, 2.5))
+    assert store.now.ends == (-0.5, 0.25)
+    store.choose(kind="cost")
+    assert store.now.ends == (None, None)
 
 
 def test_another_map_of_the_same_plane_has_a_scale_of_its_own(home: Explorer) -> None:

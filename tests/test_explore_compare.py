@@ -50,6 +50,7 @@ def shown(running: Exploration, browser: Any, query: str, width: int = 1440, hei
 
 
 PLANES = """() => {
+    if (!window.Bokeh || !Bokeh.documents.length) return []
     const found = [], find = (view) => {
         if (view.model.type === "Figure" && view.model.renderers.some((each) => each.data_source?.data.image))
             found.push(view)
@@ -168,12 +169,24 @@ def test_a_link_restores_both_planes_and_escape_closes_the_second(running: Explo
         assert (query(tab)["second.of"], query(tab)["second.drawn"]) == ("atlas", "difference")
         tab.page.keyboard.press("Escape")
         tab.until(lambda: "second.of" not in query(tab) and len(planes(tab)) == 1)
-        tab.page.wait_for_timeout(2000)
+        assert tab.complaints == []
+
+
+def test_back_leads_to_the_page_without_the_second_plane_and_a_button_closes_it(
+    running: Exploration, browser: Any
+) -> None:
+    with opened(browser, f"{running.url.partition('?')[0]}?{WINDOW}", 1440, 900) as tab:
+        tab.until(tab.image)
+        tab.until(lambda: "kind" in query(tab))
+        tab.page.wait_for_timeout(2000)  # for a view at which one rests
         tab.page.get_by_role("button", name="compare").click()
         tab.until(lambda: query(tab).get("second.of") == "atlas" and len(windows(tab)) == 2)
+        tab.page.go_back()
+        tab.until(lambda: "second.of" not in query(tab) and len(planes(tab)) == 1)
+        tab.page.go_forward()
+        tab.until(lambda: len(windows(tab)) == 2 and all(windows(tab)))
         tab.page.get_by_role("button", name="close the second plane").click()
         tab.until(lambda: len(planes(tab)) == 1)
-        tab.page.go_back()
         assert tab.complaints == []
 
 

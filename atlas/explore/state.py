@@ -51,6 +51,7 @@ class Store:
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
         """Change fields of what is chosen; what was said against the last choice no longer holds."""
-        chosen = replace(self.now.chosen, **fields)
-        if chosen != self.now.chosen:
-            self.set(chosen=chosen, rests=rests, trouble="")
+        old, chosen = self.now, replace(self.now.chosen, **fields)
+        if chosen != old.chosen:
+            ends = old.ends if chosen.scale == old.chosen.scale else (None, None)
+            self.set(chosen=chosen, rests=rests, trouble="", ends=ends)
