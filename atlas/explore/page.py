@@ -100,7 +100,7 @@ class Page:
         self._pins = Pins(self._subject, store, plot)
         self._make_panels()
         logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
-        self._keys = hear_keys(document, plot, logs, self._show_window, self._escaped)
+        self._keys = hear_keys(document, plot, logs, self._show_window, store.escape)
         self._wire()
         self._cut.show(store.now)
         self._pins.show(chosen)
@@ -189,11 +189,6 @@ class Page:
         if min(new.size) >= LEAST:
             self._address.text = to_address(self._home.subject, self._subject, chosen)
             self._planes.show(new)
-
-    def _escaped(self) -> None:
-        """Take away the cut, or else the second plane."""
-        store = self._store
-        store.choose(beside=None) if store.now.chosen.cut is None else store.choose(cut=None)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
         """Open the page of other axes or of another layer, with what is in the middle of the view, or clicked, kept."""

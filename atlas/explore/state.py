@@ -55,3 +55,7 @@ class Store:
         if chosen != old.chosen:
             ends = old.ends if chosen.scale == old.chosen.scale else (None, None)
             self.set(chosen=chosen, rests=rests, trouble="", ends=ends)
+
+    def escape(self) -> None:
+        """Close the cut, or else the second plane."""
+        self.choose(**({"beside": None} if self.now.chosen.cut is None else {"cut": None}))
