@@ -58,4 +58,5 @@ class Store:
 
     def escape(self) -> None:
         """Close the cut, or else the second plane."""
-        self.choose(**({"beside": None} if self.now.chosen.cut is None else {"cut": None}))
+        fields: dict[str, Any] = {"beside": None} if self.now.chosen.cut is None else {"cut": None}
+        self.choose(**fields)
