@@ -197,7 +197,7 @@ def test_back_leads_to_the_page_without_the_second_plane_and_a_button_closes_it(
 
 def test_a_second_plane_that_there_is_not_is_named_and_the_first_shown(running: Exploration, browser: Any) -> None:
     with opened(browser, f"{running.url.partition('?')[0]}?{WINDOW}&second.of=R,7") as tab:
-        tab.until(lambda: "R = 7: must satisfy 0 <= R <= 1" in said(tab))
+        tab.until(lambda: "R = 7.0: must satisfy 0 <= R <= 1" in said(tab))
         tab.until(tab.image)
         assert len(planes(tab)) == 1 and tab.complaints == []
 
