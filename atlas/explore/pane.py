@@ -45,7 +45,7 @@ class Pane:
         # Of fixed height, whatever they say: else the plane would change its size with every word.
         line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
         self._title = Div(text=title(explorer.subject, chosen.plane), **line)
-        self._note, self._reading = Div(visible=False, **line), Div(visible=False, **line)
+        self._note, self._reading = (Div(visible=False, margin=(0, 5), **line) for _ in range(2))
         self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
         self.mark: ColumnDataSource = ColumnDataSource({"x": [], "y": []}) if like is None else like.mark
         self.plot: figure
