@@ -181,7 +181,8 @@ def test_a_plane_of_a_store_is_compared_at_its_own_cells_also_where_pixels_are_c
     subject = subject_of(str(finished))
     known = Known(subject, Keeper(subject))
     (x, y) = (np.array(axis.values) for axis in subject.spec.axes)
-    sight = Sight.of(View((float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])), 3, 3), subject.x, subject.y)
+    beyond = View((float(x[0]), float(2 * x[-1] - x[0])), (float(y[0]), float(y[-1])), 6, 3)
+    sight = Sight.of(beyond, subject.x, subject.y)
     assert min(sight.level_x, sight.level_y) < 0
     seen = Seen(known, subject.plane, sight)
     found, (b, omega) = exact(seen, ["largest", "regime"]), seen.points
