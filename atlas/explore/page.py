@@ -174,7 +174,10 @@ class Page:
         self._address.tags = [self._download, self._keys]
         whole = row(left, middle, right, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
-        widen = f"whole.css_classes = cb_obj.children.length > 1 ? ['{COMPARING}'] : []"
+        widen = f"""
+            whole.css_classes = cb_obj.children.length > 1 ? ["{COMPARING}"] : []
+            document.documentElement.classList.toggle("{COMPARING}", cb_obj.children.length > 1)
+        """
         self._planes.panel.js_on_change("children", CustomJS(args={"whole": whole}, code=widen))
         return whole
 

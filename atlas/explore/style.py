@@ -16,11 +16,14 @@ WIDE = "(min-width: 1280px) and (max-width: 1919px)"
 """The widths of a page on which two planes side by side take the whole width."""
 
 PAGE = f"""
-html, body {{ height: 100%; margin: 0; background: #fff; font-family: system-ui, sans-serif; }}
+html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
 body > div {{ height: 100%; }}
 @media (prefers-color-scheme: dark) {{ html {{ filter: invert(1); background: #fff; }} }}
-html {{ overflow: hidden auto; }}
-@media {STACKED} {{ html, body, body > div {{ height: auto; }} }}
+@media {STACKED} {{
+  html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
+  body > div {{ height: auto; }}
+}}
+@media {WIDE} {{ html.{COMPARING} {{ overflow: hidden auto; }} html.{COMPARING} body {{ overflow: visible; }} }}
 """
 
 WHOLE = f"""
