@@ -44,9 +44,8 @@ def followed(subject: Subject, chosen: Chosen, along: str) -> Followed:
     assert chosen.cell is not None
     follow = beginning(subject, chosen, chosen.cell, along)
     job = follow_job(subject, chosen.cell, follow, came.append, pytest.fail)
-    task = job.make()
-    assert task is not None
-    job.solved(task[1], task[0](task[1]))
+    (function, argument), held = job.make()
+    job.solved(held, function(argument))
     return came[0]
 
 

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from typing import Generic, TypeVar
 
 from bokeh.document import Document
 from tornado.ioloop import IOLoop
@@ -15,6 +16,7 @@ THREADS = 2
 """So many things at once: beside a portrait the cell under the pointer is still looked up."""
 
 Show = Callable[[], None]
+T = TypeVar("T")
 
 
 class Background:
@@ -64,3 +66,32 @@ class Background:
     def wait(self) -> None:
         """Wait until what is under way has ended."""
         self._threads.shutdown(wait=True)
+
+
+class Latest(Generic[T]):
+    """Work on one thing at a time in a thread of the page, then on the last one that was asked for meanwhile."""
+
+    def __init__(self, background: Background, work: Callable[[T], Show]) -> None:
+        self._background, self._work, self._busy = background, work, False
+        self._asked: T
+
+    def ask(self, thing: T) -> None:
+        """Have work done on a thing, unless another one is asked for before it begins."""
+        self._asked = thing
+        if not self._busy:
+            self._busy = True
+            self._background.run(self._do)
+
+    def _do(self) -> Show:
+        thing = self._asked
+        try:
+            act = self._work(thing)
+        finally:
+            self._busy = False
+
+        def show() -> None:
+            act()
+            if self._asked is not thing:
+                self.ask(self._asked)
+
+        return show

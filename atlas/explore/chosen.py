@@ -39,9 +39,30 @@ class Follow(NamedTuple):
     value: float
 
 
-_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow", "without")
+PLANE, ATLAS, DIFFERENCE = "plane", "atlas", "difference"
+"""What a second plane may be of, besides another value of a parameter: the same plane or the other atlas; and a second
+plane that shows the difference.
+"""
+
+_OTHERS = (
+    "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow", "without",
+    "second.of", "second.drawn",
+)  # fmt: skip
 ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
-"""What an address has besides parameters; ``token`` is the server's."""
+"""What an address has besides parameters, whose names have no dot; ``token`` is the server's."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What the second plane shows.
+
+    of      PLANE, ATLAS, or the parameter that has another ``value`` there
+    drawn   DIFFERENCE, a kind of map, "SCALAR:variable", or empty for the picture that the first plane shows
+    """
+
+    of: str
+    value: float | None = None
+    drawn: str = ""
 
 
 @dataclass(frozen=True)
@@ -53,6 +74,8 @@ class Chosen:
     cut    the line that was drawn
     follow the orbit of that point which is followed
     hidden the kinds of curves that are left out
+    beside what the second plane shows
+    less   of a second plane that shows the difference: the plane of the first
     """
 
     x: Range
@@ -69,11 +92,13 @@ class Chosen:
     cut: Cut | None = None
     follow: Follow | None = None
     hidden: tuple[str, ...] = ()
+    beside: Beside | None = None
+    less: Plane | None = None
 
     @property
     def picture(self) -> "Chosen":
         """The choice as far as the map shows it."""
-        return replace(self, cell=None, cut=None, pins=(), follow=None)
+        return replace(self, cell=None, cut=None, pins=(), follow=None, beside=None)
 
     def middle(self, subject: Subject) -> tuple[float, float]:
         """The cell that was clicked in its plane, or else the middle of the window."""
@@ -108,9 +133,10 @@ class Chosen:
         return f"no curves at {here}: a store has curves of its own plane alone, {there}"
 
     @property
-    def scale(self) -> tuple[str, str, bool]:
+    def scale(self) -> tuple[object, ...]:
         """What pictures must have in common to be on one scale."""
-        return (self.kind, self.variable, self.log) if self.kind == SCALAR else (self.kind, "", False)
+        drawn = (self.kind, self.variable, self.log) if self.kind == SCALAR else (self.kind, "", False)
+        return drawn if self.less is None else (*drawn, self.plane, self.less)
 
 
 def kinds(subject: Subject) -> list[str]:
@@ -167,6 +193,7 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
         log=chosen.log,
         pins=chosen.pins,
         hidden=chosen.hidden,
+        beside=chosen.beside if chosen.beside and chosen.beside.of not in subject.axes else None,
         overlays=tuple(name for name in chosen.overlays if name in overlays(subject)),
     )
 
@@ -175,7 +202,9 @@ def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chos
     """What an address asks for of a subject; InputError, which names the argument, for what it cannot."""
     chosen, given = beginning(subject), {name: values[-1].decode() for name, values in arguments.items()}
     x, y = subject.axes
-    for name, value in sorted(given.items(), key=lambda pair: pair[0] == "cell"):  # which lies in the plane of the rest
+    for name, value in sorted(
+        given.items(), key=lambda pair: pair[0] in ("cell", "second.drawn")
+    ):  # which go with others
         if name == x:
             chosen = replace(chosen, x=_range(name, value, subject.x.log))
         elif name == y:
@@ -218,6 +247,10 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
     if "cell" in points and chosen.follow:
         pairs.append(("follow", ",".join(map(str, chosen.follow))))
+    if chosen.beside is not None:
+        of, value = chosen.beside.of, chosen.beside.value
+        pairs.append(("second.of", of if value is None else f"{of},{value!r}"))
+        pairs += [("second.drawn", chosen.beside.drawn)] if chosen.beside.drawn else []
     for values, note in chosen.pins:
         shown = [f"{name}={value!r}" for name, value in values if value != own.get(name)]
         pairs.append(("pin", f"{','.join(shown)};{note}"))
@@ -254,6 +287,11 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         if (x, y) == (to_x, to_y):
             raise InputError(f"cut: found {value!r}, which begins and ends at one point")
         return replace(chosen, cut=(x, y, to_x, to_y))
+    if name == "second.of":
+        of, comma, number = value.partition(",")
+        return replace(chosen, beside=Beside(of, _number(name, number) if comma else None))
+    if name == "second.drawn":
+        return replace(chosen, beside=replace(chosen.beside, drawn=value)) if chosen.beside else chosen
     end = _number(name, value)
     return replace(chosen, vmin=end) if name == "vmin" else replace(chosen, vmax=end)
 

@@ -1,4 +1,4 @@
-"""The page: the plane with its axes, its colours, the controls, the cell under the pointer, and a line on the work.
+"""The page: one plane or two, the controls, the cell under the pointer, and a line on the work.
 
 The ranges of the axes belong to the browser. This side learns of them and sends images; setting them from here would
 race with the user.
@@ -17,30 +17,31 @@ from bokeh.document import Document
 from bokeh.events import MouseLeave, MouseMove, RangesUpdate, SelectionGeometry, Tap
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
+from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.access import make_accessible
 from atlas.explore.actions import new_atlas, picture_file
 from atlas.explore.background import Background
+from atlas.explore.beside import BesidePanel
 from atlas.explore.chosen import Range, carried, from_address, to_address, turned_to
 from atlas.explore.controls import Controls
 from atlas.explore.cutpanel import CutPanel
 from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.keys import hear_keys
-from atlas.explore.painter import KEY_WIDTH, Painted, Painter
-from atlas.explore.picture import Picture
+from atlas.explore.painter import Painted
+from atlas.explore.pane import LINE_HEIGHT
 from atlas.explore.pins import Pins
-from atlas.explore.plot import label_axes, make_plot
+from atlas.explore.planes import Planes
 from atlas.explore.state import State, Store
-from atlas.explore.style import BAR, CUTTING, FOLD, KEY, LAST, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
-from atlas.explore.words import key_image, progress, progress_bar, title
+from atlas.explore.style import COMPARING, CUTTING, FOLD, LAST, LINE, MIDDLE, PAGE, PANEL, TEXT, WHOLE
+from atlas.explore.words import progress
 
 LEFT, RIGHT = 232, 350
 """Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
 FOLDED = "folded"
 """The class of controls that a page of a single column hides."""
-LINE_HEIGHT = 20
 TOKEN = """
 const token = new URLSearchParams(window.location.search).get("token")
 const query = "?" + cb_obj.text + (token ? "&token=" + token : "")
@@ -91,14 +92,17 @@ class Page:
         self._folder, self._home, chosen = folder, home, store.now.chosen
         self._background = Background(document, self._refused)
         self._controls = Controls(self._subject, store, self._go)
-        self._plot, image, mark = make_plot(self._subject, chosen)
-        self._picture = Picture(image, self._controls.vmin, self._controls.vmax)
-        self._details = Details(explorer, self._background, store, lambda: self._painter.sight, mark, self._plot)
-        self._cut = CutPanel(explorer, self._background, store, self._plot)
-        self._pins = Pins(self._subject, store, self._plot)
+        self._beside = BesidePanel(home, self._subject, store)
+        inputs = self._controls.vmin, self._controls.vmax
+        self._planes = Planes(home, explorer, self._background, store, inputs, self._heard, self._hear)
+        self._first = self._planes.first
+        plot, painter = self._first.plot, self._first.painter
+        self._details = Details(explorer, self._background, store, lambda: painter.sight, self._first.mark, plot)
+        self._cut = CutPanel(explorer, self._background, store, plot)
+        self._pins = Pins(self._subject, store, plot)
         self._make_panels()
         logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
-        self._keys = hear_keys(document, self._plot, logs, self._show_window, store.escape, self._details.choose)
+        self._keys = hear_keys(document, plot, logs, self._show_window, store.escape, self._details.choose)
         self._wire()
         self._cut.show(store.now)
         self._pins.show(chosen)
@@ -106,8 +110,6 @@ class Page:
         make_accessible(document)
         document.add_root(self._layout())
         document.add_periodic_callback(self._say_progress, 500)
-        later = self._background.later
-        self._painter = Painter(explorer, later(self._show), later(self._unpainted))
         store.listen(self._changed)
 
     def close(self) -> None:
@@ -115,35 +117,25 @@ class Page:
         self._background.close()
         self._details.close()
         self._cut.close()
-        self._painter.close()
+        self._planes.close()
 
     def wait(self) -> None:
         """Wait until nothing of a page that is closed is at work any more."""
-        self._painter.wait()
+        self._planes.wait()
         self._background.wait()
 
     def _make_panels(self) -> None:
-        style: dict[str, Any] = {"stylesheets": [TEXT]}
-        # Of fixed height, whatever they say: else the plane would change its size with every word.
-        line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
-        self._title = Div(text=title(self._subject, self._store.now.chosen.plane), **line)
-        self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
-        self._line = Div(**line)
-        self._bar = Div(sizing_mode="stretch_width", height=3, margin=0, stylesheets=[BAR])
-        self._made = Div(sizing_mode="stretch_width", visible=False, **style)
+        look: dict[str, Any] = {"sizing_mode": "stretch_width"}
+        self._line = Div(height=LINE_HEIGHT, stylesheets=[TEXT, LINE], **look)
+        self._made = Div(visible=False, stylesheets=[TEXT], **look)
         self._address, self._opened = Div(visible=False), Div(visible=False)
         self._download = ColumnDataSource({"name": [], "href": []})
 
     def _wire(self) -> None:
         """Connect events with what they lead to."""
-        plot, controls, store = self._plot, self._controls, self._store
-        plot.on_event(RangesUpdate, self._moved)
-        plot.on_event(MouseMove, self._details.point)
-        plot.on_event(MouseLeave, lambda _: self._details.leave())
-        plot.on_event(Tap, self._details.click)
-        plot.on_event(SelectionGeometry, self._boxed)
+        controls, store = self._controls, self._store
         for k, attribute in enumerate(("inner_width", "inner_height")):
-            plot.on_change(attribute, partial(self._resized, k))
+            self._first.plot.on_change(attribute, partial(self._resized, k))
         controls.rescale.on_click(self._rescale)
         controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane, on))
         for suffix, button in controls.files.items():
@@ -157,15 +149,24 @@ class Page:
         """
         self._download.js_on_change("data", CustomJS(code=script))
 
+    def _hear(self, plot: figure) -> None:
+        """Hear the pointer over a plane."""
+        plot.on_event(RangesUpdate, self._moved)
+        plot.on_event(MouseMove, lambda event: self._details.point(event))
+        plot.on_event(MouseLeave, lambda _: self._details.leave())
+        plot.on_event(Tap, lambda event: self._details.click(event))
+        plot.on_event(SelectionGeometry, self._boxed)
+
     def _layout(self) -> Any:
         panel: dict[str, Any] = {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"}
-        left = column(*self._controls.columns(self._cut.buttons), width=LEFT, css_classes=[FOLDED], **panel)
+        left = column(
+            *self._controls.columns(self._cut.buttons, self._beside.panel), width=LEFT, css_classes=[FOLDED], **panel
+        )
         left.stylesheets = [*left.stylesheets, InlineStyleSheet(css=LAST)]
         fold = Toggle(label="controls", sizing_mode="stretch_width", stylesheets=[FOLD])
         unfolding = CustomJS(args={"left": left}, code=f"left.css_classes = cb_obj.active ? [] : ['{FOLDED}']")
         fold.js_on_change("active", unfolding)
-        plane = row(self._plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
-        parts = self._title, self._bar, plane, self._cut.panel, self._line
+        parts = self._planes.panel, self._cut.panel, self._line
         middle = column(*parts, sizing_mode="stretch_both", stylesheets=[MIDDLE])
         widen = f"middle.css_classes = cb_obj.visible ? ['{CUTTING}'] : []"
         self._cut.panel.js_on_change("visible", CustomJS(args={"middle": middle}, code=widen))
@@ -177,22 +178,24 @@ class Page:
         self._address.tags = [self._download, self._keys]
         whole = row(left, middle, right, fold, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
+        widen = f"""
+            whole.css_classes = cb_obj.children.length > 1 ? ["{COMPARING}"] : []
+            document.documentElement.classList.toggle("{COMPARING}", cb_obj.children.length > 1)
+        """
+        self._planes.panel.js_on_change("children", CustomJS(args={"whole": whole}, code=widen))
         return whole
 
     def _changed(self, old: State, new: State) -> None:
         """Show what the state says now."""
-        before, chosen = old.chosen, new.chosen
-        if (chosen.x, chosen.y) != (before.x, before.y):
-            label_axes(self._plot, self._subject, chosen)
-        if chosen.plane != before.plane:
-            self._title.text = title(self._subject, chosen.plane)
+        chosen = new.chosen
         self._controls.show(new, self._explorer.keeps(chosen.plane))
+        self._beside.show(chosen)
         self._details.show(chosen)
         self._cut.show(new)
         self._pins.show(chosen)
         if min(new.size) >= LEAST:
-            self._painter.show(chosen, new.size, new.rests)
             self._address.text = to_address(self._home.subject, self._subject, chosen)
+            self._planes.show(new)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
         """Open the page of other axes or of another layer, with what is in the middle of the view, or clicked, kept."""
@@ -223,26 +226,20 @@ class Page:
         chosen = self._store.now.chosen
 
         def work() -> Callable[[], None]:
-            low, high = self._painter.fitted(chosen) or (None, None)
+            low, high = self._first.painter.fitted(chosen) or (None, None)
             return lambda: self._store.choose(vmin=low, vmax=high)
 
         self._background.run(work)
 
-    def _show(self, painted: Painted) -> None:
-        """Put a picture on the page."""
-        self._picture.show(painted)
-        self._key.text = key_image(painted.screen)
-        self._bar.text = progress_bar(painted.cells, painted.left)
-        cells = painted.cells, painted.left
-        self._store.set(ends=painted.ends, lacking=painted.lacking, lines=painted.screen.lines, cells=cells)
+    def _heard(self, found: Painted | str) -> None:
+        """Take note of a picture of the first plane, or of why there is none."""
+        if isinstance(found, str):
+            self._store.set(lacking=found, cells=(0, 0))
+            self._details.refused()
+            return
+        cells = found.cells, found.left
+        self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, cells=cells)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
-
-    def _unpainted(self, why: str) -> None:
-        """Show no picture, least of all one of something else, and say why."""
-        self._picture.clear()
-        self._key.text = self._bar.text = ""
-        self._store.set(lacking=why, cells=(0, 0))
-        self._details.refused()
 
     def _refused(self, why: str) -> None:
         self._store.set(trouble=why)
@@ -253,7 +250,7 @@ class Page:
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
-        left = explorer.patches.left(self._painter)
+        left = self._planes.left
         text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble], now.cells)
         if trouble:
             text = f'<span class="trouble" role="alert">{html.escape(trouble)}</span> &middot; {text}'
@@ -282,7 +279,7 @@ class Page:
             self._store.set(box=((box["x0"], box["x1"]), (box["y0"], box["y1"])))
 
     def _save(self, suffix: str) -> None:
-        sight = self._painter.sight
+        sight = self._first.painter.sight
         if sight is None:
             return
         chosen, ends = self._store.now.chosen, self._store.now.ends

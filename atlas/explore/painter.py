@@ -16,8 +16,7 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.explore.chosen import CHART, Chosen, Range, beginning
 from atlas.explore.explorer import Explorer
-from atlas.explore.lattice import Lattice
-from atlas.explore.subject import Plane
+from atlas.explore.subject import Plane, Subject
 from atlas.explore.view import STAGES, Sight, TileKey, View
 from atlas.render import SCALAR, has_scale
 from atlas.render.kinds import OverlayError
@@ -47,15 +46,15 @@ FIRST, ALL = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
 
 @dataclass(frozen=True)
 class Painted:
-    """A picture: its pixels, the window that it fills, the ends of its scale, and why lines that were asked for are not
-    in it; how many cells are in view, and how many of them are still to be solved.
+    """A picture: its pixels, the window that it fills, the ends of its scale, and a note on it, such as why lines that
+    were asked for are missing; how many cells are in view, and how many of them are still to be solved.
     """
 
     screen: Screen
     x: Range
     y: Range
     ends: tuple[float | None, float | None]
-    lacking: str
+    note: str
     cells: int
     left: int
 
@@ -77,7 +76,7 @@ class Painter:
         self._looked: tuple[Chosen, tuple[int, int]] | None = None
         self._plan: dict[range | None, float] = {}
         self._rested = 0.0
-        self._scales: dict[tuple[str, str, bool], Range] = {}
+        self._scales: dict[tuple[object, ...], Range] = {}
         self.looked = 0
         self.sight: Sight | None = None
         self._thread = threading.Thread(target=self._run, name="atlas-painter", daemon=True)
@@ -118,10 +117,17 @@ class Painter:
         self._thread.join()
 
     def _told(self, plane: Plane, key: TileKey) -> None:
-        if self._asked and plane == self._asked[0].plane and self.sight is not None and _concerns(self.sight, key):
+        if self._asked and self._concerns(self._asked[0], plane, key):
             with self._changed:
                 self._plan.setdefault(None, self._rested)
                 self._changed.notify()
+
+    def _concerns(self, chosen: Chosen, plane: Plane, key: TileKey) -> bool:
+        """Whether a tile is seen in a picture."""
+        sight = self.sight
+        if plane != chosen.plane or sight is None or key.level_x > sight.level_x or key.level_y > sight.level_y:
+            return False
+        return sight.shows(key)
 
     def _run(self) -> None:
         while True:
@@ -169,25 +175,32 @@ class Painter:
         if asked is None or sight is None:
             return
         (chosen, size), begin = asked, time.monotonic()
-        ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
-        x, y = _edges(self._explorer.subject.x, sight, "x"), _edges(self._explorer.subject.y, sight, "y")
+        ds, (x, y) = self._cells(chosen, sight), self._edges(chosen, sight)
         pixels = (
             _pixels(size[0], x, chosen.x, self._explorer.subject.x.log),
             _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
         )
         low, high = self._ends(chosen)
-        made, lacking = self._drawn(ds, chosen, pixels, low, high)
+        made, note = self._drawn(ds, chosen, pixels, low, high)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
         if made.ends is not None and pending <= SETTLED and chosen.vmin is None and chosen.vmax is None:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:
             left = self._explorer.known.missing(chosen.plane, sight)
-            self._deliver(Painted(made, x, y, made.ends or (low, high), lacking, ds[REGIME.name].size, left))
+            self._deliver(Painted(made, x, y, made.ends or (low, high), note, ds[REGIME.name].size, left))
         with self._changed:
             self._rested = begin + max(PAUSE, seconds / SHARE)
             if None in self._plan:
                 self._plan[None] = self._rested
+
+    def _cells(self, chosen: Chosen, sight: Sight) -> "xr.Dataset":
+        """The cells of a picture."""
+        return self._explorer.known.seen(chosen.plane, sight, chosen.names)
+
+    def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
+        """The window that they fill."""
+        return edges_in_view(self._explorer.subject, sight)
 
     def _drawn(
         self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
@@ -212,7 +225,7 @@ class Painter:
         low, high = self._scales.get(chosen.scale, (None, None))
         return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
 
-    def _whole(self, chosen: Chosen) -> dict[tuple[str, str, bool], Range]:
+    def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
         """The ends that suit the whole plane of the atlas, as far as it is known."""
         subject = self._explorer.subject
         if subject.ds is None or not (chosen.kind == SCALAR or has_scale(chosen.kind)):
@@ -243,14 +256,10 @@ def _drawn(
     )  # fmt: skip
 
 
-def _concerns(sight: Sight, key: TileKey) -> bool:
-    return key.level_x <= sight.level_x and key.level_y <= sight.level_y and sight.shows(key)
-
-
-def _edges(lattice: Lattice, sight: Sight, along: str) -> Range:
-    if along == "x":
-        return lattice.edges(sight.level_x, sight.first_x, sight.last_x)
-    return lattice.edges(sight.level_y, sight.first_y, sight.last_y)
+def edges_in_view(subject: Subject, sight: Sight) -> tuple[Range, Range]:
+    """Where the cells in view begin and end, along x and along y."""
+    x = subject.x.edges(sight.level_x, sight.first_x, sight.last_x)
+    return x, subject.y.edges(sight.level_y, sight.first_y, sight.last_y)
 
 
 def _pixels(pixels: int, edges: Range, window: Range, log: bool) -> int:

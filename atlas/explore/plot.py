@@ -23,12 +23,15 @@ return text.replace("-", "\\u2212")
 KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
-def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSource, ColumnDataSource]:
-    """The plot of a plane, the source of its image, and that of the mark, x and y, of one cell."""
+def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource, like: figure | None) -> tuple[figure, Any]:
+    """The plot of a plane with a mark, x and y, on one cell, and the source of its image.
+
+    Planes side by side have one view: the ranges of the plot ``like`` it.
+    """
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
-        x_range=Range1d(*chosen.x),
-        y_range=Range1d(*chosen.y),
+        x_range=Range1d(*chosen.x) if like is None else like.x_range,
+        y_range=Range1d(*chosen.y) if like is None else like.y_range,
         x_axis_type=kind_x,
         y_axis_type=kind_y,
         tools="pan,box_zoom,undo,redo,reset",
@@ -49,13 +52,12 @@ def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSourc
         quiet_axis(axis)
     image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
     plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image")
-    mark = ColumnDataSource({"x": [], "y": []})
     for color, width in (("white", 4.0), ("black", 1.6)):
         ring: dict[str, Any] = {"fill_alpha": 0.0, "line_color": color, "line_width": width}
         plot.scatter(x="x", y="y", source=mark, marker="circle", size=15, **ring)
     label_axes(plot, subject, chosen)
     plot.html_attributes = named(f"map of {plot.xaxis[0].axis_label} across and {plot.yaxis[0].axis_label} up: {KEYS}")
-    return plot, image, mark
+    return plot, image
 
 
 def quiet_axis(axis: Any) -> None:

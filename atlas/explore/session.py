@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 from atlas.errors import InputError
+from atlas.explore.chosen import ATLAS
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import MOST_BYTES
 from atlas.explore.server import HOST, PageServer
-from atlas.explore.subject import TOLERANCE, Subject, subject_of
+from atlas.explore.subject import TOLERANCE, Subject, check_axes, subject_of
 from atlas.platform import processors
 from atlas.query.window import Window, axis_names, axis_values
 from atlas.service.cluster import connected, local_cluster
@@ -77,6 +78,7 @@ def explore(
     given: "str | Subject",
     chosen: Mapping[str, float] | None = None,
     *,
+    other: "str | Subject | None" = None,
     client: "Client | None" = None,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -92,7 +94,8 @@ def explore(
     """Pages on a store or a spec, at ``Exploration.url``.
 
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, or on worker processes of this
-    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. With ``keep``, what is solved lies
+    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. Pages begin with the plane of
+    ``other``, a store or a spec of the same axes, beside the first. With ``keep``, what is solved lies
     in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into ``folder``, by default the
     working directory. Pages on another ``host`` than this machine's loopback go to addresses with their token alone.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
@@ -104,9 +107,13 @@ def explore(
     if not tolerance > 0:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
+    beside = subject_of(other, None, tolerance) if isinstance(other, str) else other
+    if beside is not None:
+        check_axes(subject, beside)
     connect = _connection(client, scheduler, workers or processors(), timing)
-    explorer = Explorer(subject, connect, keep, most_bytes, timing)
-    query = urlencode([(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()], safe=":")
+    explorer = Explorer(subject, connect, keep, most_bytes, timing, beside)
+    shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
+    query = urlencode([*shown, *([("second.of", ATLAS)] if beside else [])], safe=":")
     try:
         return Exploration(explorer, folder or Path.cwd(), port, query, host)
     except BaseException:
@@ -114,19 +121,27 @@ def explore(
         raise
 
 
-def explore_dataset(ds: "xr.Dataset", **options: Any) -> Exploration:
-    """Pages on the store that a dataset shows, at its plane and its window; options as of ``explore``.
+def explore_dataset(
+    ds: "xr.Dataset", other: "xr.Dataset | None" = None, tolerance: float = TOLERANCE, **options: Any
+) -> Exploration:
+    """Pages on the store that a dataset shows, at its plane and its window, and on that of another one beside it.
 
-    InputError for a dataset that is not as ``atlas.open`` gave it, a plane of a stack or a part of a plane apart.
+    Options as of ``explore``. InputError for a dataset that is not as ``atlas.open`` gave it, a plane of a stack or a
+    part of a plane apart.
     """
-    source, names = ds.encoding.get("source"), axis_names(ds)
+    ends = {name: axis_values(ds, name) for name in axis_names(ds)[:2]}
+    window = {name: (float(values.min()), float(values.max())) for name, values in ends.items() if values.size > 1}
+    beside = None if other is None else subject_of(*_place(other), tolerance)
+    return explore(*_place(ds), other=beside, window=window, tolerance=tolerance, **options)
+
+
+def _place(ds: "xr.Dataset") -> tuple[str, dict[str, float]]:
+    """The store that a dataset shows, and which plane of a stack."""
+    source = ds.encoding.get("source")
     if not isinstance(source, str):
         raise InputError("this dataset does not say which store it is of: explore the one that atlas.open returns")
-    spec = read_header(source).spec
-    chosen = {axis.name: float(ds[axis.name]) for axis in spec.axes[2:] if ds[axis.name].ndim == 0}
-    ends = {name: axis_values(ds, name) for name in names[:2]}
-    window = {name: (float(values.min()), float(values.max())) for name, values in ends.items() if values.size > 1}
-    return explore(source, chosen, window=window, **options)
+    axes = read_header(source).spec.axes[2:]
+    return source, {axis.name: float(ds[axis.name]) for axis in axes if ds[axis.name].ndim == 0}
 
 
 def _connection(

@@ -58,16 +58,18 @@ class Store:
 
         An orbit is followed until another cell is chosen.
         """
-        before, chosen = self.now.chosen, replace(self.now.chosen, **fields)
+        old, chosen = self.now, replace(self.now.chosen, **fields)
+        before = old.chosen
         if chosen.cell != before.cell and "follow" not in fields:
             chosen = replace(chosen, follow=None)
         if chosen != before:
             stays = (chosen.x, chosen.y, chosen.plane) == (before.x, before.y, before.plane)
-            self.set(chosen=chosen, rests=rests, trouble="", box=self.now.box if stays else None)
+            ends = old.ends if chosen.scale == before.scale else (None, None)
+            self.set(chosen=chosen, rests=rests, trouble="", box=old.box if stays else None, ends=ends)
 
     def escape(self) -> None:
-        """Follow an orbit no further, or else close the cut."""
-        if self.now.chosen.follow is None:
-            self.choose(cut=None)
-        else:
-            self.choose(follow=None)
+        """Follow an orbit no further, or else close the cut, or else the second plane."""
+        chosen = self.now.chosen
+        open_ones = (name for name in ("follow", "cut") if getattr(chosen, name) is not None)
+        fields: dict[str, Any] = {next(open_ones, "beside"): None}
+        self.choose(**fields)

@@ -246,6 +246,13 @@ def _subject(
     return Subject(alone, settings, header, leading, layer, attractors, ds, third, of_layer)
 
 
+def check_axes(one: Subject, other: Subject) -> None:
+    """InputError unless two subjects have the same axes, by name and scale, so that they can share a view."""
+    first, second = (", ".join(f"{axis.name} ({axis.scale})" for axis in each.spec.axes) for each in (one, other))
+    if first != second:
+        raise InputError(f"the axes of the second atlas: found {second}; must be those of the first, {first}")
+
+
 def own_axis(parameter: Parameter, value: float) -> Axis:
     """An axis for a parameter that the spec has at one value: as far as its slider reaches, evenly spaced."""
     return Axis(parameter.name, tuple(np.linspace(*slider_range(parameter, value), POINTS).tolist()))

@@ -71,6 +71,11 @@ def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[Axis, ...]]":
     return ds, tuple(axes)
 
 
+def determined(regime: NDArray[np.int8]) -> Cells:
+    """Where the class of motion is known."""
+    return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
+
+
 @dataclass(frozen=True)
 class Plane:
     """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
@@ -92,7 +97,7 @@ class Plane:
     @property
     def determined(self) -> Cells:
         """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
-        return ((self.regime >= NO_IMPACT) & (self.regime <= CHAOTIC)) | (self.regime == APERIODIC)
+        return determined(self.regime)
 
     def known(self, name: str) -> Array:
         """The values of a variable where the class of motion is known, NaN elsewhere."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from atlas.query.window import axis_names, is_log
 from atlas.render.drawing import check_units
-from atlas.render.kinds import CURVES, check_overlays, chosen_kind
+from atlas.render.kinds import CURVES, Kind, check_overlays, chosen_kind
 from atlas.render.maps import Colors, draw_painted, read
 from atlas.render.numbered import PixelScale, cell_numbers, numbered
 from atlas.render.options import Wanted
@@ -59,7 +59,7 @@ class Screen:
 
 def screen(
     ds: xr.Dataset,
-    kind: str,
+    kind: str | Kind,
     size: tuple[int, int],
     key_width: int,
     *,
@@ -74,7 +74,8 @@ def screen(
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
     Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
-    hold that number, see ``numbered``. Other arguments and errors as in ``figure``.
+    hold that number, see ``numbered``. Other arguments and errors as in ``figure``; ``kind`` may also be one that is in
+    no table, such as ``change_of`` makes.
     """
     width, height = size
     whole, settings = width + key_width, house(SCALE)
@@ -84,8 +85,9 @@ def screen(
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
         page = page_of(ax=ax, title=False, vmin=vmin, vmax=vmax)
-        wanted = Wanted(page, kind, overlays=tuple(overlays), curves=curves, pixels=size, variable=variable, log=log)
-        fitting = chosen_kind(ds, wanted)
+        named = "" if isinstance(kind, Kind) else kind
+        wanted = Wanted(page, named, overlays=tuple(overlays), curves=curves, pixels=size, variable=variable, log=log)
+        fitting = kind if isinstance(kind, Kind) else chosen_kind(ds, wanted)
         check_overlays(ds, wanted.overlays)
         check_units(ds)
         painted = None

@@ -1,0 +1,235 @@
+"""What differs between two planes in view: compared at the cells that both know at the same parameters, no others."""
+
+from collections.abc import Callable, Iterable, Set
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.explore.chosen import Chosen, Range
+from atlas.explore.compose import dataset
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Known
+from atlas.explore.painter import KEY_WIDTH, Painted, Painter, edges_in_view
+from atlas.explore.subject import Plane
+from atlas.explore.tiles import Arrays
+from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
+from atlas.explore.words import number
+from atlas.query.extremes import regimes_with
+from atlas.query.plane import determined
+from atlas.render.change import CHANGE, change_of, compares_numbers
+from atlas.render.screen import Screen, screen
+from atlas.text import plural
+from workers.results import PENDING, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ULPS = 4.0
+"""Parameters that differ by at most this number of units in the last place are the same: grids round differently."""
+
+Index = NDArray[np.int64]
+
+
+class Seen(NamedTuple):
+    """A plane as it is seen: what is known of its subject, which plane, and the cells in view."""
+
+    known: Known
+    plane: Plane
+    sight: Sight
+
+    @property
+    def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The parameters of the cells in view, along y and along x."""
+        subject, sight = self.known.subject, self.sight
+        return subject.y.values(sight.level_y, sight.index_y), subject.x.values(sight.level_x, sight.index_x)
+
+
+def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]":
+    """The changes from the first plane to the second, as ``render.change`` draws them, and in words.
+
+    They are those of the picture that is chosen, at the cells in view of the first. A cell that is not compared shows
+    the change of the nearest compared cell of a coarser stage, as maps do while they are solved. InputError where one
+    of both has no such variable.
+    """
+    kind = change_of(chosen.kind, chosen.variable)
+    own = [name for name in kind.variables if name != CHANGE]
+    names = [*dict.fromkeys([*own, REGIME.name])]
+    one, found = exact(here, names), exact(there, names)
+    other = unknown(there, names, one[REGIME.name].shape)
+    (i, to_i), (j, to_j) = (same_points(*pair) for pair in zip(here.points, there.points, strict=True))
+    for name, values in found.items():
+        other[name][np.ix_(i, j)] = values[np.ix_(to_i, to_j)]
+    compared = determined(one[REGIME.name]) & determined(other[REGIME.name])
+    if compares_numbers(chosen.kind):
+        change, says = _numbers(one, other, own[0], compared)
+    else:
+        change, says = _classes(one, other, own, compared)
+    other[REGIME.name][~compared] = PENDING
+    _spread(other | {CHANGE: change}, compared, here.sight)
+    made = dataset(there.known.subject, there.plane, *here.points[::-1], other)
+    made[CHANGE] = (made[REGIME.name].dims, change)
+    if not compared.any():
+        return made, "no cell in view is known in both planes at the same parameters"
+    return made, f"{says}, compared where both are known at the same parameters"
+
+
+def exact(seen: Seen, names: Iterable[str]) -> Arrays:
+    """The cells in view (y, x) that are known at their own parameters; what is known only nearby is pending."""
+    (known, plane, sight), subject = seen, seen.known.subject
+    found = unknown(seen, names, (sight.index_y.size, sight.index_x.size))
+    tiles = [(min(key[:2]) >= 0, _tile(key, arrays, found)) for key, arrays in known.tiles.shown(plane, sight)]
+    layers = [layer for finer, layer in tiles if not finer]  # in the order in which maps lay them
+    if subject.ds is not None and plane == subject.plane:
+        layers.append(_atlas(subject.ds, subject.axes, found))
+    for layer in [*layers, *(layer for finer, layer in tiles if finer)]:
+        rows, up = _own(sight.index_y, sight.level_y, layer.y)
+        columns, across = _own(sight.index_x, sight.level_x, layer.x)
+        if rows.size and columns.size and layer.names >= found.keys():
+            part, place = layer.read(up, across), np.ix_(rows, columns)
+            there = part[REGIME.name] != PENDING
+            for name, values in found.items():
+                values[place] = np.where(there, part[name], values[place])
+    return found
+
+
+class Layer(NamedTuple):
+    """Cells of some levels: along each axis the level, the first cell and their number; and what reads some of them."""
+
+    names: Set[str]
+    y: tuple[int, int, int]
+    x: tuple[int, int, int]
+    read: Callable[[Index, Index], Arrays]
+
+
+def _tile(key: TileKey, arrays: Arrays, wanted: Arrays) -> Layer:
+    def read(up: Index, across: Index) -> Arrays:
+        return {name: arrays[name][np.ix_(up, across)] for name in wanted}
+
+    return Layer(arrays.keys(), (key.level_y, key.y * TILE, TILE), (key.level_x, key.x * TILE, TILE), read)
+
+
+def _atlas(ds: "xr.Dataset", axes: tuple[str, str], wanted: Arrays) -> Layer:
+    x, y = axes
+
+    def read(up: Index, across: Index) -> Arrays:
+        part = ds[[*wanted]].isel({x: across, y: up}).load()
+        return {name: part[name].transpose(y, x).values for name in wanted}
+
+    return Layer({str(name) for name in ds.data_vars}, (0, 0, ds.sizes[y]), (0, 0, ds.sizes[x]), read)
+
+
+def _own(index: Index, level: int, layer: tuple[int, int, int]) -> tuple[Index, Index]:
+    """Which cells of a level are cells of a layer too, along one axis, and which of the layer they are."""
+    own, first, count = layer
+    shift = level - own
+    at = (index >> shift if shift > 0 else index << -shift) - first
+    here = np.flatnonzero((index % (1 << max(shift, 0)) == 0) & (at >= 0) & (at < count))
+    return here, at[here]
+
+
+def unknown(seen: Seen, names: Iterable[str], shape: tuple[int, int]) -> Arrays:
+    """Cells of which nothing is known; InputError for a variable that the subject does not have."""
+    subject = seen.known.subject
+    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
+    for name in names:
+        if name not in variables:
+            raise InputError(f"{subject.name} has no variable {name!r} to compare")
+    return {name: np.full(shape, variables[name].fill, variables[name].dtype) for name in names}
+
+
+def same_points(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[Index, Index]:
+    """The places of points that both have, rising, to ULPS units in the last place: in the one and in the other."""
+    near = np.clip(np.searchsorted(0.5 * (other[1:] + other[:-1]), one), 0, other.size - 1)
+    same = np.flatnonzero(np.abs(one - other[near]) <= ULPS * np.spacing(np.abs(one).max()))
+    return same, near[same]
+
+
+def _numbers(one: Arrays, other: Arrays, name: str, compared: NDArray[np.bool_]) -> tuple[NDArray[Any], str]:
+    """The number there minus the number here, NaN where one has none."""
+    values = []
+    for arrays in (one, other):
+        value = arrays[name].astype(np.float64)
+        result = compared & np.isin(arrays[REGIME.name], list(regimes_with(name))) & np.isfinite(value)
+        if name.startswith("impacts_"):
+            result &= value >= 0.0  # without end, at rest on a stop
+        values.append(np.where(result, value, np.nan))
+    change = values[1] - values[0]
+    known = change[np.isfinite(change)]
+    if not known.size:
+        return change, "no cell has this number in both planes"
+    mean, size = number(float(known.mean()), 3), number(float(np.abs(known).mean()), 3)
+    return change, f"{plural(known.size, 'cell')}: mean difference {mean}, mean size {size}"
+
+
+def _classes(
+    one: Arrays, other: Arrays, names: Iterable[str], compared: NDArray[np.bool_]
+) -> tuple[NDArray[np.int8], str]:
+    """Where the classes differ: the regimes, or what tells classes of one regime apart."""
+    here, there = one[REGIME.name], other[REGIME.name]
+    differ = here != there
+    for name in names:
+        differ |= (one[name] != other[name]) & np.isin(here, list(regimes_with(name)))
+    differ &= compared
+    return differ.astype(np.int8), f"{differ.sum()} of {plural(int(compared.sum()), 'cell')} differ"
+
+
+def _spread(cells: Arrays, known: NDArray[np.bool_], sight: Sight) -> None:
+    """Give cells that are not known, in place, what the nearest known cell of a coarser stage has."""
+    left = ~known
+    for stage in range(1, STAGES + 1):
+        half, places, inside = (1 << stage) // 2, [], []
+        for index in (sight.index_y, sight.index_x):
+            place = (((index + half) >> stage) << stage) - index[0]
+            inside.append((place >= 0) & (place < index.size))
+            places.append(np.clip(place, 0, index.size - 1))
+        near = np.ix_(*places)
+        take = left & np.outer(*inside) & known[near]
+        for values in cells.values():
+            values[take] = values[near][take]
+        left &= ~take
+
+
+class DifferencePainter(Painter):
+    """Paints the difference between a plane of the ``first`` explorer, ``Chosen.less``, and one of the other."""
+
+    def __init__(
+        self, explorer: Explorer, first: Explorer, deliver: Callable[[Painted], None], refuse: Callable[[str], None]
+    ) -> None:
+        self._first, self._note = first, ""
+        self._here: Seen
+        super().__init__(explorer, deliver, refuse)
+        first.listen(self, self._told)
+
+    def close(self) -> None:
+        """See ``Painter``."""
+        super().close()
+        self._first.listen(self, None)
+
+    def _concerns(self, chosen: Chosen, plane: Plane, key: TileKey) -> bool:
+        return plane in (chosen.plane, chosen.less)
+
+    def _find(self, stages: range) -> None:
+        if self._asked is not None:
+            (chosen, size), first = self._asked, self._first
+            sight = Sight.of(View(chosen.x, chosen.y, *size), first.subject.x, first.subject.y)
+            self._here = Seen(first.known, chosen.less or chosen.plane, sight)
+            first.known.look(self._here.plane, sight, chosen.names)
+        super()._find(stages)
+
+    def _cells(self, chosen: Chosen, sight: Sight) -> "xr.Dataset":
+        found, self._note = changes(self._here, Seen(self._explorer.known, chosen.plane, sight), chosen)
+        return found
+
+    def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
+        return edges_in_view(self._first.subject, self._here.sight)
+
+    def _drawn(
+        self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
+    ) -> tuple[Screen, str]:
+        ends: dict[str, Any] = {"vmin": low, "vmax": high} if compares_numbers(chosen.kind) else {}
+        return screen(ds, change_of(chosen.kind, chosen.variable), pixels, KEY_WIDTH, **ends), self._note
+
+    def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
+        return {}
