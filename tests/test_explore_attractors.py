@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bokeh.models import ColumnDataSource
+from bokeh.plotting import figure
 from distributed import Client
 
 import atlas
@@ -69,7 +70,8 @@ def test_an_answer_about_a_cell_that_was_clicked_before_another_is_not_shown(fin
     background = SimpleNamespace(later=lambda act: act, run=works.append)
     explorer = SimpleNamespace(subject=subject, patches=SimpleNamespace(want=lambda *_: None))
     store = Store(State(beginning(subject)))
-    shown: list[Any] = [explorer, background, store, lambda: "a sight", ColumnDataSource({"x": [], "y": []})]
+    mark = ColumnDataSource({"x": [], "y": []})
+    shown: list[Any] = [explorer, background, store, lambda: "a sight", mark, figure()]
     details = Details(*shown)
     for x in (2.5, 3.5):
         details.show(replace(store.now.chosen, cell=(subject.plane, x, 0.2)))

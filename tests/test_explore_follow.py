@@ -243,16 +243,16 @@ def arguments(query: str) -> dict[str, list[bytes]]:
 def test_an_address_has_what_is_followed_and_where(subject: Subject) -> None:
     chosen = at_cell(subject, follow=Follow("omega", 1.2, 2.0, -7, 1.7312345))
     address = to_address(subject, subject, chosen)
-    assert "follow=omega,1.2,2.0,-7,1.7312345" in address
+    assert "follow.orbit=omega,1.2,2.0,-7,1.7312345" in address
     assert from_address(subject, arguments(address)).follow == chosen.follow
 
 
 @pytest.mark.parametrize(
     ("query", "said"),
     [
-        ("follow=omega,1.2,2.0,0,1.75", "follow: needs a cell"),
-        ("cell=1.75,0.125&follow=x1,1.2,2.0,0,1.75", "parameter in follow"),
-        ("cell=1.75,0.125&follow=omega,1.2", "follow: found '1.2', must be 4 numbers"),
+        ("follow.orbit=omega,1.2,2.0,0,1.75", "follow: needs a cell"),
+        ("cell=1.75,0.125&follow.orbit=x1,1.2,2.0,0,1.75", "parameter in follow"),
+        ("cell=1.75,0.125&follow.orbit=omega,1.2", "follow.orbit: found '1.2', must be 4 numbers"),
     ],
 )
 def test_an_address_that_cannot_be_followed_is_refused(subject: Subject, query: str, said: str) -> None:

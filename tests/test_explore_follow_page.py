@@ -48,7 +48,7 @@ def start(tab: Tab) -> None:
 
 def followed(tab: Tab) -> tuple[str, float, float, int, float]:
     """What the address says is followed."""
-    along, *numbers = parse_qs(urlsplit(tab.address()).query)["follow"][0].split(",")
+    along, *numbers = parse_qs(urlsplit(tab.address()).query)["follow.orbit"][0].split(",")
     low, high, step, value = map(float, numbers)
     return along, low, high, int(step), value
 
@@ -74,7 +74,7 @@ def test_the_mouse_drags_the_orbit_along_its_branch_and_the_marker_moves_with_it
     tab.page.mouse.down()
     tab.page.mouse.move(x - 20, y, steps=5)
     tab.page.mouse.up()
-    tab.until(lambda: "follow=" in tab.address() and followed(tab)[3] < -2)
+    tab.until(lambda: "follow.orbit=" in tab.address() and followed(tab)[3] < -2)
     value = followed(tab)[4]
     tab.until(lambda: data(tab, "follow_x")["follow_x"] == [value])
     assert value < 1.75 and tab.text() != before
@@ -133,7 +133,7 @@ def test_a_link_opens_the_followed_orbit_again_back_leads_there_and_escape_ends_
     tab.page.wait_for_timeout(2000)
     handle(tab).focus()
     tab.page.keyboard.press("Escape")
-    tab.until(lambda: "follow=" not in tab.address())
+    tab.until(lambda: "follow.orbit=" not in tab.address())
     assert data(tab, "follow_x")["follow_x"] == [] and "orbit followed" not in tab.text()
     tab.page.go_back()
     tab.until(lambda: "orbit followed" in tab.text(), 120.0)
@@ -149,12 +149,12 @@ def test_the_machine_moves_on_the_orbit_that_is_followed(tab: Tab) -> None:
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: followed(tab)[3] == -1)
     tab.page.keyboard.press("Escape")
-    tab.until(lambda: "follow=" not in tab.address())
+    tab.until(lambda: "follow.orbit=" not in tab.address())
 
 
 def test_an_orbit_that_cannot_be_followed_says_so_in_one_line(running: Exploration, browser: Any) -> None:
-    query = "omega=1.4:1.6&b=0.05:0.15&cell=1.5,0.1&follow=omega,1.4,1.6,0,1.5"
+    query = "omega=1.4:1.6&b=0.05:0.15&cell=1.5,0.1&follow.orbit=omega,1.4,1.6,0,1.5"
     with opened(browser, f"{running.url}?{query}", 1440, 900) as tab:
         tab.until(lambda: "this cell is chaotic: a branch starts from a periodic one" in tab.text(), 120.0)
-        tab.until(lambda: "follow=" not in tab.address())
+        tab.until(lambda: "follow.orbit=" not in tab.address())
         assert tab.complaints == []

@@ -45,7 +45,7 @@ plane that shows the difference.
 """
 
 _OTHERS = (
-    "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow", "without",
+    "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow.orbit", "without",
     "second.of", "second.drawn",
 )  # fmt: skip
 ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
@@ -246,7 +246,7 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
         points["cell"] = chosen.cell[1:]
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
     if "cell" in points and chosen.follow:
-        pairs.append(("follow", ",".join(map(str, chosen.follow))))
+        pairs.append(("follow.orbit", ",".join(map(str, chosen.follow))))
     if chosen.beside is not None:
         of, value = chosen.beside.of, chosen.beside.value
         pairs.append(("second.of", of if value is None else f"{of},{value!r}"))
@@ -277,7 +277,7 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
     if name == "cell":
         x, y = _numbers(name, value, 2)
         return replace(chosen, cell=(chosen.plane, x, y))
-    if name == "follow":
+    if name == "follow.orbit":
         along, _, numbers = value.partition(",")
         check_names("parameter in follow", [along], followable(subject))
         low, high, step, at = _numbers(name, numbers, 4)
