@@ -12,7 +12,8 @@ import atlas
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
 from atlas.explore import motion
-from atlas.explore.basins import BAND, SIDE, BasinsPanel, Grid, basin_job, painted
+from atlas.explore.basins import BAND, SIDE, Grid, basin_job
+from atlas.explore.basinspanel import BasinsPanel, painted
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.subject import Subject, subject_of

@@ -1,5 +1,7 @@
 """What an explorer solves, keeps and finds again, without a page."""
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -423,3 +425,11 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
         ds = explorer.known.seen(subject.plane, sight, [])
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
     assert atlas.verify(finished).fine
+
+
+@pytest.mark.parametrize("task", ["patch.solve_patch", "cut.follow", "branches.follow_orbit", "basins.solve_rows"])
+def test_workers_need_no_bokeh(task: str) -> None:
+    module, function = task.split(".")
+    program = f"import sys; from atlas.explore.{module} import {function}; print('bokeh' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -124,10 +124,8 @@ class Branches:
     def places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Where each event lies over the parameter, (n, 2), at its mirror image too, after its kind."""
         for branch in self.traced:
-            at = {id(point): k for k, point in enumerate(branch.run.points)}
             for values in self.gap_values(branch):
-                for event in branch.run.events:
-                    k = at[id(event.point)]
+                for k, event in zip(branch.places, branch.run.events, strict=True):
                     yield event.kind, np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
 
     @property

@@ -1,29 +1,14 @@
 """The basins of a cell that was clicked: which attractor each initial state of a plane of them reaches."""
 
-import html
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
-from bokeh.layouts import column
-from bokeh.models import Button, ColumnDataSource, Div
-from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from atlas.explore.access import named
-from atlas.explore.background import Background
-from atlas.explore.explorer import Explorer
-from atlas.explore.known import Cell
 from atlas.explore.patches import Errand
-from atlas.explore.plot import quiet_axis
-from atlas.explore.style import TEXT
 from atlas.explore.subject import Subject
-from atlas.explore.words import symbol_of
-from atlas.render.classes import BASINS
 from atlas.task.compile import ATTRACTORS, compile_once, kernels_for
-from atlas.text import plural
 from workers import Settings
 from workers.attractors.starts import Starts, boxes
 from workers.model.system import System
@@ -88,100 +73,3 @@ def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:
     (x, across), (y, up) = grid.x, grid.y
     states = {x: across[None, :], y: up[rows, None]}
     return solve_basins(grid.system, {**grid.parameters, **states}, grid.settings, grid.starts)[LABEL.name]
-
-
-class BasinsPanel:
-    """The button that asks for basins, and the plane of initial states that shows them."""
-
-    def __init__(self, explorer: Explorer, background: Background) -> None:
-        self._explorer = explorer
-        self._background = background
-        self._told, self._refuse = background.later(self._take), background.later(self._refused)
-        self._cell: Cell | None = None
-        self._labels = np.zeros((0, 0), dtype=np.int32)
-        self._button = Button(label="basins of this cell", visible=False, sizing_mode="stretch_width")
-        self._button.on_click(self._ask)
-        self._says = Div(stylesheets=[TEXT], visible=False)
-        self._image = ColumnDataSource({"basins": [], "x0": [], "y0": [], "w": [], "h": []})
-        self._start = ColumnDataSource({"start_x": [], "start_y": []})
-        self._plot = figure(height=260, sizing_mode="stretch_width", toolbar_location=None, tools="", visible=False)
-        self._plot.html_attributes = named("basins of the cell over its initial states")
-        self._plot.image_rgba(image="basins", x="x0", y="y0", dw="w", dh="h", source=self._image)
-        look: dict[str, Any] = {"marker": "circle", "fill_color": "white", "line_color": "black"}
-        self._plot.scatter(x="start_x", y="start_y", source=self._start, size=8, **look)
-        self._plot.x_range.range_padding = self._plot.y_range.range_padding = 0
-        self._plot.grid.visible = False
-        for axis in (self._plot.xaxis[0], self._plot.yaxis[0]):
-            quiet_axis(axis)
-        self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
-
-    def offer(self, cell: Cell) -> None:
-        """Offer the basins of a cell."""
-        if cell is self._cell:
-            return
-        self.clear()
-        self._cell = cell
-        self._button.visible = True
-
-    def clear(self) -> None:
-        """Offer nothing, and want nothing more."""
-        self._cell = None
-        self._button.visible = self._says.visible = self._plot.visible = False
-        self.close()
-
-    def close(self) -> None:
-        """Want nothing more."""
-        self._explorer.patches.want(self, ())
-
-    def _ask(self) -> None:
-        cell = self._cell
-        if cell is None:
-            return
-        self._says.update(text="solving initial states", visible=True)
-        self._button.visible = False
-
-        def work() -> Callable[[], None]:
-            return partial(self._begin, cell, Grid.of_cell(self._explorer.subject, cell.parameters))
-
-        self._background.run(work)
-
-    def _begin(self, cell: Cell, grid: Grid) -> None:
-        """Have the initial states of a plane solved."""
-        if cell is not self._cell:
-            return
-        system = self._explorer.subject.system
-        self._labels = np.full((SIDE, SIDE), UNSOLVED, dtype=np.int32)
-        self._plot.xaxis[0].axis_label, self._plot.yaxis[0].axis_label = (
-            symbol_of(system, name) for name in (grid.x[0], grid.y[0])
-        )
-        own = [cell.parameters[name] for name in (grid.x[0], grid.y[0])]
-        self._start.data = {"start_x": own[:1], "start_y": own[1:]}
-        self._plot.visible = True
-        rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
-        jobs = [basin_job(grid, each, partial(self._told, cell), self._refuse) for each in rows]
-        self._explorer.patches.want(self, jobs)
-
-    def _refused(self, why: str) -> None:
-        self._says.text = html.escape(f"basins: {why}")
-
-    def _take(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
-        if cell is not self._cell:
-            return
-        self._labels[rows] = labels
-        self._image.data = {"basins": [painted(self._labels)], **grid.box}
-        count = np.unique(self._labels[self._labels >= 0]).size
-        left = np.count_nonzero(self._labels == UNSOLVED)
-        more = f"; {left} not solved yet" if left else ""
-        self._says.text = (
-            f"initial states reach {plural(count, 'attractor')}, mirror images counted apart, in colours of their own;"
-            f" of grey ones the attractor is not known{more}"
-        )
-
-
-def painted(labels: NDArray[np.int32]) -> NDArray[np.uint32]:
-    """The colour of each label, as Bokeh takes it; grey where none is known, nothing where it is not solved."""
-    colors = np.array([[int(color[k : k + 2], 16) for k in (1, 3, 5)] + [255] for color in BASINS], dtype=np.uint8)
-    grey = np.array([[221, 221, 221, 255]], dtype=np.uint8)
-    chosen = np.where((labels >= 0)[..., None], colors[labels % len(BASINS)], grey)
-    chosen[labels == UNSOLVED] = 0
-    return np.ascontiguousarray(chosen).view(np.uint32)[..., 0]

@@ -50,15 +50,12 @@ class Drawn:
     @classmethod
     def of(cls, table: Branches) -> "Drawn":
         """All branches of a table, with their mirror images; of these the events are not marked."""
-        stretches, events = [], []
+        events = []
         for branch in table.traced:
-            for twin, gap in enumerate(table.gap_values(branch)):
-                for stable, part in branch.parts:
-                    stretches += [(stable, branch.values[part], values) for values in gap[part].T]
-                if not twin:
-                    for k, event in zip(branch.places, branch.run.events, strict=True):
-                        events += [(event.kind, float(branch.values[k]), float(value)) for value in gap[k]]
-        return cls(tuple(stretches), tuple(events))
+            gap = next(iter(table.gap_values(branch)))
+            for k, event in zip(branch.places, branch.run.events, strict=True):
+                events += [(event.kind, float(branch.values[k]), float(value)) for value in gap[k]]
+        return cls(tuple((stable, *line.T) for stable, line in table.lines()), tuple(events))
 
 
 class Mark(NamedTuple):

@@ -14,7 +14,7 @@ from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
 from atlas.explore.attractors import Attractors, known_attractors, search_job
 from atlas.explore.background import Background, Show
-from atlas.explore.basins import BasinsPanel
+from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
 from atlas.explore.followpanel import FollowPanel
