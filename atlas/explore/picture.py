@@ -45,6 +45,7 @@ class Picture:
 
     def __init__(self, image: ColumnDataSource, vmin: NumericInput, vmax: NumericInput) -> None:
         self._sent, self._ends = ColumnDataSource(EMPTY), ColumnDataSource({"low": [], "high": []})
+        image.tags = [self._sent, self._ends]  # sources without a view are sent along, and heard, as tags
         inputs = {"vmin": vmin, "vmax": vmax}
         color = CustomJS(args={"sent": self._sent, "ends": self._ends, "image": image, **inputs}, code=COLOR)
         for source in (self._sent, self._ends):
