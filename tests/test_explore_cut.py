@@ -7,9 +7,22 @@ from distributed import Client
 import atlas
 from atlas.errors import InputError
 from atlas.explore.branches import Drawn
-from atlas.explore.cut import SAMPLES, STEPS, Cells, Line, branch_job, cut_job, exponents, section, sweep_of
+from atlas.explore.cut import (
+    LONGEST,
+    SAMPLES,
+    STEPS,
+    Cells,
+    Line,
+    branch_job,
+    cut_job,
+    exponents,
+    section,
+    sweep_of,
+    too_long,
+)
 from atlas.explore.subject import Subject, subject_of
 from tests.test_explore_solving import exploring, waited
+from workers.results import CHAOTIC, PERIODIC
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +126,9 @@ def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject
         explorer.patches.want("page", [cut_job(line, part, lambda *_: None, pytest.fail) for part in line.parts()])
         explorer.patches.want("page", ())
         assert explorer.patches.left("page") == 0
+
+
+def test_periodic_cells_whose_orbits_are_too_long_to_be_followed_are_counted() -> None:
+    regime, impacts = np.array([PERIODIC, PERIODIC, CHAOTIC]), np.array([LONGEST // 2, LONGEST // 2 + 1, LONGEST])
+    results = {"regime": regime, "impacts_upper": impacts, "impacts_lower": impacts}
+    assert too_long(Cells(np.arange(3), results)) == 1

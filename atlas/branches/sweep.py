@@ -31,8 +31,8 @@ straight line between two points of a branch is mostly off by less.
 _STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "sticks", "state")
 
 
-def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
-    """The branches of proven orbits in sweeps of one axis and those that begin on them, within MOST and LONGEST.
+def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree:
+    """The branches of proven orbits in sweeps of one axis and those that begin on them, within MOST and ``longest``.
 
     A cell whose orbit is on a branch already, or is the mirror image of one that is, adds none. Orbits that rest on a
     stop are passed over. Raises InputError where no parameter is swept, and where an atlas does not hold states.
@@ -54,13 +54,13 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
     if low == high:
         raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
     tree: Tree | None = None
-    for cell in (cell for each in sweeps for cell in _cells(each, along, system.has_modes)):
+    for cell in (cell for each in sweeps for cell in _cells(each, along, system.has_modes, longest)):
         value = float(cell[along])
         if tree is not None and (len(tree.branches) >= MOST or _is_covered(tree, cell, value)):
             continue
         try:
             seed = seed_of(cell, system, {**defaults, **fixed, along: value})
-            tree = tree or Tree(system, seed.values, along, (low, high), MOST, LONGEST)
+            tree = tree or Tree(system, seed.values, along, (low, high), MOST, longest)
             tree.grow(seed.orbit, value, leaving=True)
         except ValueError:  # of a cell that the equations do not take, a neighbour is tried
             continue
@@ -69,7 +69,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
     return tree
 
 
-def _cells(ds: "xr.Dataset", along: str, with_modes: bool) -> Iterator[dict[str, Any]]:
+def _cells(ds: "xr.Dataset", along: str, with_modes: bool, longest: int) -> Iterator[dict[str, Any]]:
     """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first.
 
     Of machines with modes also orbits without impacts, and orbits that stick.
@@ -78,7 +78,7 @@ def _cells(ds: "xr.Dataset", along: str, with_modes: bool) -> Iterator[dict[str,
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *_STORED)}
     impacts = columns["impacts_upper"] + columns["impacts_lower"]
     moves = ~columns["sticks"].astype(bool) & (impacts > 0) | with_modes
-    fits = (columns[REGIME.name] == PERIODIC) & moves & (impacts <= LONGEST)
+    fits = (columns[REGIME.name] == PERIODIC) & moves & (impacts <= longest)
     classes = np.stack([np.where(fits, columns[name], -2) for name in _STORED[1:5]], axis=1).tolist()
     runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda each: each[1])]
     for run in sorted((run for run in runs if fits[run[0]]), key=len, reverse=True):

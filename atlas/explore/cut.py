@@ -16,7 +16,7 @@ from atlas.explore.patch import Patch, packed, solve_patch
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Plane, Subject
 from atlas.query.machine import gap_rows
-from workers.results import ERROR, LARGEST, SECTION
+from workers.results import ERROR, LARGEST, PERIODIC, REGIME, SECTION
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,6 +29,8 @@ TOGETHER = STEPS // COARSE + 1
 """Points that a worker solves at a time."""
 SAMPLES = 48
 """Section states of a cell that is not periodic."""
+LONGEST = 36
+"""Impacts of the orbits whose branches are followed: more than for a sweep, since whoever draws a cut can zoom in."""
 
 Array = NDArray[np.float64]
 
@@ -138,7 +140,7 @@ def follow(sweep: "xr.Dataset") -> Drawn:
     from atlas.branches.sweep import tree_through
     from atlas.branches.table import Branches
 
-    return Drawn.of(Branches.of(tree_through([sweep])))
+    return Drawn.of(Branches.of(tree_through([sweep], LONGEST)))
 
 
 def sweep_of(line: Line, cells: Cells) -> "xr.Dataset":
@@ -163,6 +165,12 @@ def sweep_of(line: Line, cells: Cells) -> "xr.Dataset":
     coords: dict[str, Any] = {line.name: values[line.along]} | {name: ((), value) for name, value in fixed.items()}
     found = xarray.Dataset(arrays, coords, {"spec": json.dumps(line.subject.spec.resolved())})
     return found.sortby(line.name)
+
+
+def too_long(cells: Cells) -> int:
+    """How many periodic cells have orbits of more than LONGEST impacts, whose branches are not followed."""
+    impacts = cells.results["impacts_upper"] + cells.results["impacts_lower"]
+    return int(np.count_nonzero((cells.results[REGIME.name] == PERIODIC) & (impacts > LONGEST)))
 
 
 def exponents(line: Line, cells: Cells) -> dict[str, Array]:

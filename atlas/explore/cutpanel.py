@@ -27,7 +27,7 @@ from atlas.explore.background import Background
 from atlas.explore.branches import Drawn
 from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Cut
-from atlas.explore.cut import Cells, Line, branch_job, cut_job, exponents, section, sweep_of
+from atlas.explore.cut import LONGEST, Cells, Line, branch_job, cut_job, exponents, section, sweep_of, too_long
 from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Errand
 from atlas.explore.plot import quiet_axis
@@ -75,6 +75,7 @@ class CutPanel:
         self._branched, self._unbranched = background.later(self._take_branches), background.later(self._ended)
         self._shown: Line | None = None
         self._cells: Cells | None = None
+        self._note = ""
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
         self._sources = {
             "section": ColumnDataSource({"x": [], "gap": []}),
@@ -131,7 +132,9 @@ class CutPanel:
         self._along.data = {"along": [line.along]}
         self._section.x_range.update(start=low, end=high)
         self._label(line, low, high)
-        self._says.text, self._follow.disabled = "solving the cells along the cut", False
+        self._note, self._follow.disabled = "solving the cells along the cut", False
+        self._say()
+        self._note = ""
         self.panel.visible = True
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
         self._explorer.patches.want(self, self._missing(line))
@@ -148,7 +151,12 @@ class CutPanel:
         self._cells = found = cells.joined(self._cells)
         self._sources["section"].data = dict(section(line, found))
         self._sources["exponents"].data = dict(exponents(line, found))
-        self._says.text = f"{plural(found.index.size, 'cell')} along the cut"
+        self._say()
+
+    def _say(self) -> None:
+        """Say how many cells are known, and what became of their branches."""
+        count = "" if self._cells is None else f"{plural(self._cells.index.size, 'cell')} along the cut"
+        self._says.text = "; ".join(filter(None, (count, html.escape(self._note))))
 
     def _find_branches(self) -> None:
         line, cells = self._shown, self._cells
@@ -159,21 +167,25 @@ class CutPanel:
         except InputError as error:
             self._ended(line, str(error))
             return
-        self._says.text = "following branches"
+        self._note = "following branches"
+        self._say()
         self._follow.disabled = True  # no worker can be called back: each click would take another one
         self._explorer.patches.want(self, [job, *self._missing(line)])
 
     def _ended(self, line: Line, says: str) -> None:
         """Say how the following of branches of a line has ended."""
         if line == self._shown:
-            self._says.text, self._follow.disabled = html.escape(says), False
+            self._note, self._follow.disabled = says, False
+            self._say()
 
     def _take_branches(self, line: Line, found: Drawn) -> None:
         if line != self._shown:
             return
         self._branches.show(found)
         counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
-        self._ended(line, f"branches: {counts}; point at an event to read it")
+        long = 0 if self._cells is None else too_long(self._cells)
+        omitted = f"; without {plural(long, 'cell')} whose orbits have more than {LONGEST} impacts" if long else ""
+        self._ended(line, f"branches: {counts}{omitted}; point at an event to read it")
 
     def _straight(self, along: int) -> None:
         """Cut along one axis, through the cell that was clicked or the middle of the view."""
