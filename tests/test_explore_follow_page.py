@@ -75,8 +75,8 @@ def test_the_mouse_drags_the_orbit_along_its_branch_and_the_marker_moves_with_it
     tab.page.mouse.move(x - 20, y, steps=5)
     tab.page.mouse.up()
     tab.until(lambda: "follow.orbit=" in tab.address() and followed(tab)[3] < -2)
+    tab.until(lambda: data(tab, "follow_x")["follow_x"] == [followed(tab)[4]])
     value = followed(tab)[4]
-    tab.until(lambda: data(tab, "follow_x")["follow_x"] == [value])
     assert value < 1.75 and tab.text() != before
     tab.until(lambda: data(tab, "branch_gap") != portrait)
 
