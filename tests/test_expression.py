@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workers.model.expression import DEEPEST, FUNCTIONS, LONGEST, ExpressionError, parse
@@ -45,6 +45,7 @@ def test_functions_and_pi_have_their_values(text: str, expected: float) -> None:
     assert value(text) == pytest.approx(expected, rel=1e-15)
 
 
+@settings(deadline=None)
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
 def test_arithmetic_is_that_of_doubles(a: float, b: float) -> None:
     """To the bit: one rounding for each operation, in the order in which Python has them."""

@@ -27,7 +27,7 @@ if (form) {
         "signed": (value) => 0.5 + 0.5 * Math.min(end, Math.max(begin, value)) / Math.max(-begin, end),
     }[form] ?? ((value) => (value - begin) / (end - begin))
     for (let k = 0; k < coded.length; k++) {
-        if (coded[k] >>> 24) continue
+        if (coded[k] >> 24) continue
         const place = Math.floor(share(first + (last - first) * (coded[k] & MOST) / MOST) * colors.length)
         out[k] = colors[Math.min(colors.length - 1, Math.max(0, place))]
     }
