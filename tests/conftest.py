@@ -58,6 +58,16 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
+def running(client: Client) -> Iterator[Any]:
+    """An explorer of the packaged plane, for all tests of a file."""
+    from atlas.explore.session import explore
+
+    made = explore("omega-b", client=client)
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="module")
 def one_processor() -> Iterator[None]:
     """One for this process and those it starts: local clusters of one worker, since each takes seconds to start."""
     allowed = sorted(os.sched_getaffinity(0))

@@ -7,10 +7,9 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from distributed import Client
 from PIL import Image
 
-from atlas.explore.session import Exploration, explore
+from atlas.explore.session import Exploration
 from tests.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
@@ -24,13 +23,6 @@ const parent = (each) => each.parentNode instanceof ShadowRoot ? each.parentNode
 const name = (each) => (each.ariaLabel || [...(each.labels ?? [])].map((label) => label.textContent).join(" ").trim()
     || each.textContent.trim() || each.title || each.alt || "")
 """
-
-
-@pytest.fixture(scope="module")
-def running(client: Client) -> Iterator[Exploration]:
-    made = explore("omega-b", client=client)
-    yield made
-    made.stop()
 
 
 @pytest.fixture

@@ -5,23 +5,15 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from distributed import Client
 
 import atlas
-from atlas.explore.session import Exploration, explore
+from atlas.explore.session import Exploration
 from tests.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 
 VIEW = "omega=1.7:1.8&b=0.12:0.13&cell=1.75,0.125"
 """A view in which the orbit of the cell turns back at a fold, and beyond which it breaks its symmetry."""
-
-
-@pytest.fixture(scope="module")
-def running(client: Client) -> Iterator[Exploration]:
-    made = explore("omega-b", client=client)
-    yield made
-    made.stop()
 
 
 @pytest.fixture

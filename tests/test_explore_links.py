@@ -23,13 +23,6 @@ WINDOW = "omega=3.2:4.2&b=0.3:0.5"
 FOLDER = "/user/me/proxy/7"
 
 
-@pytest.fixture(scope="module")
-def running(client: Client) -> Iterator[Exploration]:
-    made = explore("omega-b", client=client)
-    yield made
-    made.stop()
-
-
 @pytest.fixture
 def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
     with opened(browser, f"{running.url}?{WINDOW}", 1440, 800) as made:

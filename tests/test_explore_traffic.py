@@ -5,11 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 
 from atlas.explore.chosen import from_address
 from atlas.explore.painter import KEY_WIDTH
-from atlas.explore.session import Exploration, explore
+from atlas.explore.session import Exploration
 from atlas.render.screen import screen
 from tests.browser import Tab, opened
 from tests.test_explore_page import arguments, painter_of, settled
@@ -21,13 +20,6 @@ SMALL = 60_000
 """Bytes that no picture has, and no other message exceeds."""
 IMAGE = "[...Bokeh.documents[0]._all_models.values()].find((model) => model.data?.image?.length)"
 INPUT = '[...Bokeh.documents[0]._all_models.values()].find((model) => model.title === "scale from")'
-
-
-@pytest.fixture(scope="module")
-def running(client: Client) -> Iterator[Exploration]:
-    made = explore("omega-b", client=client)
-    yield made
-    made.stop()
 
 
 @pytest.fixture
