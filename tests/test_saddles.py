@@ -185,9 +185,10 @@ def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
     assert found.states == pytest.approx(np.array([[1.0, 0.0]]), abs=1e-10)
 
 
-def test_a_cell_with_one_attractor_has_no_saddle() -> None:
+def test_a_cell_with_one_attractor_has_no_saddle_and_says_why() -> None:
     found = atlas.saddles({"omega": 1.9, "A": 1.0}, system="single-mass", starts=4)
-    assert (found["attractors"], found["saddles"], found["troubles"]) == (1, [], [])
+    assert (found["attractors"], found["saddles"]) == (1, [])
+    assert found["troubles"] == ["between basins: attractors that the initial states reach: 1, fewer than two"]
 
 
 def test_bad_input_is_one_line() -> None:

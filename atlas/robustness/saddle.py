@@ -84,6 +84,8 @@ def saddles_of(table: Table, weights: Array) -> Tracked:
     count = max([CHAOS_STATES, *(each.period for each in table.attractors)])
     points = section_points(table, count)
     saddles, troubles = list[Saddle](), list[str]()
+    if len(table.attractors) < 2:
+        troubles.append(f"between basins: attractors that the initial states reach: {len(table.attractors)}, fewer than two")
     for own, other in permutations(range(len(table.attractors)), 2):
         tracker = _Tracker(table, own, weights)
         found = tracker.track(points[own, 0], points[other, 0])
@@ -135,6 +137,8 @@ class _Tracker:
             pair = self.map.images(pair, 1)
             if not np.isfinite(pair).all():
                 return "its motion cannot be followed"
+        if tried:
+            return f"its motion nearly recurs, but no orbit there could be shown to be a saddle in {tried} attempts"
         return f"its motion settles on no orbit of up to {LONGEST} periods in {MOST_STEPS}: the boundary may be fractal"
 
     def bisected(self, first: Array, last: Array, whole: float) -> Array:
