@@ -85,7 +85,8 @@ def saddles_of(table: Table, weights: Array) -> Tracked:
     points = section_points(table, count)
     saddles, troubles = list[Saddle](), list[str]()
     if len(table.attractors) < 2:
-        troubles.append(f"between basins: attractors that the initial states reach: {len(table.attractors)}, fewer than two")
+        count = len(table.attractors)
+        troubles.append(f"between basins: attractors that the initial states reach: {count}, fewer than two")
     for own, other in permutations(range(len(table.attractors)), 2):
         tracker = _Tracker(table, own, weights)
         found = tracker.track(points[own, 0], points[other, 0])
