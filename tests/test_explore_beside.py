@@ -144,11 +144,12 @@ def test_atlases_of_other_axes_or_scales_are_refused_in_one_line_that_names_both
         explore(subject_over(), other=subject_over(b=[0.1, 0.2], omega=[1.0, 2.0]))
 
 
-def test_the_command_refuses_them_too(tmp_path: Path) -> None:
+def test_the_command_refuses_them_before_it_loads_kernels(tmp_path: Path) -> None:
     spec = tmp_path / "other.toml"
     spec.write_text('system = "two-mass"\n[axes]\nR = [0.5, 0.6]\nb = [0.1, 0.2]\n')
     assert subject_of(str(spec)).axes == ("R", "b")
     ran = CliRunner().invoke(main, ["explore", "omega-b", "--with", str(spec), "--no-browser"])
     assert ran.exit_code == 2 and "the axes of the second atlas: found R (linear)" in ran.stderr
+    assert "kernels" not in ran.stderr
     ran = CliRunner().invoke(main, ["explore", "omega-b", "--with", str(spec), "-o", str(tmp_path / "a.html")])
     assert ran.exit_code == 2 and "--with is for the explorer in the browser" in ran.stderr

@@ -100,9 +100,12 @@ def explore(
 
     check_workers(scheduler, workers)
     chosen = read_pairs("--select", select, read_number)
-    if scheduler is None:
-        with reporter(sys.stderr) as show:
-            prepare_kernels(show)
+
+    def prepare() -> None:
+        if scheduler is None:
+            with reporter(sys.stderr) as show:
+                prepare_kernels(show)
+
     try:
         with interruptible():
             running = start(
@@ -117,6 +120,7 @@ def explore(
                 port=port,
                 host=host,
                 timing=timing_of(ctx),
+                prepare=prepare,
             )
             try:
                 if running.explorer.keeper.header is not None:

@@ -90,6 +90,7 @@ def explore(
     host: str = HOST,
     window: Window | None = None,
     timing: Timing = TIMING,
+    prepare: "Callable[[], None] | None" = None,
 ) -> Exploration:
     """Pages on a store or a spec, at ``Exploration.url``.
 
@@ -98,6 +99,7 @@ def explore(
     ``other``, a store or a spec of the same axes, beside the first. With ``keep``, what is solved lies
     in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into ``folder``, by default the
     working directory. Pages on another ``host`` than this machine's loopback go to addresses with their token alone.
+    ``prepare`` is called once the input has been checked, before anything starts.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
     try:
@@ -110,6 +112,8 @@ def explore(
     beside = subject_of(other, None, tolerance) if isinstance(other, str) else other
     if beside is not None:
         check_axes(subject, beside)
+    if prepare is not None:
+        prepare()
     connect = _connection(client, scheduler, workers or processors(), timing)
     explorer = Explorer(subject, connect, keep, most_bytes, timing, beside)
     shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
