@@ -1,7 +1,8 @@
-"""Random zooming in a browser for some minutes: is memory bounded, is no tile solved twice, is the store fine?
+"""A random visitor of the explorer for some minutes: is memory bounded, is no tile solved twice, is the store fine?
 
 Usage: python -m scripts.explore_soak STORE [--minutes 20] [--seed 1] [--size 1280x800] [--workers 2]
 
+The visitor zooms, drags, draws cuts and their branches, pins cells, follows orbits and opens second planes.
 Needs chromium, Playwright and Linux. Scheduler and workers are processes of their own; the store is explored in place.
 Ends with exit code 1 where a tile of the atlas's plane was solved twice or failed, where the browser complained, or
 where verifying finds a fault. Memory is printed to be judged: after the caches are full it should stay.
@@ -30,6 +31,11 @@ REPORT = 30.0
 STEPS_IN, DEEPEST = 6, 10
 """Turns of the wheel in one move; after so many in a row it begins anew, about 10^6 deep."""
 KINDS = "exponent", "period", "impacts", "combined"
+BUTTONS = (
+    "cut across", "cut up", "branches, stable and unstable", "close the cut", "pin it", "follow",
+    "basins of this cell", "compare", "close the second plane",
+)  # fmt: skip
+"""What a visitor presses where it is there: cuts, pins, followed orbits, basins and second planes."""
 
 
 def resident(*processes: int) -> float:
@@ -71,10 +77,11 @@ class Visitor:
 
     def __init__(self, tab: Tab, url: str, draw: random.Random) -> None:
         self._tab, self._page, self._url, self._draw, self._depth = tab, tab.page, url, draw, 0
+        self.pressed: Counter[str] = Counter()
         tab.until(tab.image)
 
     def move(self) -> None:
-        """Mostly zoom in at a random point; now and then out, aside, to a cell, a kind, a slider, or to the start."""
+        """Mostly zoom in at a random point; now and then out, aside, to a cell, a slider, a button or the start."""
         draw, what = self._draw, self._draw.random()
         x, y = self._point()
         self._page.mouse.move(x, y)
@@ -88,14 +95,22 @@ class Visitor:
             self._page.locator(".noUi-handle").first.focus()
             self._page.keyboard.press(draw.choice(["ArrowLeft", "ArrowRight"]))
         elif what < 0.3:
+            self._press(draw.choice(BUTTONS))
+        elif what < 0.42:
             self._page.mouse.down()
             self._page.mouse.move(*self._point(), steps=5)
             self._page.mouse.up()
         else:
-            inward = what < 0.85
+            inward = what < 0.87
             self._depth = max(0, self._depth + (1 if inward else -2))
             for _ in range(STEPS_IN if inward else 2 * STEPS_IN):
                 self._page.mouse.wheel(0.0, -120.0 if inward else 120.0)
+
+    def _press(self, name: str) -> None:
+        button = self._page.get_by_role("button", name=name, exact=True)
+        if button.count() and button.first.is_visible() and button.first.is_enabled():
+            button.first.click()
+            self.pressed[name] += 1
 
     def _begin(self) -> None:
         self._depth = 0
@@ -183,6 +198,7 @@ def main() -> None:
                         said = report.seconds
                         report.line()
             report.line()
+            print("pressed:", ", ".join(f"{name} {count}" for name, count in visitor.pressed.most_common()))
         finally:
             running.stop()
     sys.exit(0 if report.summary(given.store, tab.complaints) else 1)
