@@ -69,7 +69,7 @@ def test_the_manifold_of_henons_map_folds_as_its_inverse_says() -> None:
 
     x = (b - 1.0 + np.sqrt((1.0 - b) ** 2 + 4.0 * a)) / (2.0 * a)
     saddle = np.array([x, b * x])
-    values, vectors = np.linalg.eig(np.array([[-2.0 * a * x, 1.0], [b, 0.0]]))
+    values, vectors = (np.real(part) for part in np.linalg.eig(np.array([[-2.0 * a * x, 1.0], [b, 0.0]])))
     inner = int(np.argmin(np.abs(values)))
     direction = vectors[:, inner]
     low, high = np.array([-2.5, -8.0]), np.array([2.5, 8.0])
