@@ -13,13 +13,14 @@ from click.testing import CliRunner
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.explore.beside import second
+from atlas.explore.beside import nearby, second
 from atlas.explore.chosen import Beside, beginning, carried, from_address, to_address
 from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Patches
 from atlas.explore.session import explore
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, check_axes, exploring, subject_of
+from workers.model.system import find_system
 
 
 def subject_over(R: float = 0.8, **axes: Any) -> Subject:
@@ -153,3 +154,10 @@ def test_the_command_refuses_them_before_it_loads_kernels(tmp_path: Path) -> Non
     assert "kernels" not in ran.stderr
     ran = CliRunner().invoke(main, ["explore", "omega-b", "--with", str(spec), "-o", str(tmp_path / "a.html")])
     assert ran.exit_code == 2 and "--with is for the explorer in the browser" in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"), [("R", 0.8, 0.72), ("zeta", 0.0, 0.1), ("R", 0.0, 0.1), ("mu_m", 2.0, 1.8)]
+)
+def test_a_second_plane_begins_with_another_value_that_is_valid(name: str, value: float, expected: float) -> None:
+    assert nearby(find_system("two-mass").parameter(name), value) == expected

@@ -11,9 +11,9 @@ from bokeh.plotting import figure
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.branches import Followed, Here, arrows, beginning, distance, follow_job, follow_orbit
+from atlas.explore.branches import Arrow, Followed, Here, arrows, beginning, distance, follow_job, follow_orbit
 from atlas.explore.chosen import Chosen, Follow, Point, followable, from_address, to_address
-from atlas.explore.followpanel import FollowPanel
+from atlas.explore.followpanel import FollowPanel, label_of
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
 
@@ -192,6 +192,20 @@ def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(found: Followed, 
     assert (back.x0, back.x1) == (1.75, 1.7) and before.value < 1.7
     assert (on.x0, on.x1) == (1.75, after.value) and on.y0 == on.y1 == CELL["b"]
     assert on.text == f"fold {distance(after, own)}" and back.text == f"symmetry breaking {distance(before, own)}"
+
+
+@pytest.mark.parametrize(
+    ("place", "end", "text", "align", "right"),
+    [
+        (0.5, 0.7, "fold →", "left", 14), (0.5, 0.2, "← fold", "right", -14),  # outwards
+        (0.9, 1.0, "fold →", "right", -14), (0.1, 0.0, "← fold", "left", 14),  # no room there
+    ],
+)  # fmt: skip
+def test_the_label_of_an_arrow_lies_on_its_side_of_the_marker_where_there_is_room(
+    place: float, end: float, text: str, align: str, right: int
+) -> None:
+    said, aligned, _, offset, _ = label_of(Arrow(place, 0.1, end, 0.1, "fold"), 0, (0.0, 1.0))
+    assert (said, aligned, offset) == (text, align, right)
 
 
 def test_a_parameter_that_is_no_axis_has_events_but_no_arrows(subject: Subject) -> None:

@@ -95,7 +95,7 @@ def test_arrows_lead_to_the_fold_and_to_the_edge_of_the_view_with_their_distance
     tab.until(lambda: len(data(tab, "x1")["x1"]) == 2)
     arrows = data(tab, "x1")
     assert arrows["x1"] == [1.7, pytest.approx(events["fold"], abs=1e-9)]
-    fold = arrows["text"][1]
+    fold = arrows["text"][1].removesuffix(" →")
     assert fold.startswith("fold +") and float(fold.split("+")[1]) == pytest.approx(events["fold"] - 1.75, rel=1e-4)
 
 

@@ -271,10 +271,14 @@ def test_the_list_of_curves_has_those_in_view_and_those_left_out_and_switches_th
 
 def test_the_progress_of_a_view_is_in_cells_and_per_cent_and_not_rounded_up_to_all() -> None:
     line = progress(Work("", 2, 1234.5), 3, [], (30_000, 100))
-    assert "99 % solved, 100 of 30\N{NARROW NO-BREAK SPACE}000 cells to come" in line
+    assert "99 % solved at full resolution, 100 of 30\N{NARROW NO-BREAK SPACE}000 cells to come" in line
     assert "1\N{NARROW NO-BREAK SPACE}234 cells/s" in line
     assert 'aria-valuenow="99"' in progress_bar(30_000, 100) and progress_bar(30_000, 0) == ""
     assert "all that is in view is solved" in progress(Work("", 2, 0.0), 0, [], (30_000, 0))
+
+
+def test_a_page_that_has_no_picture_yet_does_not_claim_that_all_is_solved() -> None:
+    assert progress(Work("", 2, 0.0), 0, []).startswith("no picture yet")
 
 
 def test_symbols_of_mathtext_are_written_in_unicode() -> None:

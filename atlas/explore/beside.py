@@ -13,8 +13,9 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Plane, Subject
-from atlas.explore.words import symbol_of
+from atlas.explore.words import NAMES, symbol_of
 from atlas.render import SCALAR, has_scale
+from workers.model.parameter import Parameter
 
 SAME = ""
 """What is drawn where the second plane shows the same picture as the first."""
@@ -66,6 +67,12 @@ def _plane(home: Explorer, explorer: Explorer, chosen: Chosen, beside: Beside) -
     return explorer, plane
 
 
+def nearby(parameter: Parameter, value: float) -> float:
+    """A value a tenth below this one, or above it, that the parameter admits; this one where it admits neither."""
+    tried = (float(f"{share * value:.4g}") for share in (0.9, 1.1)) if value else (0.1, -0.1)
+    return next((each for each in tried if parameter.admits(each)), value)
+
+
 class BesidePanel:
     """The controls of the second plane."""
 
@@ -79,7 +86,7 @@ class BesidePanel:
         drawn = {
             "compared": [(SAME, "the same map"), (DIFFERENCE, "the difference")],
             "maps": [(kind, kind) for kind in kinds(subject) if kind != SCALAR],
-            "variables": [(f"{SCALAR}:{name}", name.replace("_", " ")) for name in variables(subject)],
+            "variables": [(f"{SCALAR}:{name}", NAMES.get(name, name.replace("_", " "))) for name in variables(subject)],
         }
         self._open = Button(label="compare", **wide)
         self._of = Select(title="the second plane shows", options=of, **wide)
@@ -112,13 +119,15 @@ class BesidePanel:
         return hear
 
     def _choose(self, **fields: Any) -> None:
-        """Choose another second plane; of another parameter at first another layer of the stack, or the same value."""
+        """Choose another second plane; of another parameter at first another layer of the stack, or a value nearby."""
         chosen = self._store.now.chosen
         beside = replace(chosen.beside or Beside(PLANE), **fields)
         if "of" in fields:
             third, value = self._subject.third, dict(chosen.plane.parameters).get(beside.of)
             if third is not None and third.name == beside.of:
                 value = next((each for each in third.values if each != value), value)
+            elif value is not None:
+                value = nearby(self._subject.system.parameter(beside.of), value)
             beside = replace(beside, value=value)
         try:
             if beside.value is not None:

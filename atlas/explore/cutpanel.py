@@ -127,7 +127,7 @@ class CutPanel:
         x0, y0, x1, y1 = chosen.cut
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
         self._cells = None
-        self._branches.show(None)
+        self._show_branches(None)
         low, high = sorted((chosen.cut[line.along], chosen.cut[2 + line.along]))
         self._along.data = {"along": [line.along]}
         self._section.x_range.update(start=low, end=high)
@@ -181,7 +181,7 @@ class CutPanel:
     def _take_branches(self, line: Line, found: Drawn) -> None:
         if line != self._shown:
             return
-        self._branches.show(found)
+        self._show_branches(found)
         counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
         long = 0 if self._cells is None else too_long(self._cells)
         omitted = f"; without {plural(long, 'cell')} whose orbits have more than {LONGEST} impacts" if long else ""
@@ -231,12 +231,19 @@ class CutPanel:
                 quiet_axis(axis)
         of.xaxis[0].visible = False
         entries = zip(ENTRIES, of.renderers, strict=True)
-        switches = Legend(items=[LegendItem(label=label, renderers=[lines]) for label, lines in entries], **SWITCHES)
-        of.add_layout(switches, "above")
+        self._items = [LegendItem(label=label, renderers=[lines]) for label, lines in entries]
+        of.add_layout(Legend(items=self._items, **SWITCHES), "above")
+        self._show_branches(None)
         of.html_attributes, below.html_attributes = (
             named("section states along the cut"),
             named("exponent along the cut"),
         )
+
+    def _show_branches(self, found: Drawn | None) -> None:
+        """Show these branches, and their entries in the legend; None shows neither."""
+        self._branches.show(found)
+        for item in self._items[1:]:
+            item.visible = found is not None
 
     def _link(self, logs: list[bool]) -> None:
         """Have the pointer on one move on the other."""

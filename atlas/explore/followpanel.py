@@ -9,9 +9,10 @@ from bokeh.models import Arrow, Button, ColumnDataSource, Div, NormalHead, Numer
 from bokeh.plotting import figure
 
 from atlas.explore.background import Background
+from atlas.explore.branches import Arrow as Reach
 from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, cell_values, distance, follow_job
 from atlas.explore.branchlines import BranchLines
-from atlas.explore.chosen import Chosen, Follow, Point, followable
+from atlas.explore.chosen import Chosen, Follow, Point, Range, followable
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.motionpanel import MotionPanel
@@ -23,6 +24,8 @@ from atlas.text import plural
 
 FOLLOWABLE = "periodic", "no_impact"
 """Regimes of cells that have an orbit to follow."""
+ROOM = 0.3
+"""Share of the view's width that the label of an arrow may take."""
 BOUND = 1e9
 """A larger multiplier is that of an impact without speed, whose own is infinite but for rounding."""
 INK = "#aa3377"
@@ -129,7 +132,7 @@ class FollowPanel:
             plane.add_layout(Arrow(end=head, source=self._arrows, line_color=color, line_width=width, **ends))
         at: dict[str, Any] = {"x": "follow_x", "y": "follow_y", "source": self._marker, "level": "overlay"}
         plane.scatter(marker="diamond", size=18, fill_color=INK, line_color="white", line_width=1.5, **at)
-        at = {"x": "x1", "y": "y1", "text": "text", "source": self._arrows, "level": "overlay"}
+        at = {"x": "x0", "y": "y0", "text": "text", "source": self._arrows, "level": "overlay"}
         at |= {"text_align": "align", "text_baseline": "baseline", "x_offset": "right", "y_offset": "down"}
         look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
         plane.text(background_fill_alpha=0.85, **at, **look)
@@ -142,17 +145,30 @@ class FollowPanel:
         marker = {name: [values[axis]] if inside else [] for name, axis in names}
         drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for k, arrow in enumerate(arrows(found, here, self._subject, chosen, cell) if inside else ()):
-            ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
-            # Labels begin at the ends of the arrows and run inwards, on either side of their line: both may end alike.
-            if arrow.y0 == arrow.y1:
-                looks = ("right" if ahead else "left", ("bottom", "top")[k], 0, (-6, 6)[k])
-            else:
-                looks = (("left", "right")[k], "top" if ahead else "bottom", (8, -8)[k], 0)
-            for name, value in zip(_COLUMNS, (*arrow, *looks), strict=True):
+            ends = arrow.x0, arrow.y0, arrow.x1, arrow.y1
+            for name, value in zip(_COLUMNS, (*ends, *label_of(arrow, k, chosen.x)), strict=True):
                 drawn[name].append(value)
         for source, data in ((self._marker, marker), (self._arrows, drawn)):
             if source.data != data:
                 source.data = data
+
+
+def label_of(arrow: Reach, k: int, seen: Range) -> tuple[str, str, str, int, int]:
+    """The label of an arrow, the k-th of two: its text, alignment, baseline, and offsets from the marker in pixels.
+
+    The text lies on the side to which the arrow points, where the view has room for it there.
+    """
+    (low, high), across = seen, arrow.y0 == arrow.y1
+    ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
+    place = (arrow.x0 - low) / (high - low)
+    if across:
+        leftwards = ahead == ((1.0 - place if ahead else place) < ROOM)
+        text, baseline, down = (f"{arrow.text} →" if ahead else f"← {arrow.text}"), ("bottom", "top")[k], (-8, 8)[k]
+    else:
+        leftwards = place > 1.0 - ROOM
+        text, baseline = (f"↑ {arrow.text}", "bottom") if ahead else (f"↓ {arrow.text}", "top")
+        down = (10 + 18 * k) * (-1 if ahead else 1)
+    return text, "right" if leftwards else "left", baseline, -14 if leftwards else 14, down
 
 
 _COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down")
@@ -178,9 +194,11 @@ class _Shown:
         self._slider.on_change("value", self._slide)
         self._typed.on_change("value", self._type)
         self._text = Div(stylesheets=[TEXT], **wide)
+        low, high = min(found.values), max(found.values)
+        margin = 0.04 * (high - low)
         diagram = figure(
-            height=170, x_range=found.table.window, y_axis_label="gap at t = kT", toolbar_location=None, tools="",
-            min_border_left=58, **wide,
+            height=170, x_range=(low - margin, high + margin), y_axis_label="gap at t = kT", toolbar_location=None,
+            tools="", min_border_left=58, **wide,
         )  # fmt: skip
         BranchLines(diagram).show(Drawn.of(found.table))
         self._span = Span(location=self._here.value, dimension="height", line_color=INK)

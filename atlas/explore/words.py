@@ -160,7 +160,7 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
     if not found.each:
         return f"none of {plural(found.starts, 'initial state')} is decided"
     exponents = subject.settings.exponents != "none"
-    heads = ["", "", "regime", "n-p-q", *([LARGEST.name] if exponents else []), "share, 95 %"]
+    heads = ["", "", "regime", "n-p-q", *([NAMES[LARGEST.name]] if exponents else []), "share, 95 %"]
     rows = [
         f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
         + _cells("td", _attractor(each, k == found.own, exponents, subject.system)).removeprefix("<tr>")
@@ -171,7 +171,7 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
         "► reached from the cell's own" if found.own >= 0 else "",
         f"{found.found - len(found.each)} more, of smaller shares" if len(found.each) < found.found else "",
         f"{found.undecided} undecided" if found.undecided else "",
-        f"what has a share above {100 * found.unseen:.0f} % is missed in one cell of twenty at most",
+        f"a search like this misses an attractor of more than {100 * found.unseen:.0f} % in under 5 % of cases",
         "stored" if found.stored else f"found now, tolerance {subject.settings.tolerance:g}",
     ]
     table = f'<table class="list">{_cells("th", heads)}{"".join(rows)}</table>'
@@ -221,9 +221,14 @@ def progress_bar(cells: int, left: int) -> str:
 
 def progress(state: State, left: int, notes: Iterable[str], cells: tuple[int, int] = (0, 0)) -> str:
     """The line under the plane, as HTML; ``cells`` are those in view and those of them still to be solved."""
-    parts = [f"{plural(left, 'tile')} left" if left else "all that is in view is solved"]
-    if left and cells[1]:
-        parts[0] = f"{share_solved(*cells)} % solved, {spaced(cells[1])} of {spaced(cells[0])} cells to come"
+    count, missing = cells
+    if left and missing:
+        to_come = f"{spaced(missing)} of {spaced(count)} cells to come"
+        parts = [f"{share_solved(*cells)} % solved at full resolution, {to_come}"]
+    elif left:
+        parts = [f"{plural(left, 'tile')} left"]
+    else:
+        parts = ["all that is in view is solved" if count else "no picture yet"]
     if left:
         parts.append(f"{spaced(state.rate)} cells/s")
     parts.append(plural(state.workers, "worker"))
