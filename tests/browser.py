@@ -75,13 +75,13 @@ class Tab:
         return list(self.page.evaluate(script, [kind, name]))
 
     def text(self) -> str:
-        """All that stands on the page."""
+        """All that stands on the page, but for the options of its menus."""
         return str(
             self.page.evaluate(
                 """() => {
                     const read = (node) => node.nodeType === 3 ? node.textContent
                         : [...(node.shadowRoot ? node.shadowRoot.childNodes : []), ...node.childNodes]
-                            .filter((each) => !["STYLE", "SCRIPT"].includes(each.nodeName)).map(read).join(" ")
+                            .filter((each) => !["STYLE", "SCRIPT", "OPTION"].includes(each.nodeName)).map(read).join(" ")
                     return read(document.body)
                 }"""
             )
