@@ -79,9 +79,10 @@ class Tab:
         return str(
             self.page.evaluate(
                 """() => {
+                    const unread = ["STYLE", "SCRIPT", "OPTION"]
                     const read = (node) => node.nodeType === 3 ? node.textContent
                         : [...(node.shadowRoot ? node.shadowRoot.childNodes : []), ...node.childNodes]
-                            .filter((each) => !["STYLE", "SCRIPT", "OPTION"].includes(each.nodeName)).map(read).join(" ")
+                            .filter((each) => !unread.includes(each.nodeName)).map(read).join(" ")
                     return read(document.body)
                 }"""
             )
