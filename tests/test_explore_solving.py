@@ -116,6 +116,17 @@ def test_a_cell_that_is_solved_alone_is_that_of_its_tile_to_the_bit(finished: Pa
     assert str(alone.results | {"distance": 0}) == str(found.results | {"distance": 0})  # some are not a number
 
 
+def test_a_point_names_the_same_cell_before_and_after_the_view_is_solved(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        before = known.point(plane, sight, 2.4012345, 0.21)
+        solved(explorer, sight)
+        found = known.cell(plane, sight, 2.4012345, 0.21)
+        assert found is not None
+        after = known.point(plane, sight, 2.4012345, 0.21)
+    assert before == after == tuple(found.parameters[name] for name in explorer.subject.axes)
+
+
 @pytest.mark.slow
 def test_tiles_come_coarse_first_and_none_twice(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:

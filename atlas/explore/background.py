@@ -86,12 +86,20 @@ class Latest(Generic[T]):
         thing = self._asked
         try:
             act = self._work(thing)
-        finally:
-            self._busy = False
+        except Exception:
+            self._background.show(partial(self._next, thing))
+            raise
 
         def show() -> None:
-            act()
-            if self._asked is not thing:
-                self.ask(self._asked)
+            try:
+                act()
+            finally:
+                self._next(thing)
 
         return show
+
+    def _next(self, done: T) -> None:
+        """Go on to what was asked for meanwhile."""
+        self._busy = False
+        if self._asked is not done:
+            self.ask(self._asked)

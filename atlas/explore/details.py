@@ -13,7 +13,7 @@ from bokeh.plotting import figure
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
 from atlas.explore.attractors import Attractors, known_attractors, search_job
-from atlas.explore.background import Background, Show
+from atlas.explore.background import Background, Latest, Show
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
@@ -64,8 +64,7 @@ class Details:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
         self._background, self._sight, self._mark = background, sight, mark
         self._detailed: Point | None = None
-        self._pointer: tuple[float, float] | None = None
-        self._looking = False
+        self._pointer = Latest(background, self._look_up)
         self._clicks = 0
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
         self._pointed = Div(text=POINTED, **style)
@@ -93,20 +92,10 @@ class Details:
         self._basins.close()
         self._follow.close()
 
-    def refused(self) -> None:
-        """Go on after something could not be done."""
-        self._looking = False
-
     def point(self, event: MouseMove) -> None:
         """Say what is known of the cell under the pointer."""
-        if event.x is None or event.y is None:
-            return
-        self._pointer = (event.x, event.y)
-        self._look_up()
-
-    def leave(self) -> None:
-        """Forget the pointer, which left the plane."""
-        self._pointer = None
+        if event.x is not None and event.y is not None:
+            self._pointer.ask((event.x, event.y))
 
     def click(self, event: Tap) -> None:
         """Choose the cell at a point."""
@@ -114,7 +103,7 @@ class Details:
             self.choose(event.x, event.y)
 
     def choose(self, x: float, y: float) -> None:
-        """Choose the finest cell that is known at a point, or the point itself."""
+        """Choose the cell of the view at a point, whether it is known by now or not."""
         self._background.run(partial(self._found, (x, y)))
 
     def show(self, chosen: Chosen) -> None:
@@ -134,32 +123,19 @@ class Details:
             self._follow.offer(None)
             self._background.run(partial(self._detail, cell, self._clicks))
 
-    def _look_up(self) -> None:
-        if self._pointer is not None and not self._looking:
-            self._looking = True
-            self._background.run(partial(self._looked_up, self._pointer))
-
     def _cell(self, plane: Plane, point: tuple[float, float]) -> Cell | None:
         sight = self._sight()
         return None if sight is None else self._explorer.known.cell(plane, sight, *point)
 
     def _found(self, point: tuple[float, float]) -> Show:
-        plane = self._store.now.chosen.plane
-        cell = self._cell(plane, point)
-        at = point if cell is None else tuple(cell.parameters[name] for name in self._subject.axes)
+        plane, sight = self._store.now.chosen.plane, self._sight()
+        at = point if sight is None else self._explorer.known.point(plane, sight, *point)
         return lambda: self._store.choose(cell=(plane, *at))
 
-    def _looked_up(self, point: tuple[float, float]) -> Show:
+    def _look_up(self, point: tuple[float, float]) -> Show:
         cell = self._cell(self._store.now.chosen.plane, point)
         text = POINTED + (cell_table(cell, self._subject) if cell else "not known yet")
-
-        def show() -> None:
-            self._looking = False
-            self._pointed.text = text
-            if self._pointer != point:
-                self._look_up()
-
-        return show
+        return lambda: self._pointed.update(text=text)
 
     def _detail(self, at: Point, click: int) -> Show:
         if click != self._clicks:  # there was another one meanwhile

@@ -143,10 +143,18 @@ class Known:
             key = TileKey(level_x, level_y, j // TILE, i // TILE)
             arrays = self.whole(plane, key)
             if arrays is not None:
-                across = float(self.subject.x.values(level_x, np.array([j]))[0])
-                up = float(self.subject.y.values(level_y, np.array([i]))[0])
-                return self._cell_of(plane, arrays, (i % TILE, j % TILE), (across, up), (x, y))
+                return self._cell_of(plane, arrays, (i % TILE, j % TILE), self._at(level_x, level_y, j, i), (x, y))
         return self._atlas_cell(plane, x, y)
+
+    def point(self, plane: Plane, sight: Sight, x: float, y: float) -> tuple[float, float]:
+        """The cell of a view nearest to a point: one of the atlas itself where its cells lie closer than the view's."""
+        if min(sight.level_x, sight.level_y) < 0:
+            found = self._atlas_cell(plane, x, y)
+            if found is not None:
+                across, up = (found.parameters[name] for name in self.subject.axes)
+                return across, up
+        j, i = self.subject.x.nearest(sight.level_x, x), self.subject.y.nearest(sight.level_y, y)
+        return self._at(sight.level_x, sight.level_y, j, i)
 
     def solved(self, plane: Plane, x: float, y: float) -> Cell:
         """The cell at exactly this point, solved here and now."""
@@ -180,6 +188,12 @@ class Known:
         lattice = self.subject.x if along == "x" else self.subject.y
         index = np.arange(number * TILE, (number + 1) * TILE, dtype=np.int64)
         return bool(lattice.admitted(self.subject.system.parameter(lattice.axis.name), level, index).any())
+
+    def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
+        """The parameters of a column and a row of a level."""
+        across = self.subject.x.values(level_x, np.array([j]))
+        up = self.subject.y.values(level_y, np.array([i]))
+        return float(across[0]), float(up[0])
 
     def _atlas_cell(self, plane: Plane, x: float, y: float) -> Cell | None:
         ds, names = self.subject.ds, [axis.name for axis in self.subject.spec.axes]

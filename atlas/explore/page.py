@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.events import MouseLeave, MouseMove, RangesUpdate, SelectionGeometry, Tap
+from bokeh.events import MouseMove, RangesUpdate, SelectionGeometry, Tap
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
 from bokeh.plotting import figure
@@ -153,7 +153,6 @@ class Page:
         """Hear the pointer over a plane."""
         plot.on_event(RangesUpdate, self._moved)
         plot.on_event(MouseMove, lambda event: self._details.point(event))
-        plot.on_event(MouseLeave, lambda _: self._details.leave())
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
 
@@ -235,7 +234,6 @@ class Page:
         """Take note of a picture of the first plane, or of why there is none."""
         if isinstance(found, str):
             self._store.set(lacking=found, cells=(0, 0))
-            self._details.refused()
             return
         cells = found.cells, found.left
         self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, cells=cells)
@@ -243,7 +241,6 @@ class Page:
 
     def _refused(self, why: str) -> None:
         self._store.set(trouble=why)
-        self._details.refused()
         if self._made.text == PROBING:
             self._made.visible = False
 
