@@ -171,7 +171,8 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
         "► reached from the cell's own" if found.own >= 0 else "",
         f"{found.found - len(found.each)} more, of smaller shares" if len(found.each) < found.found else "",
         f"{found.undecided} undecided" if found.undecided else "",
-        f"a search like this misses an attractor of more than {100 * found.unseen:.0f} % in under 5 % of cases",
+        f"a search like this misses an attractor of more than {math.ceil(1000 * found.unseen) / 10:g} %"
+        " in under 5 % of cases",
         "stored" if found.stored else f"found now, tolerance {subject.settings.tolerance:g}",
     ]
     table = f'<table class="list">{_cells("th", heads)}{"".join(rows)}</table>'
