@@ -88,18 +88,20 @@ class Tab:
             )
         )
 
-    def plot(self) -> tuple[float, float, float, float]:
-        """The plot area in pixels of the tab: left, top, width, height."""
+    def plot(self, label: str = "") -> tuple[float, float, float, float]:
+        """The plot area, in pixels of the tab, of the first plot with such a label: left, top, width, height."""
         box = self.page.evaluate(
-            """() => {
+            """(label) => {
                 const view = [...Bokeh.index.roots].map(function find(view) {
-                    if (view.model.type === "Figure") return view
+                    const named = view.model.html_attributes?.["aria-label"] ?? ""
+                    if (view.model.type === "Figure" && named.startsWith(label)) return view
                     for (const child of view.child_views || []) { const found = find(child); if (found) return found }
                     return null
                 }).filter(Boolean)[0]
                 const inner = view.frame.bbox, box = view.el.getBoundingClientRect()
                 return [box.left + inner.left, box.top + inner.top, inner.width, inner.height]
-            }"""
+            }""",
+            label,
         )
         left, top, width, height = box
         return left, top, width, height

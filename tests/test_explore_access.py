@@ -103,6 +103,49 @@ def test_a_tap_chooses_the_cell_and_its_details_come_before_the_controls(phone: 
     assert phone.page.evaluate("() => document.documentElement.scrollWidth") == 390
 
 
+def cut(tab: Tab) -> list[tuple[float, float, float, float]]:
+    """Open a cut by its link, and give the plot areas of the plane and of the two diagrams."""
+    tab.page.goto(tab.page.url.split("?")[0] + f"?{WINDOW}&cut=3.2,0.4,4.2,0.4")
+    tab.until(lambda: "257 cells along the cut" in tab.text(), 120.0)
+    return [tab.plot(label) for label in ("map of", "section states along", "exponent along")]
+
+
+def test_a_cut_on_a_phone_has_its_diagrams_between_the_plane_and_the_details_of_cells(phone: Tab) -> None:
+    (_, top, _, height), *diagrams = cut(phone)
+    for _, below, across, down in diagrams:
+        assert below > top + height and across > 250 and down > 90
+        top, height = below, down
+    button = phone.page.get_by_role("button", name="controls").bounding_box()
+    details = phone.page.get_by_text("click a cell: its motion").bounding_box()
+    assert top + height < details["y"] < button["y"]
+    assert phone.page.evaluate("() => document.documentElement.scrollWidth") == 390
+
+
+def test_a_cut_across_has_its_diagrams_right_below_the_plane(desk: Tab) -> None:
+    planes, *diagrams = cut(desk)
+    for left, top, width, _ in diagrams:
+        assert abs(left - planes[0]) <= 1 and abs(width - planes[2]) <= 1 and top > planes[1] + planes[3]
+
+
+def test_nothing_but_the_page_is_to_be_scrolled_to(desk: Tab) -> None:
+    assert desk.page.evaluate("() => [document.documentElement, document.body].map((e) => e.scrollHeight)") == [900] * 2
+
+
+def test_a_finger_drags_an_orbit_along_its_branch(phone: Tab) -> None:
+    phone.page.goto(phone.page.url.split("?")[0] + "?omega=1.7:1.8&b=0.12:0.13&cell=1.75,0.125")
+    follow = phone.page.get_by_role("button", name="follow", exact=True)
+    follow.wait_for(timeout=120_000)
+    follow.tap()
+    phone.until(lambda: "orbit followed" in phone.text(), 120.0)
+    handle = phone.page.locator(".noUi-handle").last
+    handle.scroll_into_view_if_needed()
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    touch(phone, *([(x - step, y)] for step in range(0, 41, 10)))
+    phone.until(lambda: "follow.orbit" in phone.address())
+    phone.until(lambda: int(parse_qs(urlsplit(phone.address()).query)["follow.orbit"][0].split(",")[3]) < -2)
+
+
 def test_buttons_are_large_enough_for_a_finger(phone: Tab) -> None:
     phone.page.get_by_role("button", name="controls").click()
     button = phone.page.get_by_role("button", name="cut across")

@@ -32,11 +32,11 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Errand
 from atlas.explore.plot import quiet_axis
 from atlas.explore.state import State, Store
-from atlas.explore.style import CUT, TEXT
+from atlas.explore.style import CUT, CUT_HEAD, DIAGRAM, TEXT
 from atlas.explore.words import symbol_of, ticks
 from atlas.text import plural
 
-ENTRIES = "cells", "stable branches", "unstable branches", "events"
+ENTRIES = "cells", "stable", "unstable", "events"
 SWITCHES: dict[str, Any] = {
     "click_policy": "hide", "orientation": "horizontal", "border_line_color": None, "label_text_font_size": "11px",
     "margin": 0, "padding": 0, "location": "left",
@@ -85,7 +85,7 @@ class CutPanel:
         subject, scale = explorer.subject, "linear"
         look: dict[str, Any] = {
             "x_range": Range1d(0.0, 1.0), "x_axis_type": scale, "tools": "xpan,xwheel_zoom,reset,save",
-            "sizing_mode": "stretch_both", "min_border_left": 76, "output_backend": "webgl",
+            "sizing_mode": "stretch_both", "min_border_left": 76, "output_backend": "webgl", "stylesheets": [DIAGRAM],
         }  # fmt: skip
         self._section = figure(y_axis_label="gap at t = kT", toolbar_location="right", **look)
         look |= {"x_range": self._section.x_range, "toolbar_location": None}
@@ -97,7 +97,7 @@ class CutPanel:
         self._follow.on_click(self._find_branches)
         close = Button(label="close the cut", width=100)
         close.on_click(lambda: store.choose(cut=None))
-        head = row(self._says, self._follow, close, sizing_mode="stretch_width")
+        head = row(self._says, self._follow, close, sizing_mode="stretch_width", stylesheets=[CUT_HEAD])
         self.panel = column(
             head, self._section, self._exponents, sizing_mode="stretch_width", visible=False, stylesheets=[CUT],
         )  # fmt: skip

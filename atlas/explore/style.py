@@ -17,11 +17,11 @@ WIDE = "(min-width: 1280px) and (max-width: 1919px)"
 
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
-body > div {{ height: 100%; }}
+body > div:not(.bk-Notifications) {{ height: 100%; }}
 @media (prefers-color-scheme: dark) {{ html {{ filter: invert(1); background: #fff; }} }}
 @media {STACKED} {{
   html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
-  body > div {{ height: auto; }}
+  body > div:not(.bk-Notifications) {{ height: auto; }}
 }}
 @media {WIDE} {{ html.{COMPARING} {{ overflow: hidden auto; }} html.{COMPARING} body {{ overflow: visible; }} }}
 """
@@ -32,7 +32,7 @@ WHOLE = f"""
           grid-template-columns: minmax(0, 2fr) minmax(0, 3fr); align-items: start; }}
 }}
 @media {SINGLE} {{ :host {{ grid-template-columns: minmax(0, 1fr); }} }}
-:host(.{COMPARING}) {{ --planes: 2; }}
+:host(.{COMPARING}) {{ --planes: 2; --right-of-cut: 0px; }}
 @media {WIDE} {{
   :host(.{COMPARING}) {{ display: grid !important; height: auto !important; align-items: start;
                         grid-template-columns: minmax(0, 2fr) minmax(0, 3fr); }}
@@ -51,7 +51,7 @@ MIDDLE = f"""
           min-height: 340px; }}
   :host(.{CUTTING}) {{ height: calc(var(--planes, 1) * min(84vh, 75vw) + {CUT_HEIGHT}) !important; }}
 }}
-@media {SINGLE} {{ :host {{ height: auto !important; }} }}
+@media {SINGLE} {{ :host, :host(.{CUTTING}) {{ height: auto !important; }} }}
 """
 
 PLANES = f"""
@@ -118,9 +118,20 @@ PANEL = f"""
 """
 
 CUT = f"""
-:host {{ flex: none !important; height: {CUT_HEIGHT} !important; }}
-@media {SINGLE} {{ :host {{ width: 100% !important; height: 330px !important; }} }}
+:host {{ flex: none !important; height: {CUT_HEIGHT} !important; box-sizing: border-box;
+        padding-right: var(--right-of-cut, 147px); }}
+@media {SINGLE} {{ :host {{ width: 100% !important; height: auto !important; padding-right: 0; }} }}
 """
+"""Its diagrams end where the plane does: beside that stand the key of the map and, here, the toolbar."""
+
+CUT_HEAD = f"""
+@media {SINGLE} {{
+  :host {{ display: grid !important; grid-template-columns: auto 1fr; height: auto !important; }}
+  :host > div:nth-of-type(1) {{ grid-column: 1 / -1; }}
+}}
+"""
+
+DIAGRAM = f"@media {SINGLE} {{ :host {{ flex: none !important; width: 100% !important; height: 170px !important; }} }}"
 
 LINE = f"""
 :host {{ overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }}
