@@ -5,6 +5,7 @@ What one oscillator is made of does not depend on the others, to the bit.
 
 from collections.abc import Collection
 from functools import lru_cache
+from types import EllipsisType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,11 +32,14 @@ from workers.model.free import (
     times,
 )
 from workers.model.modes import FREE, stacked
-from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Mask, Oscillator, each, taken
+from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Mask, Oscillator, Rows, each, taken
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = (*OF_STRUCTURE, "upper", "lower")
 """The fields that machines of a kind have in common."""
+
+Kinds = Rows | EllipsisType
+"""Of which kind each machine is; an ellipsis for a machine by itself."""
 
 STRUCTURES_KEPT = 64
 """Structures that are kept for the next cells that are solved alone."""
@@ -68,13 +72,12 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     of more free oscillations than double precision keeps the phase of; and numbers beyond its range. Those of
     ``faults`` are reported there alone.
     """
-    first, kind = _kinds(machines)
-    few = taken(machines, first)
+    few, kind = _kinds(machines)
     structure, held_structure = _structures_of(few)
     at_rest = centred(structure, few)
     held, against_held = _held(few, structure, held_structure, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
-    structure, at_rest = taken(structure, kind), taken(at_rest, kind)
+    structure, at_rest = _of_kind(structure, kind), _of_kind(at_rest, kind)
     gap, against_free = free_motion(structure, at_rest, machines.omega)
     modes, b_upper, b_lower = structure.flow.modes, at_rest.b_upper, at_rest.b_lower
     head = Head(
@@ -124,16 +127,23 @@ def faults(machines: Machines, fields: Collection[str] = Machines._fields) -> ND
     return reasons
 
 
-def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _kinds(machines: Machines) -> tuple[Machines, Kinds]:
     """The first machine of each kind, and of which kind each machine is.
 
     Machines of a kind differ at most in forcing frequency, phase and restitution: a plane has few kinds as a rule, and
     what is made of matrices is made once for each of them.
     """
+    if len(machines.omega) == 1:
+        return machines, ...
     bits = numbers_of([getattr(machines, name) for name in OF_KIND])
     whole = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0]
     _, first, kind = np.unique(whole, return_index=True, return_inverse=True)
-    return first, kind
+    return taken(machines, first), kind
+
+
+def _of_kind(record: Any, kind: Kinds) -> Any:
+    """What the records of kinds are for each machine."""
+    return record if isinstance(kind, EllipsisType) else taken(record, kind)
 
 
 def _seen_along(matrix: Array, null: Array) -> Array:
@@ -201,7 +211,7 @@ def _held(
     structure: Structure,
     held: HeldStructure,
     at_rest: AtRest,
-    kind: NDArray[np.int64],
+    kind: Kinds,
     omega: Array,
 ) -> tuple[Held, dict[int, Mask]]:
     """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons against it.
@@ -227,8 +237,8 @@ def _held(
     into = down @ coasts - rest
     out = up @ rest + free.to_blocks[:, :, :n] @ (d * y)[..., None] - coasts
     pushes = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q)[..., 0])
-    flow = taken(flow, kind)
-    mode, resonant = mode_of(flow, taken(loading, kind), omega, direct[kind])
+    flow = _of_kind(flow, kind)
+    mode, resonant = mode_of(flow, _of_kind(loading, kind), omega, direct[kind])
     ways = np.concatenate([down, *into], axis=2), np.concatenate([up, *out], axis=2)
     found = Held(mode, *(field[kind] for field in (*ways, pushes.T)))
     return found, against(flow.modes, resonant, flow.modes.rigid > 0)

@@ -85,14 +85,28 @@ def evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
     """An expression (N,), a row (N, n) or a matrix (N, n, n) of them; a number stands for itself."""
     if isinstance(entries, Expression):
         return entries(named)
-    grid = np.array(entries, dtype=object)
-    found = np.empty((named[OMEGA].size, *grid.shape))
-    for index, entry in np.ndenumerate(grid):
-        if isinstance(entry, Expression):
-            found[:, *index] = entry(named) if entry.constant is None else entry.constant
-        else:
-            found[:, *index] = entry
+    numbers, others = (_kept if isinstance(entries, tuple) else _sorted)(entries)
+    found = np.empty((named[OMEGA].size, *numbers.shape))
+    found[...] = numbers
+    for index, expression in others:
+        found[:, *index] = expression(named)
     return found
+
+
+def _sorted(entries: Any) -> tuple[Array, list[tuple[Any, Expression]]]:
+    """The numbers among entries, zero elsewhere, and the expressions of names, each with its place."""
+    grid = np.array(entries, dtype=object)
+    numbers, others = np.zeros(grid.shape), []
+    for index, entry in np.ndenumerate(grid):
+        number = entry.constant if isinstance(entry, Expression) else entry
+        if number is None:
+            others.append((index, entry))
+        else:
+            numbers[index] = number
+    return numbers, others
+
+
+_kept = lru_cache(maxsize=1024)(_sorted)
 
 
 def parse(text: str, known: Collection[str]) -> Expression:
