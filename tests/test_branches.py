@@ -1,15 +1,19 @@
 """Branches of periodic orbits in one parameter: closed forms of folds, doublings and symmetry breakings; both ways."""
 
 import math
+from itertools import cycle
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
+from workers.continuation.equations import Motion
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.orbits import orbit_from_state
 from workers.continuation.oscillator import family_of
+from workers.continuation.stability import multipliers
 from workers.model.system import find_system
 from workers.settings import Settings
 from workers.tile import solve_tile
@@ -84,6 +88,26 @@ def test_the_asymmetric_branch_leaves_and_comes_back_at_the_symmetry_breaking() 
     assert "symmetry_breaking" in side.ends
     met = next(event for event in side.events if event.kind == "symmetry_breaking")
     assert met.point.values[0] == pytest.approx(breaking, abs=1e-12)
+
+
+def test_the_stability_of_a_branch_changes_at_its_events_alone_though_multipliers_beside_them_flicker(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Towards a symmetry breaking the multiplier of an asymmetric orbit is 1 to rounding, on either side of it."""
+    signs = cycle((1.0, -1.0))
+
+    def flickering(motion: Motion) -> NDArray[np.complex128]:
+        exact = multipliers(motion)
+        return np.where(np.abs(np.abs(exact) - 1.0) < 1e-6, exact * (1.0 + 2e-6 * next(signs)), exact)
+
+    monkeypatch.setattr("workers.continuation.events.multipliers", flickering)
+    state = solve_tile("two-mass", {"omega": 2.97}, Settings(max_periods=2000, survival=0))["state"]
+    orbit = orbit_from_state(TWO_MASS, {"omega": 2.97}, state, 1)
+    run = branch(family_of(TWO_MASS, {}, ("omega",)), orbit, 2.97, (2.95, 3.05))
+    assert kinds(run) == ["symmetry_breaking"]
+    near = [point for point in run.points if np.min(np.abs(point.multipliers - 1.0)) < 1e-5]
+    assert len(near) > 10
+    assert {point.unstable for point in run.points} == {0}
 
 
 def test_branches_of_the_two_mass_system_join_at_their_events() -> None:

@@ -208,27 +208,33 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     if slid and may_repeat:
         return None
     passage = _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
-    return None if may_repeat and not _accounted_for(seen, passage) else passage
+    accounted = _accounted_for(seen, passage)
+    return accounted if may_repeat else accounted or passage
 
 
-def _accounted_for(before: TestFunctions, passage: _Passage) -> bool:
-    """Whether the events of a step on a branch account for all changes of stability: two of one pair of multipliers
-    may change no sign together.
+def _accounted_for(before: TestFunctions, passage: _Passage) -> _Passage | None:
+    """The result of a step on a branch whose last point is as stable as events leave it; None where they do not account
+    for all changes: two of one pair of multipliers may change no sign together.
     """
     if before.equations.conditions:
-        return True
+        return passage
     count = before.point.unstable
     for event in passage.events:
         if event.conditions[-1].kind not in OWN_MULTIPLIERS:
-            return True  # where it ceases a multiplier may be infinite
+            return passage  # where it ceases a multiplier may be infinite
         own, others = OWN_MULTIPLIERS[event.conditions[-1].kind], event.point.unstable
         if count not in (others, others + own):
-            return False
+            return None
         count = others if count > others else others + own
-    if passage.after is None or passage.after.fault is not None:
-        return True
-    sizes = np.abs(passage.after.point.multipliers)
-    return bool(np.sum(sizes > 1.0 + DOUBT) <= count <= np.sum(sizes > 1.0 - DOUBT))
+    after = passage.after
+    if after is None or after.fault is not None:
+        return passage
+    sizes = np.abs(after.point.multipliers)
+    if not np.sum(sizes > 1.0 + DOUBT) <= count <= np.sum(sizes > 1.0 - DOUBT):
+        return None
+    point = after.point._replace(unstable=count)
+    points = tuple(point if each is after.point else each for each in passage.points)
+    return passage._replace(points=points, after=after._replace(point=point))
 
 
 def _corner(step: Step) -> _Passage:
