@@ -22,7 +22,6 @@ from atlas.spec.citation import bibtex, sources
 from atlas.spec.examples import example_text
 from atlas.store.location import place_of
 from atlas.store.making import make_store
-from scripts import compare_processors
 from tests.planes import plane_of
 from tests.test_docs import ROOT, spans
 from workers.model.names import _KINDS, _everything
@@ -297,11 +296,3 @@ def test_the_wheel_is_built_installed_and_used_without_the_sources() -> None:
         [sys.executable, ROOT / "scripts/check_wheel.py"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.slow
-def test_kernels_compiled_for_another_kind_of_processor_give_the_same_bits(capsys: pytest.CaptureFixture[str]) -> None:
-    compare_processors.main(["--part", "kernels", "--light", "--json"])
-    found = json.loads(capsys.readouterr().out)["kernels"]
-    assert found["cells"] == 35
-    assert found["class_differs"] == found["digits_differ"] == 0

@@ -17,6 +17,8 @@ from atlas.cli.progress import LogReporter
 from atlas.service.progress import prepare_kernels
 from atlas.task import compile as warm
 from atlas.task.child import watched_together
+from scripts.compare_processors import PARTS
+from scripts.compare_processors import main as compare_processors
 from tests.faults import ROOT
 from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
@@ -266,10 +268,18 @@ def test_a_log_shows_how_far_a_compilation_is_and_how_long_it_has_taken(
 
 
 @pytest.fixture(scope="module")
-def compiled_in_turn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
-    """Functions that each part compiles after those before it, from an empty folder on; the bits of cells then."""
-    folder = tmp_path_factory.mktemp("kernels")
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)}
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for compiled kernels, empty at first."""
+    return tmp_path_factory.mktemp("kernels")
+
+
+@pytest.fixture(scope="module")
+def compiled_in_turn(folder: Path) -> dict[str, tuple[int, str]]:
+    """Functions that each part compiles after those before it, from an empty folder on; the bits of cells then.
+
+    Compiled for another kind of processor than this one.
+    """
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)} | PARTS["kernels"]
     found = {}
     for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES):
         command = [sys.executable, "-c", COUNTED, part]
@@ -293,6 +303,20 @@ def test_a_process_that_compiles_the_kernels_gets_the_bits_of_those_that_load_th
     compiled_in_turn: dict[str, tuple[int, str]],
 ) -> None:
     assert len({bits for _, bits in compiled_in_turn.values()}) == 1
+
+
+@pytest.mark.slow
+def test_kernels_compiled_for_another_kind_of_processor_give_the_same_bits(
+    compiled_in_turn: dict[str, tuple[int, str]],
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(PARTS["kernels"], "NUMBA_CACHE_DIR", str(folder))
+    compare_processors(["--part", "kernels", "--light", "--json"])
+    found = json.loads(capsys.readouterr().out)["kernels"]
+    assert found["cells"] == 35
+    assert found["class_differs"] == found["digits_differ"] == 0
 
 
 @pytest.mark.slow
