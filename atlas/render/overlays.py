@@ -144,14 +144,9 @@ def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, flo
         if casing:
             wide = widths + [casing[crowded] for _, crowded in own]
             ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
-        shown: Any = {
-            "colors": look.color,
-            "linewidths": widths,
-            "linestyles": [look.dashes],
-            "zorder": 3.2,
-            "gid": kind,
-        }
-        ax.add_collection(LineCollection(segments, **shown), autolim=False)
+        drawn = LineCollection(segments, colors=look.color, linewidths=widths, linestyles=[look.dashes], zorder=3.2)
+        drawn.set_gid(kind)
+        ax.add_collection(drawn, autolim=False)
         entries.append(style.line_entry(kind, _WIDTHS[False]))
     if view.wanted.curves is None or "codimension_two" in view.wanted.curves:
         corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})

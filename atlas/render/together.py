@@ -3,20 +3,21 @@
 import math
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.compare import Comparison, differences, differing
 from atlas.query.ends import scale_ends
-from atlas.query.plane import Plane
+from atlas.query.plane import Cells, Plane
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.render import maps, scales, style, words
@@ -51,20 +52,19 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
     if not compared.has_exponents:
         page.refuse_ends("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
-    sheet = _Sheet(page, count, most=2)
     with counted() as reads, page.context():
-        here, there = compared.planes(sheet.panel.map_pixels)
-        drawn, panels = sheet.draw()
+        drawn, panels, own = _sheet(page, count, most=2)
+        here, there = compared.planes(own.map_pixels)
         page.head(drawn, _title(compared) + _coarseness(max(reads.block)))
         shown = [(there, "another regime", _changes(here, there))]
         if compared.has_exponents:
             shown.append((here, "difference of exponents", _difference(here, there, page)))
         entries: list[Artist] = []
         for ax, (plane, title, painted) in zip(reversed(panels), shown, strict=True):
-            entries += maps.lay(ax, plane, painted, sheet.panel)
+            entries += maps.lay(ax, plane, painted, own)
             ax.set_title(title, loc="left")
-            scales.draw_bars(drawn, [ax], painted.bars, sheet.panel, below=True)
-        sheet.label_outside(panels)
+            scales.draw_bars(drawn, [ax], painted.bars, own, below=True)
+        _label_outside(panels)
         page.legend(drawn, entries)
     return drawn
 
@@ -86,11 +86,10 @@ def side_by_side(
     if chosen.name == "period":
         page.refuse_ends("kind 'period' draws classes")
     shown = [within(ds, window) for ds in atlases]
-    sheet = _Sheet(page, len(shown), most=3)
+    changed = differing(shown)
     with counted() as reads, page.context():
-        views = [maps.read(chosen, ds, Wanted(sheet.panel)) for ds in shown]
-        drawn, panels = sheet.draw()
-        changed = differing(shown)
+        drawn, panels, own = _sheet(page, len(shown), most=3)
+        views = [maps.read(chosen, ds, Wanted(own)) for ds in shown]
         page.head(drawn, words.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
         bars = []
         if chosen.name == "exponent":
@@ -98,13 +97,14 @@ def side_by_side(
             norm = scales.two_sided(page, *scale_ends(known))
             bars = [maps.Bar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
         entries: dict[str, Artist] = {}
-        for k, (ax, view) in enumerate(zip(panels, views, strict=True)):
-            title = sheet.panel_title(shown[k], changed, names[k] if names else f"{k + 1}")
+        letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
+        for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
+            title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
             painted = chosen.painter(view, *(bar.norm for bar in bars))
-            for entry in maps.lay(ax, view.plane, painted, view.page):
+            for entry in maps.lay(ax, view.plane, painted, own):
                 entries.setdefault(str(entry.get_label()), entry)
-        sheet.label_outside(panels)
+        _label_outside(panels)
         # The axes are shared, so that these limits are those of all.
         planes = [view.plane for view in views]
         panels[0].set_xlim(min(each.x.edges[0] for each in planes), max(each.x.edges[-1] for each in planes))
@@ -114,60 +114,35 @@ def side_by_side(
     return drawn
 
 
-@dataclass(frozen=True)
-class _Sheet:
-    """How a number of maps share a page: in rows of at most ``most`` on a wide page, of one less on a narrow one."""
+def _sheet(page: Page, count: int, most: int) -> tuple[Figure, list[Axes], Page]:
+    """A figure of several plots with axes in common, those plots, and the page of one of them.
 
-    page: Page
-    count: int
-    most: int
+    They stand in rows of at most ``most`` on a wide page, of one less on a narrow one.
+    """
+    most = most if page.wide else most - 1
+    columns = count if count <= most else 2 if count == 4 else most
+    rows = math.ceil(count / columns)
+    under = 0.9 if page.wide else 1.5  # with a colour bar
+    height = (
+        page.scale * (under + 1.1 * rows) + 0.51 * page.width / columns * rows
+    )  # a row's grows with its maps' width
+    drawn = page.figure(height)
+    plots = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
+    for empty in plots[count:]:
+        empty.remove()
+    return drawn, plots[:count], replace(page, width=page.width / columns, height=(page.height or height) / rows)
 
-    @property
-    def columns(self) -> int:
-        most = self.most if self.page.wide else self.most - 1
-        return self.count if self.count <= most else 2 if self.count == 4 else most
 
-    @property
-    def rows(self) -> int:
-        return math.ceil(self.count / self.columns)
-
-    @property
-    def height(self) -> float:
-        """Height in inches where none is asked for: that of a row grows with its maps' width."""
-        under = 0.9 if self.page.wide else 1.5  # with a colour bar
-        return self.page.scale * (under + 1.1 * self.rows) + 0.51 * self.page.width / self.columns * self.rows
-
-    @property
-    def panel(self) -> Page:
-        """The page of one of the maps."""
-        height = (self.page.height or self.height) / self.rows
-        return replace(self.page, width=self.page.width / self.columns, height=height)
-
-    def draw(self) -> tuple[Figure, list[Axes]]:
-        """The figure and its plots, with axes in common."""
-        drawn = self.page.figure(self.height)
-        grid = drawn.subplots(self.rows, self.columns, sharex=True, sharey=True, squeeze=False)
-        panels = grid.ravel().tolist()
-        for empty in panels[self.count :]:
-            empty.remove()
-        return drawn, panels[: self.count]
-
-    def panel_title(self, ds: xr.Dataset, changed: Sequence[str], name: str) -> str:
-        """The parameters that differ, or the name in lines that are not wider than a map."""
-        if changed:
-            return _values(ds, changed)
-        letters = self.panel.map_size[0] / (0.6 * self.page.font)
-        return textwrap.fill(name, max(4, int(letters)))
-
-    def label_outside(self, panels: Sequence[Axes]) -> None:
-        """Take the labels off the axes that have another map to their left or below."""
-        for k, ax in enumerate(panels):
-            if k % self.columns:
-                ax.set_ylabel("")
-            if k + self.columns < self.count:
-                ax.set_xlabel("")
-            else:
-                ax.tick_params(labelbottom=True)  # where the place below is empty too
+def _label_outside(plots: Sequence[Axes]) -> None:
+    """Take the labels off the axes that have another map to their left or below."""
+    grid: Any = plots[0].get_gridspec()
+    for k, ax in enumerate(plots):
+        if k % grid.ncols:
+            ax.set_ylabel("")
+        if k + grid.ncols < len(plots):
+            ax.set_xlabel("")
+        else:
+            ax.tick_params(labelbottom=True)  # where the place below is empty too
 
 
 def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
@@ -217,12 +192,17 @@ def _difference(here: Plane, there: Plane, page: Page) -> Painted:
     # Rise and fall are to look alike: one end that is asked for decides the other.
     given = [end for end in (page.vmax, page.vmin) if end is not None]
     end = abs(given[0]) if given else most or 1.0
-    norm = scales.two_sided(page, -end, end)
-    rgba = scales.on_scale(change, norm, DIFFERENCE)
-    rgba[~known] = style.rgb(WITHOUT)
+    label = r"change of $\lambda_1$ [per forcing period]"
+    return changed_numbers(change, pending, scales.two_sided(page, -end, end), label, "without an exponent in one")
+
+
+def changed_numbers(change: scales.Array, pending: Cells, norm: TwoSlopeNorm, label: str, without: str) -> Painted:
+    """Changes (y, x) on a scale; ``without`` names cells that have none, NaN, unless they are pending."""
+    rgba, unknown = scales.on_scale(change, norm, DIFFERENCE), np.isnan(change)
+    rgba[unknown] = style.rgb(WITHOUT)
     rgba[pending] = 0
-    legend = [style.swatch(WITHOUT, "without an exponent in one")] if np.any(~known & ~pending) else []
-    return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, r"change of $\lambda_1$ [per forcing period]")])
+    legend = [style.swatch(WITHOUT, without)] if np.any(unknown & ~pending) else []
+    return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, label)])
 
 
 def _changes(here: Plane, there: Plane) -> Painted:
@@ -236,9 +216,9 @@ def _changes(here: Plane, there: Plane) -> Painted:
             entries.append(maps.regime_entry(each.code, f"{words.name_of(each.code)} instead"))
     rgba[pending] = 0
     if pending.any():
-        entries.append(style.swatch("white", words.name_of(PENDING), style.HATCH[PENDING]))
+        entries.append(maps.regime_entry(PENDING, words.name_of(PENDING)))
     return Painted(rgba, entries)
 
 
-def _pending(here: Plane, there: Plane) -> NDArray[np.bool_]:
+def _pending(here: Plane, there: Plane) -> Cells:
     return (here.regime == PENDING) | (there.regime == PENDING)
