@@ -23,15 +23,10 @@ _CLASSES = {"regions": "impacts"}
 """The kind whose classes are compared where another draws lines."""
 
 
-def compares_numbers(kind: str) -> bool:
-    """Whether maps of a kind are compared by the difference of their number, not by their classes."""
-    return kind == SCALAR or has_scale(kind)
-
-
 def change_of(kind: str, variable: str = "") -> Kind:
-    """The kind of map that shows the changes of a map of this kind, or of a variable."""
+    """The kind of map of the changes of this kind, or of a variable: of its numbers if it has a scale."""
     own = TABLE[_CLASSES.get(kind, kind)]
-    if compares_numbers(kind):
+    if has_scale(kind):
         return replace(own, variables=(variable or own.variables[0], CHANGE), paint="change.numbers")
     return replace(own, variables=(*own.variables, CHANGE), paint="change.classes")
 

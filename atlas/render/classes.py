@@ -114,17 +114,12 @@ def colored(
 def period(view: View) -> Painted:
     """The forcing periods of each cell's orbit, and the regime where it never closes."""
     regime, period = view.plane.regime, view.plane["period"]
-    classes = [
-        ((regime == PERIODIC) & (period >= first) & (period <= last), color, _name_of_period(first, last))
-        for first, last, color in PERIODS
-    ]
+    classes = []
+    for first, last, color in PERIODS:
+        name = f"period {first}" if first == last else f"period {first}–{last}"
+        name = f"period ≥ {first}" if last == PERIODS[-1][1] else name
+        classes.append(((regime == PERIODIC) & (period >= first) & (period <= last), color, name))
     return colored(regime, classes, beside="")
-
-
-def _name_of_period(first: int, last: int) -> str:
-    if last == PERIODS[-1][1]:
-        return f"period ≥ {first}"
-    return f"period {first}" if first == last else f"period {first}–{last}"
 
 
 def motions(view: View) -> Painted:
@@ -215,19 +210,17 @@ def colors_of(
     for k, (regime, mirror) in enumerate(zip(known["regime"].values, known["mirror"].values, strict=True)):
         if regime == NO_IMPACT:
             found.append(quiet)
+        elif 0 <= mirror < k and found[mirror] == rest:
+            found.append(found[mirror])
         elif 0 <= mirror < k:
-            found.append(found[mirror] if found[mirror] == rest else _toned(found[mirror], mirrored))
+            hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(found[mirror]))
+            found.append(to_hex(colorsys.hls_to_rgb(hue, mirrored, saturation)))
         elif rest is not None and used >= len(palette):
             found.append(rest)
         else:
             found.append(palette[used % len(palette)])
             used += 1
     return found
-
-
-def _toned(color: str, lightness: float) -> str:
-    hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(color))
-    return to_hex(colorsys.hls_to_rgb(hue, lightness, saturation))
 
 
 def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:

@@ -210,14 +210,19 @@ def has_scale(kind: str) -> bool:
     return TABLE[kind].scale is not CLASSES
 
 
+def found_axes(ds: "xr.Dataset") -> str:
+    """The axes of an atlas, as errors name them."""
+    axes = axis_names(ds)
+    return f"found {AXES.get(len(axes), f'{len(axes)} axes')} ({', '.join(axes)})"
+
+
 def chosen_kind(ds: "xr.Dataset", wanted: "Wanted") -> Kind:
     """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
-    axes, atlases = axis_names(ds), 1 if wanted.against is None else 2
-    found = f"found {AXES[len(axes)]} ({', '.join(axes)})"
+    axes, atlases, found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
     if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
-        _check_scalar(ds, wanted, found)
+        _check_scalar(ds, wanted)
         return TABLE[SCALAR]
-    fitting = [name for name in KINDS if TABLE[name].axes == len(axes)]
+    fitting = [name for name in KINDS if TABLE[name].axes == axes]
     possible = [name for name in fitting if TABLE[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, {found}")
@@ -237,7 +242,7 @@ def chosen_kind(ds: "xr.Dataset", wanted: "Wanted") -> Kind:
     return kind
 
 
-def _check_scalar(ds: "xr.Dataset", wanted: "Wanted", found: str) -> None:
+def _check_scalar(ds: "xr.Dataset", wanted: "Wanted") -> None:
     """InputError unless a variable can be mapped: one that is named and is a number of each cell of a plane."""
     name = wanted.variable
     if wanted.kind not in (None, SCALAR):
@@ -247,7 +252,7 @@ def _check_scalar(ds: "xr.Dataset", wanted: "Wanted", found: str) -> None:
     if wanted.against is not None:
         raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
     if len(axis_names(ds)) != 2:
-        raise InputError(f"kind {SCALAR!r} draws two axes, {found}")
+        raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")
     possible = numbers_of_cells(ds)
     if name in ds and name not in possible:
         raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
@@ -267,10 +272,9 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
 
 def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
     """Raise InputError unless each of them is an overlay of as many axes."""
-    axes = axis_names(ds)
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-        if len(axes) != (1 if overlay == "branches" else 2):
-            kind = "a sweep" if overlay == "branches" else "a map"
-            raise InputError(f"overlay {overlay!r} is drawn over {kind}, found {AXES[len(axes)]} ({', '.join(axes)})")
+        axes, kind = (1, "a sweep") if overlay == "branches" else (2, "a map")
+        if len(axis_names(ds)) != axes:
+            raise InputError(f"overlay {overlay!r} is drawn over {kind}, {found_axes(ds)}")

@@ -22,7 +22,7 @@ from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.render import maps, scales, style, words
 from atlas.render.fit import OWN_TITLE
-from atlas.render.kinds import TABLE
+from atlas.render.kinds import TABLE, found_axes
 from atlas.render.maps import Painted
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
@@ -43,12 +43,10 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
 
     Where there are no exponents, the second alone. InputError for atlases with one axis.
     """
-    names = axis_names(compared.one)
-    if len(names) != 2:
-        found = f"found one axis ({names[0]}); sweeps: atlas render --against"
-        if len(names) > 2:
-            found = f"found {len(names)} axes ({', '.join(names)}); pick a plane with .sel"
-        raise InputError(f"a comparison is drawn as a map, {found}")
+    count = len(axis_names(compared.one))
+    if count != 2:
+        hint = "sweeps: atlas render --against" if count == 1 else "pick a plane with .sel"
+        raise InputError(f"a comparison is drawn as a map, {found_axes(compared.one)}; {hint}")
     if not compared.has_exponents:
         page.refuse_ends("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
