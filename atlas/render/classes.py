@@ -111,6 +111,11 @@ def colored(
     return Painted(rgba, legend + maps.paint_regimes(rgba, regime, others), beside=beside)
 
 
+def by_number(number: NDArray[np.int64], colors: Sequence[str]) -> Colors:
+    """Cells (y, x) in the colours of their numbers, -1 white."""
+    return np.array([style.rgb(color) for color in [*colors, "white"]], np.uint8)[number]
+
+
 def period(view: View) -> Painted:
     """The forcing periods of each cell's orbit, and the regime where it never closes."""
     regime, period = view.plane.regime, view.plane["period"]
@@ -127,9 +132,6 @@ def motions(view: View) -> Painted:
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
     found, number = motions_of(regime, *counts)
     colors = [color_of(motion) for motion in found]
-    rgba = np.zeros((*regime.shape, 4), np.uint8)
-    if found:
-        rgba[number >= 0] = np.array([style.rgb(color) for color in colors], np.uint8)[number[number >= 0]]
     own = [(color, motion.label) for motion, color in zip(found, colors, strict=True) if color not in UNLISTED]
     legend = [style.swatch(color, label) for color, label in own if color != STICKS]
     by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(found)), kind="stable")
@@ -138,11 +140,11 @@ def motions(view: View) -> Painted:
         more = ", …" if len(shared) > _NAMED else ""
         legend += [style.swatch(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
     legend += [style.swatch(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
-    legend += maps.paint_regimes(rgba, regime, number < 0)
     rests = maps.Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(found) if motion.p >= 0]
     beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
-    return Painted(rgba, legend, textures=[rests], beside=beside, names=named)
+    painted = colored(regime, (), beside, by_number(number, colors), number >= 0)
+    return replace(painted, legend=[*legend, *painted.legend], textures=[rests], names=named)
 
 
 def color_of(motion: Motion) -> str:
@@ -193,8 +195,7 @@ def labels(view: View) -> Painted:
     A mirror image has a darker tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
     """
     known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
-    table = np.array([style.rgb(color) for color in [*branch_colors(known), "white"]], np.uint8)
-    painted = colored(view.plane.regime, (), "", table[label], label >= 0)
+    painted = colored(view.plane.regime, (), "", by_number(label, branch_colors(known)), label >= 0)
     return replace(painted, legend=[*branch_entries(known, label), *painted.legend])
 
 

@@ -126,7 +126,7 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
         if isinstance(subject, Comparison):
             drawn = together.difference(subject, page)
         else:
-            drawn = together.side_by_side(atlases, wanted.kind, wanted.window, titles, page)
+            drawn = together.side_by_side(atlases, wanted, titles)
     else:
         page.refuse_ends("branches are lines")
         drawn = sweep.figure_of_branches(subject, page)
@@ -188,7 +188,7 @@ def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
     from atlas.render import together
 
     check_units(ds)
-    return together.side_by_side([shown.isel({name: k}) for k in range(count)], kind, rest, page=page)
+    return together.side_by_side([shown.isel({name: k}) for k in range(count)], replace(wanted, window=rest))
 
 
 def check_units(*atlases: "xr.Dataset") -> None:

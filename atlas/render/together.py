@@ -19,7 +19,7 @@ from atlas.query.compare import Comparison, differences, differing
 from atlas.query.ends import scale_ends
 from atlas.query.plane import Cells, Plane
 from atlas.query.reads import counted
-from atlas.query.window import Window, axis_names, within
+from atlas.query.window import axis_names, within
 from atlas.render import maps, scales, style, words
 from atlas.render.fit import OWN_TITLE
 from atlas.render.kinds import TABLE, found_axes
@@ -54,9 +54,10 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
         drawn, panels, own = _sheet(page, count, most=2)
         here, there = compared.planes(own.map_pixels)
         page.head(drawn, _title(compared) + _coarseness(max(reads.block)))
-        shown = [(there, "another regime", _changes(here, there))]
+        pending = (here.regime == PENDING) | (there.regime == PENDING)
+        shown = [(there, "another regime", _changes(here, there, pending))]
         if compared.has_exponents:
-            shown.append((here, "difference of exponents", _difference(here, there, page)))
+            shown.append((here, "difference of exponents", _difference(here, there, pending, page)))
         entries: list[Artist] = []
         for ax, (plane, title, painted) in zip(reversed(panels), shown, strict=True):
             entries += maps.lay(ax, plane, painted, own)
@@ -67,23 +68,17 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
     return drawn
 
 
-def side_by_side(
-    atlases: Sequence[xr.Dataset],
-    kind: str | None = None,
-    window: Window | None = None,
-    names: Sequence[str] = (),
-    page: Page = STANDARD,
-) -> Figure:
+def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[str] = ()) -> Figure:
     """Maps of several atlases in one figure, on one scale, each under the parameters in which they differ.
 
-    ``kind`` is one of KINDS, by default the first that all of them hold; ``names`` stand over the maps where no
+    Their kind is one of KINDS, by default the first that all of them hold; ``names`` stand over the maps where no
     parameter differs. Axes have the same limits.
     Raises InputError for fewer than two atlases, for another kind, and where axes or variables are not the same.
     """
-    chosen = TABLE[_check(atlases, kind)]
+    chosen, page = TABLE[_check(atlases, wanted.kind)], wanted.page
     if chosen.name == "period":
         page.refuse_ends("kind 'period' draws classes")
-    shown = [within(ds, window) for ds in atlases]
+    shown = [within(ds, wanted.window) for ds in atlases]
     changed = differing(shown)
     with counted() as reads, page.context():
         drawn, panels, own = _sheet(page, len(shown), most=3)
@@ -182,11 +177,11 @@ def _coarseness(block: int) -> str:
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
-def _difference(here: Plane, there: Plane, page: Page) -> Painted:
+def _difference(here: Plane, there: Plane, pending: Cells, page: Page) -> Painted:
     """The differences of exponents, with their scale."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
-    known, pending = ~np.isnan(change), _pending(here, there)
-    most = float(np.percentile(np.abs(change[known]), 100.0 - _SHARE)) if known.any() else 0.0
+    known = change[~np.isnan(change)]
+    most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
     # Rise and fall are to look alike: one end that is asked for decides the other.
     given = [end for end in (page.vmax, page.vmin) if end is not None]
     end = abs(given[0]) if given else most or 1.0
@@ -203,9 +198,9 @@ def changed_numbers(change: scales.Array, pending: Cells, norm: TwoSlopeNorm, la
     return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, label)])
 
 
-def _changes(here: Plane, there: Plane) -> Painted:
+def _changes(here: Plane, there: Plane, pending: Cells) -> Painted:
     """The regimes there of cells that have another one here."""
-    rgba, pending = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8), _pending(here, there)
+    rgba = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8)
     entries = [style.swatch(SAME, "same regime")]
     for each in REGIMES:
         cells = (there.regime == each.code) & (here.regime != each.code) & ~pending
@@ -216,7 +211,3 @@ def _changes(here: Plane, there: Plane) -> Painted:
     if pending.any():
         entries.append(maps.regime_entry(PENDING, words.name_of(PENDING)))
     return Painted(rgba, entries)
-
-
-def _pending(here: Plane, there: Plane) -> Cells:
-    return (here.regime == PENDING) | (there.regime == PENDING)
