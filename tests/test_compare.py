@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import atlas
+from atlas import render
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
 from atlas.query.ends import scale_ends
@@ -219,7 +220,7 @@ def test_size_and_scale_have_the_same_names_for_several_atlases(folder: Path) ->
 def test_maps_side_by_side_have_the_one_scale_of_all_their_cells() -> None:
     one = pictures.plane()
     wide = one.assign(largest=one.largest * 10)
-    drawn = together.side_by_side([one, wide])
+    drawn = render.figure([one, wide])
     cells = np.concatenate([ds.largest.where(ds.regime <= C).values.ravel() for ds in (one, wide)])
     assert drawn.axes[-1].get_ylim() == pytest.approx(scale_ends(cells))
     colors = [np.asarray(ax.images[0].get_array())[3, 1].tolist() for ax in drawn.axes[:2]]
@@ -228,14 +229,14 @@ def test_maps_side_by_side_have_the_one_scale_of_all_their_cells() -> None:
 
 def test_periods_side_by_side_share_one_legend() -> None:
     one = pictures.plane()
-    drawn = together.side_by_side([one, one.isel(omega=slice(0, 3))], "period")
+    drawn = render.figure([one, one.isel(omega=slice(0, 3))], "period")
     assert len(labels(drawn)) == len(set(labels(drawn)))
     assert drawn.axes[0].get_xlim() == drawn.axes[1].get_xlim()
 
 
 @pytest.mark.parametrize(("count", "shape"), [(2, (1, 2)), (3, (1, 3)), (4, (2, 2)), (5, (2, 3)), (7, (3, 3))])
 def test_maps_are_laid_out_in_rows_of_three_at_most(count: int, shape: tuple[int, int]) -> None:
-    drawn = together.side_by_side([pictures.plane()] * count, "period")
+    drawn = render.figure([pictures.plane()] * count, "period")
     grid = drawn.axes[0].get_subplotspec().get_gridspec()
     assert (len(drawn.axes), (grid.nrows, grid.ncols)) == (count, shape)
 

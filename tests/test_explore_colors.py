@@ -88,7 +88,7 @@ def test_each_pixel_holds_the_number_of_its_cell(ds: Any) -> None:
 
 
 def test_lines_over_a_map_and_classes_keep_their_colours(ds: Any) -> None:
-    plain, coded = (drawn(ds, "exponent", overlays=("boundaries",), numbers=code).cells for code in (False, True))
+    plain, coded = (drawn(ds, "exponent", overlay=("boundaries",), numbers=code).cells for code in (False, True))
     kept = coded[..., 3] == 255
     assert np.array_equal(plain[kept], coded[kept])
     without = drawn(ds, "exponent", numbers=True).cells[..., 3] == 255
@@ -112,7 +112,7 @@ def test_on_a_dark_page_the_colours_of_a_key_stay_and_its_paper_and_type_are_inv
 def test_a_kind_of_curve_that_is_switched_off_is_neither_drawn_nor_in_the_key(ds: Any) -> None:
     shown = ("fold", "graze", "codimension_two")
     with keeping(curves()):
-        both, less = (drawn(ds, "period", overlays=("curves",), curves=kinds) for kinds in (None, shown))
+        both, less = (drawn(ds, "period", overlay=("curves",), curves=kinds) for kinds in (None, shown))
     assert set(both.lines) > {"fold", "period_doubling", "codimension_two"}
     assert less.lines == shown
     assert np.any(both.cells != less.cells) and np.any(both.key != less.key)

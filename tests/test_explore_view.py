@@ -188,7 +188,7 @@ def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(fi
         chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
         ds = composed(stored, stored.plane, sight, tiles, chosen.names)
         scalar = chosen.variable if kind == SCALAR else None
-        made = screen(ds, kind, (60, 40), 40, overlays=chosen.overlays, variable=scalar)
+        made = screen(ds, kind, (60, 40), 40, overlay=chosen.overlays, variable=scalar)
         assert made.cells.shape == (40, 60, 4), kind
 
 

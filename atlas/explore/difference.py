@@ -18,7 +18,8 @@ from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
 from atlas.explore.words import number
 from atlas.query.extremes import regimes_with
 from atlas.query.plane import determined
-from atlas.render.change import CHANGE, change_of, compares_numbers
+from atlas.render import has_scale
+from atlas.render.change import CHANGE, change_of
 from atlas.render.screen import Screen, screen
 from atlas.text import plural
 from workers.results import PENDING, REGIME
@@ -62,7 +63,7 @@ def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]"
     for name, values in found.items():
         other[name][np.ix_(i, j)] = values[np.ix_(to_i, to_j)]
     compared = determined(one[REGIME.name]) & determined(other[REGIME.name])
-    if compares_numbers(chosen.kind):
+    if has_scale(chosen.kind):
         change, says = _numbers(one, other, own[0], compared)
     else:
         change, says = _classes(one, other, own, compared)
@@ -228,7 +229,7 @@ class DifferencePainter(Painter):
     def _drawn(
         self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
     ) -> tuple[Screen, str]:
-        ends: dict[str, Any] = {"vmin": low, "vmax": high} if compares_numbers(chosen.kind) else {}
+        ends: dict[str, Any] = {"vmin": low, "vmax": high} if has_scale(chosen.kind) else {}
         return screen(ds, change_of(chosen.kind, chosen.variable), pixels, KEY_WIDTH, **ends), self._note
 
     def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:

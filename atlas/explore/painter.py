@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -249,9 +249,9 @@ def _drawn(
 ) -> Screen:
     """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
     scalar = chosen.kind == SCALAR
-    ends = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
+    ends: dict[str, Any] = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
     return screen(
-        ds, chosen.kind, pixels, KEY_WIDTH, overlays=chosen.overlays, variable=chosen.variable if scalar else None,
+        ds, chosen.kind, pixels, KEY_WIDTH, overlay=chosen.overlays, variable=chosen.variable if scalar else None,
         log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **ends,
     )  # fmt: skip
 

@@ -111,20 +111,20 @@ def colored(
     return Painted(rgba, legend + maps.paint_regimes(rgba, regime, others), beside=beside)
 
 
+def by_number(number: NDArray[np.int64], colors: Sequence[str]) -> Colors:
+    """Cells (y, x) in the colours of their numbers, -1 white."""
+    return np.array([style.rgb(color) for color in [*colors, "white"]], np.uint8)[number]
+
+
 def period(view: View) -> Painted:
     """The forcing periods of each cell's orbit, and the regime where it never closes."""
     regime, period = view.plane.regime, view.plane["period"]
-    classes = [
-        ((regime == PERIODIC) & (period >= first) & (period <= last), color, _name_of_period(first, last))
-        for first, last, color in PERIODS
-    ]
+    classes = []
+    for first, last, color in PERIODS:
+        name = f"period {first}" if first == last else f"period {first}–{last}"
+        name = f"period ≥ {first}" if last == PERIODS[-1][1] else name
+        classes.append(((regime == PERIODIC) & (period >= first) & (period <= last), color, name))
     return colored(regime, classes, beside="")
-
-
-def _name_of_period(first: int, last: int) -> str:
-    if last == PERIODS[-1][1]:
-        return f"period ≥ {first}"
-    return f"period {first}" if first == last else f"period {first}–{last}"
 
 
 def motions(view: View) -> Painted:
@@ -132,9 +132,6 @@ def motions(view: View) -> Painted:
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
     found, number = motions_of(regime, *counts)
     colors = [color_of(motion) for motion in found]
-    rgba = np.zeros((*regime.shape, 4), np.uint8)
-    if found:
-        rgba[number >= 0] = np.array([style.rgb(color) for color in colors], np.uint8)[number[number >= 0]]
     own = [(color, motion.label) for motion, color in zip(found, colors, strict=True) if color not in UNLISTED]
     legend = [style.swatch(color, label) for color, label in own if color != STICKS]
     by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(found)), kind="stable")
@@ -143,11 +140,11 @@ def motions(view: View) -> Painted:
         more = ", …" if len(shared) > _NAMED else ""
         legend += [style.swatch(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
     legend += [style.swatch(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
-    legend += maps.paint_regimes(rgba, regime, number < 0)
     rests = maps.Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(found) if motion.p >= 0]
     beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
-    return Painted(rgba, legend, textures=[rests], beside=beside, names=named)
+    painted = colored(regime, (), beside, by_number(number, colors), number >= 0)
+    return replace(painted, legend=[*legend, *painted.legend], textures=[rests], names=named)
 
 
 def color_of(motion: Motion) -> str:
@@ -198,8 +195,7 @@ def labels(view: View) -> Painted:
     A mirror image has a darker tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
     """
     known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
-    table = np.array([style.rgb(color) for color in [*branch_colors(known), "white"]], np.uint8)
-    painted = colored(view.plane.regime, (), "", table[label], label >= 0)
+    painted = colored(view.plane.regime, (), "", by_number(label, branch_colors(known)), label >= 0)
     return replace(painted, legend=[*branch_entries(known, label), *painted.legend])
 
 
@@ -215,19 +211,17 @@ def colors_of(
     for k, (regime, mirror) in enumerate(zip(known["regime"].values, known["mirror"].values, strict=True)):
         if regime == NO_IMPACT:
             found.append(quiet)
+        elif 0 <= mirror < k and found[mirror] == rest:
+            found.append(found[mirror])
         elif 0 <= mirror < k:
-            found.append(found[mirror] if found[mirror] == rest else _toned(found[mirror], mirrored))
+            hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(found[mirror]))
+            found.append(to_hex(colorsys.hls_to_rgb(hue, mirrored, saturation)))
         elif rest is not None and used >= len(palette):
             found.append(rest)
         else:
             found.append(palette[used % len(palette)])
             used += 1
     return found
-
-
-def _toned(color: str, lightness: float) -> str:
-    hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(color))
-    return to_hex(colorsys.hls_to_rgb(hue, lightness, saturation))
 
 
 def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:

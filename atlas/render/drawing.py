@@ -12,7 +12,7 @@ from atlas.query.compare import Comparison
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
-from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE, check_overlays, chosen_curves, chosen_kind
+from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE, check_overlays, chosen_kind
 from atlas.render.options import Look, MapLook, Sheet, Wanted, takes
 from atlas.render.provenance import check_path, provenance_of, save
 from atlas.spec.spec import MOST_AXES
@@ -60,15 +60,9 @@ def figure(
     as large as pixels. A file's metadata carry the atlas's digest; the same atlas gives the same bytes with the same
     software.
     """
-    from atlas.render.page import page  # with it matplotlib
-
     if path is not None:
         check_path(path)
-    look: dict[str, Any] = dict(options)
-    overlay, curves = look.pop("overlay", ()), chosen_curves(look.pop("curves", None))
-    own = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
-    lines = (overlay,) if isinstance(overlay, str) else tuple(overlay)
-    wanted = Wanted(page(**look), kind, window, lines, curves, pixels=pixels, **own)
+    wanted = Wanted.of(kind, window, pixels, **options)
     drawn = _drawn(subject, wanted, titles)
     if path is not None:
         save(drawn, Path(path), provenance_of(*_sources(subject, wanted)), wanted.page)
@@ -132,7 +126,7 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
         if isinstance(subject, Comparison):
             drawn = together.difference(subject, page)
         else:
-            drawn = together.side_by_side(atlases, wanted.kind, wanted.window, titles, page)
+            drawn = together.side_by_side(atlases, wanted, titles)
     else:
         page.refuse_ends("branches are lines")
         drawn = sweep.figure_of_branches(subject, page)
@@ -194,7 +188,7 @@ def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
     from atlas.render import together
 
     check_units(ds)
-    return together.side_by_side([shown.isel({name: k}) for k in range(count)], kind, rest, page=page)
+    return together.side_by_side([shown.isel({name: k}) for k in range(count)], replace(wanted, window=rest))
 
 
 def check_units(*atlases: "xr.Dataset") -> None:

@@ -116,21 +116,18 @@ TABLE = {
              Scale("forcing periods simulated", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
                    ("#dddddd", "none needed"), log=True)),
         Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick", "scales.number",
-             Scale("share of the time at rest",
-                   ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
+             Scale("share of the time at rest", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
                    ("#f3f1ea", "never at rest"))),
         Kind("attractors", 2, ("attractors",), "how many attractors a cell has", "classes.attractors"),
         Kind("share", 2, ("share",),
              "the share of initial states that reach the attractor shown, the one of most unless another is chosen",
              "scales.number",
-             Scale("share of the initial states",
-                   ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
+             Scale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
         Kind(LABELS, 2, (LABEL.name,),
              "which branch the attractor shown is on, in colours that persist from cell to cell, by atlas label",
              "classes.labels", lacking="label its attractors by atlas label"),
         Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
-             "classes.basins",
-             lacking="both axes must be initial states, and the spec have [attractors]"),
+             "classes.basins", lacking="both axes must be initial states, and the spec have [attractors]"),
         Kind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
              "scales.scalar", Scale("return time [forcing periods]", _PALE_BLUE, log=True), lacking=_MEASURE),
         Kind("reactivity", 2, ("reactivity",), "the largest log growth of a small deviation over one forcing period",
@@ -141,8 +138,7 @@ TABLE = {
              "scales.scalar", Scale("minimal fatal shock", _DARK_FIRST, log=True), lacking=f"{_MEASURE} --shocks"),
         Kind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
              "scales.scalar", Scale("distance to the nearest curve", _DARK_FIRST), lacking=f"{_MEASURE} --margin"),
-        Kind(SCALAR, 2, (), "any number of each cell, which --variable names", "scales.scalar",
-             Scale("", _VIOLET)),
+        Kind(SCALAR, 2, (), "any number of each cell, which --variable names", "scales.scalar", Scale("", _VIOLET)),
         Kind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
              "sweep.figure_of_attractors", _EXPONENTS),
         Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", "sweep.figure",
@@ -210,14 +206,19 @@ def has_scale(kind: str) -> bool:
     return TABLE[kind].scale is not CLASSES
 
 
+def found_axes(ds: "xr.Dataset") -> str:
+    """The axes of an atlas, as errors name them."""
+    axes = axis_names(ds)
+    return f"found {AXES.get(len(axes), f'{len(axes)} axes')} ({', '.join(axes)})"
+
+
 def chosen_kind(ds: "xr.Dataset", wanted: "Wanted") -> Kind:
     """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
-    axes, atlases = axis_names(ds), 1 if wanted.against is None else 2
-    found = f"found {AXES[len(axes)]} ({', '.join(axes)})"
+    axes, atlases, found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
     if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
-        _check_scalar(ds, wanted, found)
+        _check_scalar(ds, wanted)
         return TABLE[SCALAR]
-    fitting = [name for name in KINDS if TABLE[name].axes == len(axes)]
+    fitting = [name for name in KINDS if TABLE[name].axes == axes]
     possible = [name for name in fitting if TABLE[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, {found}")
@@ -237,7 +238,7 @@ def chosen_kind(ds: "xr.Dataset", wanted: "Wanted") -> Kind:
     return kind
 
 
-def _check_scalar(ds: "xr.Dataset", wanted: "Wanted", found: str) -> None:
+def _check_scalar(ds: "xr.Dataset", wanted: "Wanted") -> None:
     """InputError unless a variable can be mapped: one that is named and is a number of each cell of a plane."""
     name = wanted.variable
     if wanted.kind not in (None, SCALAR):
@@ -247,7 +248,7 @@ def _check_scalar(ds: "xr.Dataset", wanted: "Wanted", found: str) -> None:
     if wanted.against is not None:
         raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
     if len(axis_names(ds)) != 2:
-        raise InputError(f"kind {SCALAR!r} draws two axes, {found}")
+        raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")
     possible = numbers_of_cells(ds)
     if name in ds and name not in possible:
         raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
@@ -267,10 +268,9 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
 
 def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
     """Raise InputError unless each of them is an overlay of as many axes."""
-    axes = axis_names(ds)
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-        if len(axes) != (1 if overlay == "branches" else 2):
-            kind = "a sweep" if overlay == "branches" else "a map"
-            raise InputError(f"overlay {overlay!r} is drawn over {kind}, found {AXES[len(axes)]} ({', '.join(axes)})")
+        axes, kind = (1, "a sweep") if overlay == "branches" else (2, "a map")
+        if len(axis_names(ds)) != axes:
+            raise InputError(f"overlay {overlay!r} is drawn over {kind}, {found_axes(ds)}")

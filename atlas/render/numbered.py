@@ -39,10 +39,10 @@ def numbered(
 ) -> tuple[Colors, PixelScale | None]:
     """A picture (rows, columns, 4) whose pixels have codes of three bytes and no alpha where a number coloured them.
 
-    ``numbers`` tells which cell each pixel shows, counted row by row. Pixels under lines and textures keep their
-    colours, and so do all where the kind has no scale of its own, or several.
+    What was painted has one bar. ``numbers`` tells which cell each pixel shows, counted row by row. Pixels under lines
+    and textures keep their colours, and so do all where ``scale_of`` finds no scale.
     """
-    scale = scale_of(kind, painted.bars[0]) if len(painted.bars) == 1 else None
+    scale = scale_of(kind, painted.bars[0])
     if scale is None:
         return pixels, None
     values, colors = painted.bars[0].values.ravel(), painted.rgba.reshape(-1, 4)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar, Unpack
 
 from atlas.errors import InputError
 from atlas.query.window import Window
@@ -80,6 +80,24 @@ class Wanted:
     pixels: tuple[int, int] | None = None
     variable: str | None = None
     log: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        kind: str | None = None,
+        window: Window | None = None,
+        pixels: tuple[int, int] | None = None,
+        **options: Unpack[MapLook],
+    ) -> "Wanted":
+        """What these arguments of ``figure`` ask for; InputError for one that is not possible."""
+        from atlas.render.kinds import chosen_curves
+        from atlas.render.page import page  # with it matplotlib
+
+        look: dict[str, Any] = dict(options)
+        overlay, curves = look.pop("overlay", ()), chosen_curves(look.pop("curves", None))
+        own = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
+        lines = (overlay,) if isinstance(overlay, str) else tuple(overlay)
+        return cls(page(**look), kind, window, lines, curves, pixels=pixels, **own)
 
 
 _DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title": True, "legend": True}

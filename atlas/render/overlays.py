@@ -136,6 +136,7 @@ def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, flo
         return [Line2D([], [], linestyle="", label="curves: none in this window")]
     lines, entries = [line for _, line in every], list[Artist]()
     parts = list(crowded_parts(lines, [maps.in_points(ax, line, size) for line in lines], _BESIDE))
+    halo = [withStroke(linewidth=_WIDTHS[False] + 1.4, foreground="white")]
     for kind, look in style.LOOKS.items():
         own = [(part, crowded) for number, part, crowded in parts if every[number][0] == kind]
         if not own:
@@ -144,15 +145,11 @@ def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, flo
         if casing:
             wide = widths + [casing[crowded] for _, crowded in own]
             ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
-        shown: Any = {
-            "colors": look.color,
-            "linewidths": widths,
-            "linestyles": [look.dashes],
-            "zorder": 3.2,
-            "gid": kind,
-        }
-        ax.add_collection(LineCollection(segments, **shown), autolim=False)
-        entries.append(style.line_entry(kind, _WIDTHS[False]))
+        drawn = LineCollection(segments, colors=look.color, linewidths=widths, linestyles=[look.dashes], zorder=3.2)
+        drawn.set_gid(kind)
+        ax.add_collection(drawn, autolim=False)
+        shown: Any = {"color": look.color, "linestyle": look.dashes, "label": look.label}
+        entries.append(Line2D([], [], linewidth=_WIDTHS[False], path_effects=halo, **shown))
     if view.wanted.curves is None or "codimension_two" in view.wanted.curves:
         corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})
         looks = {kind: style.corner_look(kind, _MARK * scale) for kind, _, _ in corners}

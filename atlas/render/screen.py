@@ -4,7 +4,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import matplotlib as mpl
 import numpy as np
@@ -20,8 +20,7 @@ from atlas.render.drawing import check_units
 from atlas.render.kinds import CURVES, Kind, check_overlays, chosen_kind
 from atlas.render.maps import Colors, draw_painted, read
 from atlas.render.numbered import PixelScale, cell_numbers, numbered
-from atlas.render.options import Wanted
-from atlas.render.page import page as page_of
+from atlas.render.options import MapLook, Wanted
 from atlas.render.style import house
 
 DPI = 110.0
@@ -63,18 +62,13 @@ def screen(
     size: tuple[int, int],
     key_width: int,
     *,
-    overlays: Sequence[str] = (),
-    curves: tuple[str, ...] | None = None,
-    variable: str | None = None,
-    log: bool = False,
-    vmin: float | None = None,
-    vmax: float | None = None,
     numbers: bool = False,
+    **options: Unpack[MapLook],
 ) -> Screen:
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
     Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
-    hold that number, see ``numbered``. Other arguments and errors as in ``figure``; ``kind`` may also be one that is in
+    hold that number, see ``numbered``. Other options and errors as in ``figure``; ``kind`` may also be one that is in
     no table, such as ``change_of`` makes.
     """
     width, height = size
@@ -84,9 +78,9 @@ def screen(
         canvas = FigureCanvasAgg(drawn)
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
-        page = page_of(ax=ax, title=False, vmin=vmin, vmax=vmax)
-        named = "" if isinstance(kind, Kind) else kind
-        wanted = Wanted(page, named, overlays=tuple(overlays), curves=curves, pixels=size, variable=variable, log=log)
+        named = kind.name if isinstance(kind, Kind) else kind
+        options |= {"ax": ax, "title": False}
+        wanted = Wanted.of(named, pixels=size, **options)
         fitting = kind if isinstance(kind, Kind) else chosen_kind(ds, wanted)
         check_overlays(ds, wanted.overlays)
         check_units(ds)

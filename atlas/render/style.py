@@ -6,9 +6,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.legend import Legend
 from matplotlib.legend_handler import HandlerPatch
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.patheffects import withStroke
 from matplotlib.typing import ColorType
 
 from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
@@ -169,16 +167,3 @@ def mark(marker: str, size: float, color: str, edge: str, width: float) -> dict[
         "linestyle": "", "marker": marker, "markersize": size, "color": color, "markeredgecolor": edge,
         "markeredgewidth": width,
     }  # fmt: skip
-
-
-def event_look(kind: str, size: float) -> dict[str, Any]:
-    """Name and marker of a kind of event, as arguments of ``Axes.plot``."""
-    look = LOOKS[kind]
-    return mark(look.marker, size, look.color, "white", 0.5) | {"label": look.label}
-
-
-def line_entry(kind: str, width: float) -> Line2D:
-    """The legend entry of curves of a kind, on a white halo as over a map."""
-    look = LOOKS[kind]
-    halo = [withStroke(linewidth=width + 1.4, foreground="white")]
-    return Line2D([], [], color=look.color, linewidth=width, linestyle=look.dashes, path_effects=halo, label=look.label)

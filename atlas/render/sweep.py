@@ -280,10 +280,10 @@ def draw_branches(ax: Axes, branches: "Branches", page: Page) -> list[Artist]:
             look = {"color": INK, "linewidth": width * page.scale, "linestyle": dashes}
             ax.add_collection(LineCollection(shown, zorder=4, **look))
             entries.append(Line2D([], [], label=label, **look))
-    for kind in style.LOOKS:
+    for kind, event in style.LOOKS.items():
         at = [place for each, place in places if each == kind]
         if at:
-            mark = style.event_look(kind, _MARKER * page.scale)
+            mark = style.mark(event.marker, _MARKER * page.scale, event.color, "white", 0.5) | {"label": event.label}
             ax.plot(*np.concatenate(at).T, zorder=5, **mark)
             entries.append(Line2D([], [], **mark))
     ax.autoscale_view()

@@ -3,25 +3,26 @@
 import math
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.compare import Comparison, differences, differing
 from atlas.query.ends import scale_ends
-from atlas.query.plane import Plane
+from atlas.query.plane import Cells, Plane
 from atlas.query.reads import counted
-from atlas.query.window import Window, axis_names, within
+from atlas.query.window import axis_names, within
 from atlas.render import maps, scales, style, words
 from atlas.render.fit import OWN_TITLE
-from atlas.render.kinds import TABLE
+from atlas.render.kinds import TABLE, found_axes
 from atlas.render.maps import Painted
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
@@ -42,55 +43,46 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
 
     Where there are no exponents, the second alone. InputError for atlases with one axis.
     """
-    names = axis_names(compared.one)
-    if len(names) != 2:
-        found = f"found one axis ({names[0]}); sweeps: atlas render --against"
-        if len(names) > 2:
-            found = f"found {len(names)} axes ({', '.join(names)}); pick a plane with .sel"
-        raise InputError(f"a comparison is drawn as a map, {found}")
+    count = len(axis_names(compared.one))
+    if count != 2:
+        hint = "sweeps: atlas render --against" if count == 1 else "pick a plane with .sel"
+        raise InputError(f"a comparison is drawn as a map, {found_axes(compared.one)}; {hint}")
     if not compared.has_exponents:
         page.refuse_ends("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
-    sheet = _Sheet(page, count, most=2)
     with counted() as reads, page.context():
-        here, there = compared.planes(sheet.panel.map_pixels)
-        drawn, panels = sheet.draw()
+        drawn, panels, own = _sheet(page, count, most=2)
+        here, there = compared.planes(own.map_pixels)
         page.head(drawn, _title(compared) + _coarseness(max(reads.block)))
-        shown = [(there, "another regime", _changes(here, there))]
+        pending = (here.regime == PENDING) | (there.regime == PENDING)
+        shown = [(there, "another regime", _changes(here, there, pending))]
         if compared.has_exponents:
-            shown.append((here, "difference of exponents", _difference(here, there, page)))
+            shown.append((here, "difference of exponents", _difference(here, there, pending, page)))
         entries: list[Artist] = []
         for ax, (plane, title, painted) in zip(reversed(panels), shown, strict=True):
-            entries += maps.lay(ax, plane, painted, sheet.panel)
+            entries += maps.lay(ax, plane, painted, own)
             ax.set_title(title, loc="left")
-            scales.draw_bars(drawn, [ax], painted.bars, sheet.panel, below=True)
-        sheet.label_outside(panels)
+            scales.draw_bars(drawn, [ax], painted.bars, own, below=True)
+        _label_outside(panels)
         page.legend(drawn, entries)
     return drawn
 
 
-def side_by_side(
-    atlases: Sequence[xr.Dataset],
-    kind: str | None = None,
-    window: Window | None = None,
-    names: Sequence[str] = (),
-    page: Page = STANDARD,
-) -> Figure:
+def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[str] = ()) -> Figure:
     """Maps of several atlases in one figure, on one scale, each under the parameters in which they differ.
 
-    ``kind`` is one of KINDS, by default the first that all of them hold; ``names`` stand over the maps where no
+    Their kind is one of KINDS, by default the first that all of them hold; ``names`` stand over the maps where no
     parameter differs. Axes have the same limits.
     Raises InputError for fewer than two atlases, for another kind, and where axes or variables are not the same.
     """
-    chosen = TABLE[_check(atlases, kind)]
+    chosen, page = TABLE[_check(atlases, wanted.kind)], wanted.page
     if chosen.name == "period":
         page.refuse_ends("kind 'period' draws classes")
-    shown = [within(ds, window) for ds in atlases]
-    sheet = _Sheet(page, len(shown), most=3)
+    shown = [within(ds, wanted.window) for ds in atlases]
+    changed = differing(shown)
     with counted() as reads, page.context():
-        views = [maps.read(chosen, ds, Wanted(sheet.panel)) for ds in shown]
-        drawn, panels = sheet.draw()
-        changed = differing(shown)
+        drawn, panels, own = _sheet(page, len(shown), most=3)
+        views = [maps.read(chosen, ds, Wanted(own)) for ds in shown]
         page.head(drawn, words.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
         bars = []
         if chosen.name == "exponent":
@@ -98,13 +90,14 @@ def side_by_side(
             norm = scales.two_sided(page, *scale_ends(known))
             bars = [maps.Bar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
         entries: dict[str, Artist] = {}
-        for k, (ax, view) in enumerate(zip(panels, views, strict=True)):
-            title = sheet.panel_title(shown[k], changed, names[k] if names else f"{k + 1}")
+        letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
+        for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
+            title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
             painted = chosen.painter(view, *(bar.norm for bar in bars))
-            for entry in maps.lay(ax, view.plane, painted, view.page):
+            for entry in maps.lay(ax, view.plane, painted, own):
                 entries.setdefault(str(entry.get_label()), entry)
-        sheet.label_outside(panels)
+        _label_outside(panels)
         # The axes are shared, so that these limits are those of all.
         planes = [view.plane for view in views]
         panels[0].set_xlim(min(each.x.edges[0] for each in planes), max(each.x.edges[-1] for each in planes))
@@ -114,60 +107,35 @@ def side_by_side(
     return drawn
 
 
-@dataclass(frozen=True)
-class _Sheet:
-    """How a number of maps share a page: in rows of at most ``most`` on a wide page, of one less on a narrow one."""
+def _sheet(page: Page, count: int, most: int) -> tuple[Figure, list[Axes], Page]:
+    """A figure of several plots with axes in common, those plots, and the page of one of them.
 
-    page: Page
-    count: int
-    most: int
+    They stand in rows of at most ``most`` on a wide page, of one less on a narrow one.
+    """
+    most = most if page.wide else most - 1
+    columns = count if count <= most else 2 if count == 4 else most
+    rows = math.ceil(count / columns)
+    under = 0.9 if page.wide else 1.5  # with a colour bar
+    height = (
+        page.scale * (under + 1.1 * rows) + 0.51 * page.width / columns * rows
+    )  # a row's grows with its maps' width
+    drawn = page.figure(height)
+    plots = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
+    for empty in plots[count:]:
+        empty.remove()
+    return drawn, plots[:count], replace(page, width=page.width / columns, height=(page.height or height) / rows)
 
-    @property
-    def columns(self) -> int:
-        most = self.most if self.page.wide else self.most - 1
-        return self.count if self.count <= most else 2 if self.count == 4 else most
 
-    @property
-    def rows(self) -> int:
-        return math.ceil(self.count / self.columns)
-
-    @property
-    def height(self) -> float:
-        """Height in inches where none is asked for: that of a row grows with its maps' width."""
-        under = 0.9 if self.page.wide else 1.5  # with a colour bar
-        return self.page.scale * (under + 1.1 * self.rows) + 0.51 * self.page.width / self.columns * self.rows
-
-    @property
-    def panel(self) -> Page:
-        """The page of one of the maps."""
-        height = (self.page.height or self.height) / self.rows
-        return replace(self.page, width=self.page.width / self.columns, height=height)
-
-    def draw(self) -> tuple[Figure, list[Axes]]:
-        """The figure and its plots, with axes in common."""
-        drawn = self.page.figure(self.height)
-        grid = drawn.subplots(self.rows, self.columns, sharex=True, sharey=True, squeeze=False)
-        panels = grid.ravel().tolist()
-        for empty in panels[self.count :]:
-            empty.remove()
-        return drawn, panels[: self.count]
-
-    def panel_title(self, ds: xr.Dataset, changed: Sequence[str], name: str) -> str:
-        """The parameters that differ, or the name in lines that are not wider than a map."""
-        if changed:
-            return _values(ds, changed)
-        letters = self.panel.map_size[0] / (0.6 * self.page.font)
-        return textwrap.fill(name, max(4, int(letters)))
-
-    def label_outside(self, panels: Sequence[Axes]) -> None:
-        """Take the labels off the axes that have another map to their left or below."""
-        for k, ax in enumerate(panels):
-            if k % self.columns:
-                ax.set_ylabel("")
-            if k + self.columns < self.count:
-                ax.set_xlabel("")
-            else:
-                ax.tick_params(labelbottom=True)  # where the place below is empty too
+def _label_outside(plots: Sequence[Axes]) -> None:
+    """Take the labels off the axes that have another map to their left or below."""
+    grid: Any = plots[0].get_gridspec()
+    for k, ax in enumerate(plots):
+        if k % grid.ncols:
+            ax.set_ylabel("")
+        if k + grid.ncols < len(plots):
+            ax.set_xlabel("")
+        else:
+            ax.tick_params(labelbottom=True)  # where the place below is empty too
 
 
 def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
@@ -209,25 +177,30 @@ def _coarseness(block: int) -> str:
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
-def _difference(here: Plane, there: Plane, page: Page) -> Painted:
+def _difference(here: Plane, there: Plane, pending: Cells, page: Page) -> Painted:
     """The differences of exponents, with their scale."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
-    known, pending = ~np.isnan(change), _pending(here, there)
-    most = float(np.percentile(np.abs(change[known]), 100.0 - _SHARE)) if known.any() else 0.0
+    known = change[~np.isnan(change)]
+    most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
     # Rise and fall are to look alike: one end that is asked for decides the other.
     given = [end for end in (page.vmax, page.vmin) if end is not None]
     end = abs(given[0]) if given else most or 1.0
-    norm = scales.two_sided(page, -end, end)
-    rgba = scales.on_scale(change, norm, DIFFERENCE)
-    rgba[~known] = style.rgb(WITHOUT)
+    label = r"change of $\lambda_1$ [per forcing period]"
+    return changed_numbers(change, pending, scales.two_sided(page, -end, end), label, "without an exponent in one")
+
+
+def changed_numbers(change: scales.Array, pending: Cells, norm: TwoSlopeNorm, label: str, without: str) -> Painted:
+    """Changes (y, x) on a scale; ``without`` names cells that have none, NaN, unless they are pending."""
+    rgba, unknown = scales.on_scale(change, norm, DIFFERENCE), np.isnan(change)
+    rgba[unknown] = style.rgb(WITHOUT)
     rgba[pending] = 0
-    legend = [style.swatch(WITHOUT, "without an exponent in one")] if np.any(~known & ~pending) else []
-    return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, r"change of $\lambda_1$ [per forcing period]")])
+    legend = [style.swatch(WITHOUT, without)] if np.any(unknown & ~pending) else []
+    return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, label)])
 
 
-def _changes(here: Plane, there: Plane) -> Painted:
+def _changes(here: Plane, there: Plane, pending: Cells) -> Painted:
     """The regimes there of cells that have another one here."""
-    rgba, pending = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8), _pending(here, there)
+    rgba = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8)
     entries = [style.swatch(SAME, "same regime")]
     for each in REGIMES:
         cells = (there.regime == each.code) & (here.regime != each.code) & ~pending
@@ -236,9 +209,5 @@ def _changes(here: Plane, there: Plane) -> Painted:
             entries.append(maps.regime_entry(each.code, f"{words.name_of(each.code)} instead"))
     rgba[pending] = 0
     if pending.any():
-        entries.append(style.swatch("white", words.name_of(PENDING), style.HATCH[PENDING]))
+        entries.append(maps.regime_entry(PENDING, words.name_of(PENDING)))
     return Painted(rgba, entries)
-
-
-def _pending(here: Plane, there: Plane) -> NDArray[np.bool_]:
-    return (here.regime == PENDING) | (there.regime == PENDING)
