@@ -15,7 +15,7 @@ from atlas.explore.kept import Keeper
 from atlas.explore.patch import Patch, solve_patch
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
-from atlas.explore.view import STAGES, TILE, Sight, TileKey
+from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
 from atlas.store.schema import extra_sizes
 from atlas.store.store import done_tiles
@@ -68,7 +68,7 @@ class Known:
         """Read what is kept of the cells in view: finest first, and coarser ones only where these leave gaps."""
         wanted = {*names, REGIME.name}
         hidden: set[TileKey] = set()
-        for stage in range(max(STAGES, min(DEPTH, max(sight.level_x, sight.level_y))) + 1):
+        for stage in range(max(STAGES, min(DEPTH, max(sight.x.level, sight.y.level))) + 1):
             tiles = sight.tiles(stage)
             missing = [key for key in tiles if key not in hidden and not self.tiles.has(plane, key, wanted)]
             for key, arrays in self.keeper.load(plane, missing, wanted).items():
@@ -114,8 +114,7 @@ class Known:
             return None
         if not atlas_covers(subject, self.atlas_done(), plane, above):
             return None
-        rows = (above.index_y() << -above.level_y)[key.quarter[0]]
-        columns = (above.index_x() << -above.level_x)[key.quarter[1]]
+        rows, columns = (cells[part] for cells, part in zip(above.of_atlas, key.quarter, strict=True))
         part = subject.ds[[name for name in self.names if name in subject.ds]].isel({axes[1]: rows, axes[0]: columns})
         if len(part.data_vars) < len(self.names):
             return None  # an older atlas lacks some of its variables
@@ -133,8 +132,8 @@ class Known:
 
     def cell(self, plane: Plane, sight: Sight, x: float, y: float) -> Cell | None:
         """The finest cell that is known at a point in view; None where none is."""
-        for stage in range(max(STAGES, sight.level_x, sight.level_y) + 1):
-            level_x, level_y = sight.level_x - stage, sight.level_y - stage
+        for stage in range(max(STAGES, sight.x.level, sight.y.level) + 1):
+            level_x, level_y = sight.x.level - stage, sight.y.level - stage
             if min(level_x, level_y) < 0:
                 found = self._atlas_cell(plane, x, y)
                 if found is not None:
@@ -148,13 +147,13 @@ class Known:
 
     def point(self, plane: Plane, sight: Sight, x: float, y: float) -> tuple[float, float]:
         """The cell of a view nearest to a point: one of the atlas itself where its cells lie closer than the view's."""
-        if min(sight.level_x, sight.level_y) < 0:
+        if min(sight.x.level, sight.y.level) < 0:
             found = self._atlas_cell(plane, x, y)
             if found is not None:
                 across, up = (found.parameters[name] for name in self.subject.axes)
                 return across, up
-        j, i = self.subject.x.nearest(sight.level_x, x), self.subject.y.nearest(sight.level_y, y)
-        return self._at(sight.level_x, sight.level_y, j, i)
+        j, i = self.subject.x.nearest(sight.x.level, x), self.subject.y.nearest(sight.y.level, y)
+        return self._at(sight.x.level, sight.y.level, j, i)
 
     def solved(self, plane: Plane, x: float, y: float) -> Cell:
         """The cell at exactly this point, solved here and now."""
@@ -191,8 +190,7 @@ class Known:
 
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
         """The parameters of a column and a row of a level."""
-        across = self.subject.x.values(level_x, np.array([j]))
-        up = self.subject.y.values(level_y, np.array([i]))
+        across, up = self.subject.points(Stretch(level_x, j, 1), Stretch(level_y, i, 1))
         return float(across[0]), float(up[0])
 
     def _atlas_cell(self, plane: Plane, x: float, y: float) -> Cell | None:

@@ -78,6 +78,11 @@ class Lattice:
         low, high = self.values(level + 1, np.array([2 * first - 1, 2 * last + 1]))
         return float(low), float(high)
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Where the cells of the atlas begin and end."""
+        return self.edges(0, 0, len(self.axis) - 1)
+
     def level(self, low: float, high: float, pixels: int) -> int:
         """The deepest level whose cells are not finer than pixels, where a window is so many of them wide.
 

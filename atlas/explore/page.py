@@ -259,7 +259,7 @@ class Page:
         if self._explorer.keeper.header is not None and chosen.plane == subject.plane:
             notes.append(f"kept in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
-            first, last = lattice.edges(0, 0, len(lattice.axis) - 1)
+            first, last = lattice.ends
             slack = 1e-9 * (last - first)
             if low < first - slack or high > last + slack:
                 notes.append("partly outside the atlas's window")

@@ -16,8 +16,8 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.explore.chosen import CHART, Chosen, Range, beginning
 from atlas.explore.explorer import Explorer
-from atlas.explore.subject import Plane, Subject
-from atlas.explore.view import STAGES, Sight, TileKey, View
+from atlas.explore.subject import Plane
+from atlas.explore.view import STAGES, Sight, TileKey
 from atlas.render import SCALAR, has_scale
 from atlas.render.kinds import OverlayError
 from atlas.render.screen import Screen, screen
@@ -62,7 +62,7 @@ class Painted:
 def warm(explorer: Explorer) -> None:
     """Draw something once, so that the first page need not wait for all that drawing loads."""
     chosen = beginning(explorer.subject)
-    sight = Sight.of(View(chosen.x, chosen.y, *WHOLE), explorer.subject.x, explorer.subject.y)
+    sight = explorer.subject.sight(chosen.x, chosen.y, WHOLE)
     _drawn(explorer.known.seen(chosen.plane, sight, chosen.names), chosen, WHOLE, None, None)
 
 
@@ -124,10 +124,7 @@ class Painter:
 
     def _concerns(self, chosen: Chosen, plane: Plane, key: TileKey) -> bool:
         """Whether a tile is seen in a picture."""
-        sight = self.sight
-        if plane != chosen.plane or sight is None or key.level_x > sight.level_x or key.level_y > sight.level_y:
-            return False
-        return sight.shows(key)
+        return plane == chosen.plane and self.sight is not None and self.sight.shows(key)
 
     def _run(self) -> None:
         while True:
@@ -164,7 +161,7 @@ class Painter:
             return
         (chosen, size), explorer = asked, self._explorer
         self.looked += 1
-        self.sight = sight = Sight.of(View(chosen.x, chosen.y, *size), explorer.subject.x, explorer.subject.y)
+        self.sight = sight = explorer.subject.sight(chosen.x, chosen.y, size)
         explorer.patches.want(self, ())
         explorer.known.look(chosen.plane, sight, chosen.names)
         explorer.want(self, chosen.plane, sight, stages)
@@ -200,7 +197,7 @@ class Painter:
 
     def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
         """The window that they fill."""
-        return edges_in_view(self._explorer.subject, sight)
+        return self._explorer.subject.edges(sight)
 
     def _drawn(
         self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
@@ -230,8 +227,7 @@ class Painter:
         subject = self._explorer.subject
         if subject.ds is None or not (chosen.kind == SCALAR or has_scale(chosen.kind)):
             return {}
-        windows = [lattice.edges(0, 0, len(lattice.axis) - 1) for lattice in (subject.x, subject.y)]
-        sight = Sight.of(View(windows[0], windows[1], *WHOLE), subject.x, subject.y)
+        sight = subject.sight(subject.x.ends, subject.y.ends, WHOLE)
         ds = self._explorer.known.seen(subject.plane, sight, chosen.names)
         if float(np.mean(ds[REGIME.name].values == PENDING)) > 0.5:
             return {}
@@ -254,12 +250,6 @@ def _drawn(
         ds, chosen.kind, pixels, KEY_WIDTH, overlays=chosen.overlays, variable=chosen.variable if scalar else None,
         log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **ends,
     )  # fmt: skip
-
-
-def edges_in_view(subject: Subject, sight: Sight) -> tuple[Range, Range]:
-    """Where the cells in view begin and end, along x and along y."""
-    x = subject.x.edges(sight.level_x, sight.first_x, sight.last_x)
-    return x, subject.y.edges(sight.level_y, sight.first_y, sight.last_y)
 
 
 def _pixels(pixels: int, edges: Range, window: Range, log: bool) -> int:

@@ -18,7 +18,7 @@ from atlas.errors import InputError
 from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
-from atlas.explore.view import TILE, TileKey
+from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.making import remove_half_made
 from atlas.store.store import Header, create, done_tiles, open_arrays, read_header
 from atlas.store.zoom import make_plane, sheet_place
@@ -117,8 +117,8 @@ class Sheets:
         """A sheet that there was not, made and open. For the claim's holder only."""
         subject, digest = self._subject, self.digest(plane)
         (low_y, low_x), (high_y, high_x) = span
-        x = subject.x.values(key.level_x, np.arange(low_x * TILE, (high_x + 1) * TILE))
-        y = subject.y.values(key.level_y, np.arange(low_y * TILE, (high_y + 1) * TILE))
+        x = Stretch(key.level_x, low_x * TILE, (high_x + 1 - low_x) * TILE)
+        y = Stretch(key.level_y, low_y * TILE, (high_y + 1 - low_y) * TILE)
         described = {
             "long_name": "a plane as it was looked at",
             "parameters": dict(plane.parameters),
@@ -129,7 +129,7 @@ class Sheets:
         place = sheet_place(self._header, digest, key.name)
         if place.local is not None:
             remove_half_made(place.local)
-        header = create(place, subject.spec_of(plane, x, y), (TILE, TILE))
+        header = create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
         with self._lock:
             return self._opened((plane, key), header, (low_y, low_x))
 

@@ -8,11 +8,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
 from atlas.explore.lattice import Lattice
 from atlas.explore.patch import Patch, packed
-from atlas.explore.view import TileKey
+from atlas.explore.view import Sight, Stretch, TileKey
 from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
@@ -178,15 +179,25 @@ class Subject:
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
         return plane.moved(name, admitted(self.system.parameter(name), value))
 
+    def sight(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Sight:
+        """The cells in a window on so many pixels, at the deepest levels whose cells are not finer than pixels."""
+        return Sight(Stretch.seen(self.x, *x, pixels[0]), Stretch.seen(self.y, *y, pixels[1]))
+
+    def points(self, x: Stretch, y: Stretch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The values of both axes at cells, (N,) each."""
+        return self.x.values(x.level, x.index), self.y.values(y.level, y.index)
+
+    def edges(self, sight: Sight) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Where the cells in view begin and end, along x and along y."""
+        x, y = sight
+        return self.x.edges(x.level, x.first, x.last), self.y.edges(y.level, y.first, y.last)
+
     def patch(self, plane: Plane, key: TileKey, known: np.ndarray | None = None) -> Patch:
         """What it takes to solve a tile, less the cells that are known."""
-        (x, across), (y, up) = (
-            (self.spec.axes[0].name, self.x.values(key.level_x, key.index_x())),
-            (self.spec.axes[1].name, self.y.values(key.level_y, key.index_y())),
-        )
         wanted = b"" if known is None else packed(~known)
-        sides = (x, tuple(across.tolist())), (y, tuple(up.tolist()))
-        return Patch(self.system, dict(plane.parameters), self.settings, *sides, wanted)
+        points = self.points(key.columns, key.rows)
+        x, y = ((name, tuple(values.tolist())) for name, values in zip(self.axes, points, strict=True))
+        return Patch(self.system, dict(plane.parameters), self.settings, x, y, wanted)
 
     def spec_of(self, plane: Plane, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""
