@@ -8,7 +8,7 @@ from bokeh.layouts import column
 from bokeh.models import Button, Div, NumericInput, Select
 
 from atlas.errors import InputError
-from atlas.explore.chosen import ATLAS, DIFFERENCE, PLANE, Beside, Chosen, kinds, overlays, variables
+from atlas.explore.chosen import ATLAS, DIFFERENCE, PLANE, Beside, Chosen, kinds, overlays
 from atlas.explore.explorer import Explorer
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
@@ -39,7 +39,7 @@ def second(home: Explorer, explorer: Explorer, state: State) -> tuple[Explorer, 
         shown = replace(shown, kind=kind, variable=variable or shown.variable, log=False, vmin=None, vmax=None)
     elif kind == SCALAR or has_scale(chosen.kind):
         shown = replace(shown, vmin=state.ends[0], vmax=state.ends[1])  # one scale for both
-    if shown.kind not in kinds(there.subject) or (variable and variable not in variables(there.subject)):
+    if shown.kind not in kinds(there.subject) or (variable and variable not in there.subject.numbers):
         raise InputError(f"second.drawn: {there.subject.name} has no {variable or shown.kind!r}")
     return there, shown
 
@@ -86,7 +86,7 @@ class BesidePanel:
         drawn = {
             "compared": [(SAME, "the same map"), (DIFFERENCE, "the difference")],
             "maps": [(kind, kind) for kind in kinds(subject) if kind != SCALAR],
-            "variables": [(f"{SCALAR}:{name}", NAMES.get(name, name.replace("_", " "))) for name in variables(subject)],
+            "variables": [(f"{SCALAR}:{name}", NAMES.get(name, name.replace("_", " "))) for name in subject.numbers],
         }
         self._open = Button(label="compare", **wide)
         self._of = Select(title="the second plane shows", options=of, **wide)

@@ -141,25 +141,14 @@ class Chosen:
 
 def kinds(subject: Subject) -> list[str]:
     """The kinds of maps whose variables the subject has."""
-    held = {variable.name for variable in subject.system.variables(subject.settings)}
-    known = [kind for kind in MAPS if held >= set(needs(kind))]
+    known = [kind for kind in MAPS if subject.variables.keys() >= set(needs(kind))]
     return [kind for kind in known if kind != CHART or subject.stored is not None] + [SCALAR]
 
 
 def overlays(subject: Subject) -> list[str]:
     """The lines that may be drawn over its maps."""
-    held = {variable.name for variable in subject.system.variables(subject.settings)}
-    without = {CURVES: subject.stored is None, "isolines": LARGEST.name not in held}
+    without = {CURVES: subject.stored is None, "isolines": LARGEST.name not in subject.variables}
     return [name for name in MAP_OVERLAYS if not without.get(name, False)]
-
-
-def variables(subject: Subject) -> list[str]:
-    """The variables that can be mapped alone."""
-    return [
-        v.name
-        for v in subject.system.variables(subject.settings)
-        if not v.extra and v.name not in (REGIME.name, "reason")
-    ]
 
 
 def followable(subject: Subject) -> list[str]:
@@ -171,7 +160,7 @@ def followable(subject: Subject) -> list[str]:
 def beginning(subject: Subject) -> Chosen:
     """The whole plane, drawn as the first kind that there is."""
     x, y = ((axis.values[0], axis.values[-1]) for axis in subject.spec.axes[:2])
-    return Chosen(x, y, subject.plane, kinds(subject)[0], variables(subject)[0])
+    return Chosen(x, y, subject.plane, kinds(subject)[0], subject.numbers[0])
 
 
 def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Chosen:
@@ -258,7 +247,7 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
 
 
 def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
-    possible = {"kind": kinds(subject), "variable": variables(subject)}.get(name)
+    possible = {"kind": kinds(subject), "variable": subject.numbers}.get(name)
     if possible is not None:
         if value not in possible:
             raise InputError(f"{name}: found {value!r}; possible: {', '.join(possible)}")

@@ -18,6 +18,8 @@ from workers.results import PENDING, REGIME
 if TYPE_CHECKING:
     import xarray as xr
 
+Index = NDArray[np.int64]
+
 
 def composed(
     subject: Subject,
@@ -32,10 +34,7 @@ def composed(
     ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. It goes
     over tiles that leave cells of the atlas out, and under those with more.
     """
-
-    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
-    wanted = list(dict.fromkeys([*names, REGIME.name]))
-    canvas = {name: np.full(sight.shape, variables[name].fill, variables[name].dtype) for name in wanted}
+    canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), sight.shape)
     for key, arrays in tiles:
         if min(key.level_x, key.level_y) < 0:
             _lay(canvas, sight, key, arrays)
@@ -55,15 +54,15 @@ def dataset(
 
     spec, fixed = subject.spec, [name for name, _ in plane.parameters]
     described = coordinates(spec)
-    (across, up) = (axis.name for axis in spec.axes)
+    across, up = subject.axes
     coords: dict[str, Any] = {
         across: (across, x, described[across].attributes),
         up: (up, y, described[up].attributes),
     }
     coords |= {name: ((), value, described[name].attributes) for name, value in plane.parameters}
-    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     arrays = {
-        name: ((up, across), values, variable_attributes(variables[name], fixed)) for name, values in canvas.items()
+        name: ((up, across), values, variable_attributes(subject.variables[name], fixed))
+        for name, values in canvas.items()
     }
     resolved = spec.resolved()
     axes = [{"name": axis.name, "scale": axis.scale} for axis in spec.axes]
@@ -95,6 +94,14 @@ def seen_atlas(subject: Subject, sight: Sight, names: Iterable[str]) -> "xr.Data
         pixels.append(max(1, round((high - low) * 2.0 ** min(seen.level, 0))))
     held = [name for name in names if name in ds]
     return read_view(ds.isel(part), held, None, pixels).load()
+
+
+def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: Index) -> Arrays:
+    """Variables of cells of the atlas itself (y, x), by their numbers."""
+    assert subject.ds is not None
+    across, up = subject.axes
+    part = subject.ds[[*names]].isel({across: columns, up: rows}).load()
+    return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 
 def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: Plane, key: TileKey) -> bool:

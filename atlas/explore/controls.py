@@ -11,7 +11,7 @@ from bokeh.models import Button, CheckboxGroup, Div, NumericInput, Select, Slide
 
 from atlas.errors import InputError
 from atlas.explore.access import named
-from atlas.explore.chosen import kinds, overlays, variables
+from atlas.explore.chosen import kinds, overlays
 from atlas.explore.curvelist import CurveList
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
@@ -35,7 +35,7 @@ class Controls:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         lines = overlays(subject)
         self.kind = Select(title="map", options=kinds(subject), value=chosen.kind, **wide)
-        self.variable = Select(title="variable", options=variables(subject), value=chosen.variable, **wide)
+        self.variable = Select(title="variable", options=subject.numbers, value=chosen.variable, **wide)
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
         self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
         self.curves = CurveList(store)

@@ -1,18 +1,18 @@
 """What differs between two planes in view: compared at the cells that both know at the same parameters, no others."""
 
 from collections.abc import Callable, Iterable, Set
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, Range
-from atlas.explore.compose import dataset
+from atlas.explore.compose import Index, atlas_cells, dataset
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Known
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
-from atlas.explore.subject import Plane
+from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import STAGES, Sight, Stretch, TileKey
 from atlas.explore.words import number
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 ULPS = 4.0
 """Parameters that differ by at most this number of units in the last place are the same: grids round differently."""
-
-Index = NDArray[np.int64]
 
 
 class Seen(NamedTuple):
@@ -56,7 +54,7 @@ def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]"
     own = [name for name in kind.variables if name != CHANGE]
     names = [*dict.fromkeys([*own, REGIME.name])]
     one, found = exact(here, names), exact(there, names)
-    other = unknown(there, names, one[REGIME.name].shape)
+    other = there.known.subject.without_results(names, here.sight.shape)
     (j, to_j), (i, to_i) = (same_points(*pair) for pair in zip(here.points, there.points, strict=True))
     for name, values in found.items():
         other[name][np.ix_(i, j)] = values[np.ix_(to_i, to_j)]
@@ -77,11 +75,11 @@ def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]"
 def exact(seen: Seen, names: Iterable[str]) -> Arrays:
     """The cells in view (y, x) that are known at their own parameters; what is known only nearby is pending."""
     (known, plane, sight), subject = seen, seen.known.subject
-    found = unknown(seen, names, sight.shape)
+    found = subject.without_results(names, sight.shape)
     tiles = [(min(key[:2]) >= 0, _tile(key, arrays, found)) for key, arrays in known.tiles.shown(plane, sight)]
     layers = [layer for finer, layer in tiles if not finer]  # in the order in which maps lay them
     if subject.ds is not None and plane == subject.plane:
-        layers.append(_atlas(subject.ds, subject.axes, found))
+        layers.append(_atlas(subject, subject.ds, found))
     for layer in [*layers, *(layer for finer, layer in tiles if finer)]:
         (columns, across), (rows, up) = _own(sight.x, layer.x), _own(sight.y, layer.y)
         if rows.size and columns.size and layer.names >= found.keys():
@@ -108,14 +106,9 @@ def _tile(key: TileKey, arrays: Arrays, wanted: Arrays) -> Layer:
     return Layer(arrays.keys(), key.columns, key.rows, read)
 
 
-def _atlas(ds: "xr.Dataset", axes: tuple[str, str], wanted: Arrays) -> Layer:
-    x, y = axes
-
-    def read(up: Index, across: Index) -> Arrays:
-        part = ds[[*wanted]].isel({x: across, y: up}).load()
-        return {name: part[name].transpose(y, x).values for name in wanted}
-
-    return Layer({*map(str, ds.data_vars)}, Stretch(0, 0, ds.sizes[x]), Stretch(0, 0, ds.sizes[y]), read)
+def _atlas(subject: Subject, ds: "xr.Dataset", wanted: Arrays) -> Layer:
+    x, y = (Stretch(0, 0, ds.sizes[name]) for name in subject.axes)
+    return Layer({*map(str, ds.data_vars)}, x, y, partial(atlas_cells, subject, wanted))
 
 
 def _own(seen: Stretch, layer: Stretch) -> tuple[Index, Index]:
@@ -124,16 +117,6 @@ def _own(seen: Stretch, layer: Stretch) -> tuple[Index, Index]:
     at = (index >> shift if shift > 0 else index << -shift) - layer.first
     here = np.flatnonzero((index % (1 << max(shift, 0)) == 0) & (at >= 0) & (at < layer.count))
     return here, at[here]
-
-
-def unknown(seen: Seen, names: Iterable[str], shape: tuple[int, int]) -> Arrays:
-    """Cells of which nothing is known; InputError for a variable that the subject does not have."""
-    subject = seen.known.subject
-    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
-    for name in names:
-        if name not in variables:
-            raise InputError(f"{subject.name} has no variable {name!r} to compare")
-    return {name: np.full(shape, variables[name].fill, variables[name].dtype) for name in names}
 
 
 def same_points(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[Index, Index]:

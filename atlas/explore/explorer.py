@@ -19,8 +19,6 @@ from atlas.explore.tiles import MOST_BYTES as MOST_TILES
 from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.timing import TIMING, Timing
-from atlas.store.schema import extra_sizes
-from workers.results import empty_results
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -120,7 +118,7 @@ class Explorer:
         if not on:
             return
         for key, arrays in self.known.tiles.of(plane):
-            if arrays.keys() >= set(self.known.names):
+            if arrays.keys() >= self.subject.variables.keys():
                 self.keeper.offer(plane, key, arrays)
 
     def want(self, who: Hashable, plane: Plane, sight: Sight, stages: range) -> int:
@@ -150,9 +148,7 @@ class Explorer:
     def take_tile(self, plane: Plane, key: TileKey, made: tuple[Patch, Arrays | None], found: Arrays) -> None:
         """Put a solved tile together, keep it, and tell the pages."""
         mask, parent = made[0].mask, made[1]
-        arrays = empty_results(
-            self.subject.system.variables(self.subject.settings), (TILE, TILE), extra_sizes(self.subject.spec)
-        )
+        arrays = self.subject.without_results(self.subject.variables, mask.shape)
         for name, array in arrays.items():
             array[mask] = found[name]
             if parent is not None:

@@ -10,7 +10,7 @@ from bokeh.plotting import figure
 
 from atlas.explore.background import Background
 from atlas.explore.branches import Arrow as Reach
-from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, cell_values, distance, follow_job
+from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, distance, follow_job
 from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Chosen, Follow, Point, Range, followable
 from atlas.explore.explorer import Explorer
@@ -139,7 +139,7 @@ class FollowPanel:
 
     def _mark(self, chosen: Chosen, cell: Point, found: Followed, here: Here) -> None:
         """Mark an orbit over the plane where it lies in that."""
-        values = cell_values(self._subject, cell) | {found.table.along: here.value}
+        values = self._subject.values(*cell) | {found.table.along: here.value}
         inside = all(values[name] == value for name, value in chosen.plane.parameters)
         names = zip(self._marker.data, self._subject.axes, strict=True)
         marker = {name: [values[axis]] if inside else [] for name, axis in names}

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -10,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
-from atlas.explore.compose import atlas_covers, composed, seen_atlas
+from atlas.explore.compose import atlas_cells, atlas_covers, composed, seen_atlas
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import Patch, solve_patch
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
-from atlas.store.schema import extra_sizes
 from atlas.store.store import done_tiles
 from workers.results import (
     INVALID,
@@ -28,7 +28,6 @@ from workers.results import (
     REASONS,
     REGIME,
     REGIMES,
-    empty_results,
 )
 
 if TYPE_CHECKING:
@@ -56,9 +55,7 @@ class Known:
 
     def __init__(self, subject: Subject, keeper: Keeper) -> None:
         self.subject, self.tiles, self.keeper = subject, Tiles(), keeper
-        self._variables = subject.system.variables(subject.settings)
-        self.names = [variable.name for variable in self._variables]
-        self._invalid = empty_results(self._variables, (TILE, TILE), extra_sizes(subject.spec))
+        self._invalid = subject.without_results(subject.variables, (TILE, TILE))
         self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
         self._admits = lru_cache(MOST_ROWS)(self._some_admitted)
         self._done: NDArray[np.bool_] | None = None
@@ -92,13 +89,14 @@ class Known:
 
     def whole(self, plane: Plane, key: TileKey) -> Arrays | None:
         """All variables of a tile, from memory or from the store; None where it is not known."""
+        names = self.subject.variables.keys()
         arrays = self.tiles.get(plane, key)
-        if arrays is not None and arrays.keys() >= set(self.names):
+        if arrays is not None and arrays.keys() >= names:
             return arrays
         if self.outside(key):
             return self._invalid
-        kept = self.keeper.load(plane, [key], self.names).get(key)
-        if kept is not None and kept.keys() >= set(self.names):
+        kept = self.keeper.load(plane, [key], names).get(key)
+        if kept is not None and kept.keys() >= names:
             self.tiles.put(plane, key, kept)
             return kept
         return None
@@ -109,19 +107,15 @@ class Known:
         whole = self.whole(plane, above)
         if whole is not None:
             return {name: array[key.quarter] for name, array in whole.items()}
-        subject, axes = self.subject, [axis.name for axis in self.subject.spec.axes]
-        if subject.ds is None or not subject.same_settings or max(above.level_x, above.level_y) > 0:
-            return None
+        subject, names = self.subject, self.subject.variables.keys()
+        if subject.ds is None or not subject.same_settings or not names <= subject.ds.data_vars.keys():
+            return None  # an older atlas lacks some of its variables
         if not atlas_covers(subject, self.atlas_done(), plane, above):
             return None
         rows, columns = (cells[part] for cells, part in zip(above.of_atlas, key.quarter, strict=True))
-        part = subject.ds[[name for name in self.names if name in subject.ds]].isel({axes[1]: rows, axes[0]: columns})
-        if len(part.data_vars) < len(self.names):
-            return None  # an older atlas lacks some of its variables
-        try:
-            return {name: part[name].transpose(axes[1], axes[0], ...).values for name in self.names}
-        except (OSError, RunError):
-            return None
+        with suppress(OSError, RunError):
+            return atlas_cells(subject, names, rows, columns)
+        return None
 
     def seen(self, plane: Plane, sight: Sight, names: Iterable[str]) -> "xr.Dataset":
         """The cells in view as far as they are known."""
@@ -194,32 +188,30 @@ class Known:
         return float(across[0]), float(up[0])
 
     def _atlas_cell(self, plane: Plane, x: float, y: float) -> Cell | None:
-        ds, names = self.subject.ds, [axis.name for axis in self.subject.spec.axes]
-        if ds is None or plane != self.subject.plane:
+        subject = self.subject
+        if subject.ds is None or plane != subject.plane:
             return None
         try:
-            found = at(ds, dict(zip(names, (x, y), strict=True)))
+            found = at(subject.ds, dict(zip(subject.axes, (x, y), strict=True)))
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None
         if found[REGIME.name] == REGIMES[0].name:
             return None
-        return Cell(dict(plane.parameters) | {name: found[name] for name in names}, found, of_atlas=True)
+        return Cell(subject.values(plane, *(found[name] for name in subject.axes)), found, of_atlas=True)
 
     def _cell_of(
         self, plane: Plane, arrays: Arrays, place: tuple[int, ...], at: tuple[float, float], point: tuple[float, float]
     ) -> Cell:
         """The cell at a place of arrays, which lies at ``at``, as the one nearest to a point."""
         subject, (x, y) = self.subject, at
-        names = [axis.name for axis in subject.spec.axes]
-        found: dict[str, Any] = dict(zip(names, (x, y), strict=True))
-        found["distance"] = dict(zip(names, (abs(x - point[0]), abs(y - point[1])), strict=True))
+        found: dict[str, Any] = dict(zip(subject.axes, at, strict=True))
+        found["distance"] = dict(zip(subject.axes, (abs(x - point[0]), abs(y - point[1])), strict=True))
         regime, reason = int(arrays[REGIME.name][place]), int(arrays[REASON.name][place])
         found[REGIME.name] = next(each.name for each in REGIMES if each.code == regime)
         if reason != NO_REASON:
             found[REASON.name] = REASONS[reason].text
-        scalars = [v.name for v in self._variables if not v.extra and v.name not in (REGIME.name, REASON.name)]
-        found |= {name: arrays[name][place].item() for name in scalars}
-        return Cell(dict(plane.parameters) | dict(zip(names, (x, y), strict=True)), found, of_atlas=False)
+        found |= {name: arrays[name][place].item() for name in subject.numbers}
+        return Cell(subject.values(plane, x, y), found, of_atlas=False)
 
 
 def below(key: TileKey) -> list[TileKey]:

@@ -200,7 +200,7 @@ class Page:
         """Open the page of other axes or of another layer, with what is in the middle of the view, or clicked, kept."""
         subject, chosen = self._subject, self._store.now.chosen
         turned = self._home.turned(axes or subject.axes, subject.layer_value if layer is None else layer).subject
-        values = dict(zip(subject.axes, chosen.middle(subject), strict=True)) | dict(chosen.plane.parameters)
+        values = subject.values(chosen.plane, *chosen.middle(subject))
         if layer is not None and turned.third is not None:
             values[turned.third.name] = layer
         there = carried(turned, chosen, values)

@@ -63,8 +63,7 @@ class Pins:
         cell = self._store.now.chosen.cell
         if cell is None:
             return
-        plane, *at = cell
-        values = dict(plane.parameters) | dict(zip(self._subject.axes, at, strict=True))
+        values = self._subject.values(*cell)
         pin = tuple((p.name, values[p.name]) for p in self._subject.system.parameters), self._note.value
         self._store.choose(pins=(*(each for each in self._store.now.chosen.pins if each[0] != pin[0]), pin))
         self._note.value = ""

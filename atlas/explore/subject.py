@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -21,11 +21,13 @@ from atlas.spec.axis import Axis, admitted
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import is_url, place_of
+from atlas.store.schema import extra_sizes
 from atlas.store.store import Header, read_header
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
 from workers.model.parameter import Parameter
 from workers.model.system import System, identity
+from workers.results import REASON, REGIME, Variable, empty_results
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -178,6 +180,28 @@ class Subject:
         if name not in dict(plane.parameters):
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
         return plane.moved(name, admitted(self.system.parameter(name), value))
+
+    @cached_property
+    def variables(self) -> dict[str, Variable]:
+        """The results of its cells, by name."""
+        return {variable.name: variable for variable in self.system.variables(self.settings)}
+
+    @property
+    def numbers(self) -> list[str]:
+        """Those of one number a cell, but for its regime and the reason for that."""
+        every = self.variables.values()
+        return [each.name for each in every if not each.extra and each.name not in (REGIME.name, REASON.name)]
+
+    def without_results(self, names: Iterable[str], shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
+        """Arrays of cells that have no results yet; InputError for a variable that there is not."""
+        unknown = [name for name in names if name not in self.variables]
+        if unknown:
+            raise InputError(f"{self.name} has no variable {unknown[0]!r} to compare")
+        return empty_results(tuple(self.variables[name] for name in names), shape, extra_sizes(self.spec))
+
+    def values(self, plane: Plane, x: float, y: float) -> dict[str, float]:
+        """All parameters of a cell of a plane."""
+        return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
 
     def sight(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Sight:
         """The cells in a window on so many pixels, at the deepest levels whose cells are not finer than pixels."""
