@@ -54,11 +54,10 @@ def search_job(subject: Subject, cell: Cell, take: Callable[[Attractors], None])
     sides = [(name, (cell.parameters[name],)) for name in subject.axes]
     patch = Patch(subject.system, fixed, subject.settings, sides[0], sides[1], starts=subject.starts)
 
-    def taken(arrays: Arrays) -> int:
+    def taken(arrays: Arrays) -> None:
         take(_found(subject, arrays))
-        return 1
 
-    return Errand((solve_patch, patch), taken, lambda why: take(Attractors(trouble=why)))
+    return Errand((solve_patch, patch), taken, lambda why: take(Attractors(trouble=why)), cells=1)
 
 
 def _found(subject: Subject, arrays: Arrays) -> Attractors:

@@ -236,10 +236,9 @@ def follow_job(
 ) -> Errand:
     """The branch of a cell's orbit to be found."""
 
-    def taken(found: Followed) -> int:
+    def taken(found: Followed) -> None:
         found.motion(found.here(found.own, follow.value))  # loads the kernels here, not in the page's thread
         take(found)
-        return 0
 
     axes, part = dict(zip(subject.axes, subject.spec.axes, strict=False)), (follow.low, follow.high)
     ends = (*part, *(axes[follow.along].values if follow.along in axes else ()))

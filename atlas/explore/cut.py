@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,7 +109,7 @@ def cut_job(
     diagonal = packed(np.eye(len(part), dtype=bool))
     patch = Patch(subject.system, dict(line.plane.parameters), settings, x, y, diagonal)
 
-    def taken(found: dict[str, NDArray[Any]]) -> int:
+    def taken(found: dict[str, NDArray[Any]]) -> None:
         values: dict[str, float | Array] = dict(line.plane.parameters)
         values.update(zip(subject.axes, points, strict=True))
         rows = gap_rows(subject.system, values)
@@ -118,21 +118,16 @@ def cut_job(
         period = found["period"][:, None]
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
         take(line, Cells(index, found | {"gap": gap}))
-        return len(part)
 
-    return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), (line, part, take))
+    key = line, part, take
+    return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), len(part), key)
 
 
 def branch_job(
     line: Line, sweep: "xr.Dataset", take: Callable[[Line, Drawn], None], refuse: Callable[[str], None]
 ) -> Errand:
     """The branches through the periodic cells of a line, which is this sweep, to be followed."""
-
-    def taken(found: Drawn) -> int:
-        take(line, found)
-        return 0
-
-    return Errand((follow, sweep), taken, refuse)
+    return Errand((follow, sweep), partial(take, line), refuse)
 
 
 def follow(sweep: "xr.Dataset") -> Drawn:

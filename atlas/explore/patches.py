@@ -64,13 +64,14 @@ class Job(Protocol):
 
 @dataclass(frozen=True)
 class Errand(Job):
-    """A job for one who waits: ``take`` gets what the worker found and returns how many cells it has, ``refuse`` why
-    the job is given up, both in a thread of this service. Errands of one key are one job.
+    """A job for one who waits: ``take`` gets what the worker found, so many ``cells``, ``refuse`` why the job is given
+    up, both in a thread of this service. Errands of one key are one job.
     """
 
     task: Task = field(compare=False)
-    take: Callable[[Any], int] = field(compare=False)
+    take: Callable[[Any], None] = field(compare=False)
     refuse: Callable[[str], None] = field(compare=False)
+    cells: int = field(compare=False, default=0)
     key: Hashable = field(default_factory=object)
 
     def make(self) -> tuple[Task, Any]:
@@ -79,7 +80,8 @@ class Errand(Job):
 
     def solved(self, held: Any, found: Any) -> int:
         """See ``Job``."""
-        return self.take(found)
+        self.take(found)
+        return self.cells
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
