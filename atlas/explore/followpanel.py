@@ -16,7 +16,7 @@ from atlas.explore.chosen import Chosen, Follow, Point, Range, followable
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.motionpanel import MotionPanel
-from atlas.explore.plot import quiet_axis
+from atlas.explore.plot import quiet
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.words import number, symbol_of
@@ -205,9 +205,7 @@ class _Shown:
         diagram.add_layout(self._span)
         self._points = ColumnDataSource({"branch_x": [], "branch_gap": []})
         diagram.scatter(x="branch_x", y="branch_gap", source=self._points, size=9, color=INK, line_color="white")
-        diagram.grid.visible = False
-        for axis in (diagram.xaxis[0], diagram.yaxis[0]):
-            quiet_axis(axis)
+        quiet(diagram)
         diagram.xaxis[0].axis_label = self._symbol
         self.motion = MotionPanel(self._subject)
         self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]

@@ -14,6 +14,7 @@ from atlas.errors import InputError, RunError
 from atlas.explore.compose import atlas_cells, atlas_covers, composed, seen_atlas
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import Patch, solve_patch
+from atlas.explore.sheets import LOOK
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
@@ -33,8 +34,6 @@ from workers.results import (
 if TYPE_CHECKING:
     import xarray as xr
 
-LOOK = 5.0
-"""Seconds after which it is looked for tiles that a run has added to the atlas itself."""
 DEPTH = 12
 """So many coarser levels are looked through for what was kept."""
 MOST_ROWS = 4096
@@ -57,7 +56,9 @@ class Known:
         self.subject, self.tiles, self.keeper = subject, Tiles(), keeper
         self._invalid = subject.without_results(subject.variables, (TILE, TILE))
         self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
-        self._admits = lru_cache(MOST_ROWS)(self._some_admitted)
+        self._admits = lru_cache(MOST_ROWS)(
+            lambda along, level, number: bool(subject.admitted(along, level, number, 1).any())
+        )
         self._done: NDArray[np.bool_] | None = None
         self._looked = float("-inf")
 
@@ -85,7 +86,7 @@ class Known:
 
     def outside(self, key: TileKey) -> bool:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
-        return not (self._admits("x", key.level_x, key.x) and self._admits("y", key.level_y, key.y))
+        return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
     def whole(self, plane: Plane, key: TileKey) -> Arrays | None:
         """All variables of a tile, from memory or from the store; None where it is not known."""
@@ -175,12 +176,6 @@ class Known:
             done = done[subject.layer] if done.ndim > 2 else done
             self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
         return self._done
-
-    def _some_admitted(self, along: str, level: int, number: int) -> bool:
-        """Whether a column ("x") or a row ("y") of tiles has a point in the valid range."""
-        lattice = self.subject.x if along == "x" else self.subject.y
-        index = np.arange(number * TILE, (number + 1) * TILE, dtype=np.int64)
-        return bool(lattice.admitted(self.subject.system.parameter(lattice.axis.name), level, index).any())
 
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
         """The parameters of a column and a row of a level."""

@@ -8,7 +8,6 @@ it. Levels below zero leave points out.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +89,3 @@ class Lattice:
         """
         first, last = self.positions(np.array([low, high]))
         return min(self.deepest, math.floor(math.log2(max(pixels, 1) / float(last - first)) + 0.25))
-
-    def admitted(self, parameter: Any, level: int, index: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which points of a level lie in the parameter's valid range."""
-        return np.asarray(parameter.admits(self.values(level, index)), dtype=bool)

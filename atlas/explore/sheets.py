@@ -15,14 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.making import remove_half_made
 from atlas.store.store import Header, create, done_tiles, open_arrays, read_header
 from atlas.store.zoom import make_plane, sheet_place
-from workers.model.parameter import Parameter
 
 SHEET = 16
 """Tiles of a sheet along each axis."""
@@ -33,7 +31,7 @@ MOST_ABSENT = 4096
 MOST_PLANES = 256
 """Planes whose digests are remembered."""
 LOOK = 5.0
-"""Seconds after which it is looked for what other explorers have written."""
+"""Seconds after which it is looked for what other explorers have written, or a run to the atlas itself."""
 
 Span = tuple[tuple[int, int], tuple[int, int]]
 
@@ -172,12 +170,15 @@ class Sheets:
 
     def span(self, key: SheetKey) -> Span | None:
         """The first and the last tile (y, x) of a sheet whose cells all lie in the valid ranges; None without any."""
-        subject, ends = self._subject, []
-        for lattice, level, number in ((subject.y, key.level_y, key.y), (subject.x, key.level_x, key.x)):
-            parameter = subject.system.parameter(lattice.axis.name)
-            ends.append(_admitted_tiles(lattice, parameter, level, number))
+        ends = []
+        for along, level, number in ((1, key.level_y, key.y), (0, key.level_x, key.x)):
+            first = number * SHEET
+            whole = np.flatnonzero(self._subject.admitted(along, level, first, SHEET).all(axis=1))
+            if not whole.size:
+                return None
+            ends.append((first + int(whole[0]), first + int(whole[-1])))
         (low_y, high_y), (low_x, high_x) = ends
-        return ((low_y, low_x), (high_y, high_x)) if low_y <= high_y and low_x <= high_x else None
+        return (low_y, low_x), (high_y, high_x)
 
     def span_with(self, key: TileKey) -> Span | None:
         """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
@@ -199,12 +200,3 @@ def depth(name: str) -> int:
     """How deep a sheet of this name lies, by both its levels."""
     x, y, *_ = name.split("_")
     return int(x[1:]) + int(y[1:])
-
-
-def _admitted_tiles(lattice: Lattice, parameter: Parameter, level: int, number: int) -> tuple[int, int]:
-    """The first and the last tile of a sheet, along one axis, whose points all lie in the valid range."""
-    first = number * SHEET
-    index = np.arange(first * TILE, (first + SHEET) * TILE, dtype=np.int64)
-    whole = lattice.admitted(parameter, level, index).reshape(SHEET, TILE).all(axis=1)
-    good = np.flatnonzero(whole)
-    return (first + int(good[0]), first + int(good[-1])) if good.size else (0, -1)

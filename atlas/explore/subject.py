@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, check_names
 from atlas.explore.lattice import Lattice
 from atlas.explore.patch import Patch, packed
-from atlas.explore.view import Sight, Stretch, TileKey
+from atlas.explore.view import TILE, Sight, Stretch, TileKey
 from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
@@ -210,6 +210,12 @@ class Subject:
     def points(self, x: Stretch, y: Stretch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The values of both axes at cells, (N,) each."""
         return self.x.values(x.level, x.index), self.y.values(y.level, y.index)
+
+    def admitted(self, along: int, level: int, first: int, count: int) -> NDArray[np.bool_]:
+        """Which cells of tiles along an axis, 0 across or 1 up, lie in its valid range, (count, TILE)."""
+        lattice, cells = (self.x, self.y)[along], Stretch(level, first * TILE, count * TILE)
+        values = lattice.values(level, cells.index)
+        return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE))
 
     def edges(self, sight: Sight) -> tuple[tuple[float, float], tuple[float, float]]:
         """Where the cells in view begin and end, along x and along y."""
