@@ -55,10 +55,8 @@ def dataset(
     spec, fixed = subject.spec, [name for name, _ in plane.parameters]
     described = coordinates(spec)
     across, up = subject.axes
-    coords: dict[str, Any] = {
-        across: (across, x, described[across].attributes),
-        up: (up, y, described[up].attributes),
-    }
+    values = {across: x, up: y}
+    coords: dict[str, Any] = {name: (name, values[name], described[name].attributes) for name in values}
     coords |= {name: ((), value, described[name].attributes) for name, value in plane.parameters}
     arrays = {
         name: ((up, across), values, variable_attributes(subject.variables[name], fixed))

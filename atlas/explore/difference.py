@@ -12,6 +12,7 @@ from atlas.explore.compose import Index, atlas_cells, dataset
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Known
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.state import Ends
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import STAGES, Sight, Stretch, TileKey
@@ -205,11 +206,9 @@ class DifferencePainter(Painter):
     def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
         return self._first.subject.edges(self._here.sight)
 
-    def _drawn(
-        self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
-    ) -> tuple[Screen, str]:
-        ends: dict[str, Any] = {"vmin": low, "vmax": high} if compares_numbers(chosen.kind) else {}
-        return screen(ds, change_of(chosen.kind, chosen.variable), pixels, KEY_WIDTH, **ends), self._note
+    def _drawn(self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends) -> tuple[Screen, str]:
+        taken: Any = dict(zip(("vmin", "vmax"), ends, strict=True)) if compares_numbers(chosen.kind) else {}
+        return screen(ds, change_of(chosen.kind, chosen.variable), pixels, KEY_WIDTH, **taken), self._note
 
     def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
         return {}

@@ -171,7 +171,7 @@ class Subject:
     def digest(self, plane: Plane) -> str:
         """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
         axes = [[axis.name, axis.values] for axis in self.spec.axes]
-        solve = {name: value for name, value in vars(self.settings).items()}
+        solve = dict(vars(self.settings))
         rest = {"parameters": dict(plane.parameters), "axes": axes, "solve": solve, "solver": SOLVER_VERSION}
         return digest_of(identity(self.system.resolved()) | rest)
 
@@ -231,10 +231,9 @@ class Subject:
 
     def spec_of(self, plane: Plane, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""
-        names = (axis.name for axis in self.spec.axes)
         axes = {
-            name: {"values": np.asarray(values), "scale": axis.scale}
-            for name, axis, values in zip(names, self.spec.axes, (x, y), strict=True)
+            axis.name: {"values": np.asarray(values), "scale": axis.scale}
+            for axis, values in zip(self.spec.axes, (x, y), strict=True)
         }
         return Spec(self.system, axes, dict(plane.parameters), self.settings)
 
