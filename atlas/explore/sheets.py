@@ -33,7 +33,7 @@ MOST_PLANES = 256
 LOOK = 5.0
 """Seconds after which it is looked for what other explorers have written, or a run to the atlas itself."""
 
-Span = tuple[tuple[int, int], tuple[int, int]]
+Span = tuple[range, range]
 
 
 class SheetKey(NamedTuple):
@@ -104,7 +104,7 @@ class Sheets:
             if span is not None:
                 with suppress(InputError, OSError):
                     header = read_header(sheet_place(self._header, self.digest(plane), key.name))
-                    return self._opened(at, header, span[0])
+                    return self._opened(at, header, span)
             self._absent[at] = now
             self._absent.move_to_end(at)
             while len(self._absent) > MOST_ABSENT:
@@ -113,10 +113,9 @@ class Sheets:
 
     def made(self, plane: Plane, key: SheetKey, span: Span) -> Sheet:
         """A sheet that there was not, made and open. For the claim's holder only."""
-        subject, digest = self._subject, self.digest(plane)
-        (low_y, low_x), (high_y, high_x) = span
-        x = Stretch(key.level_x, low_x * TILE, (high_x + 1 - low_x) * TILE)
-        y = Stretch(key.level_y, low_y * TILE, (high_y + 1 - low_y) * TILE)
+        subject, digest, (rows, columns) = self._subject, self.digest(plane), span
+        x = Stretch(key.level_x, columns.start * TILE, len(columns) * TILE)
+        y = Stretch(key.level_y, rows.start * TILE, len(rows) * TILE)
         described = {
             "long_name": "a plane as it was looked at",
             "parameters": dict(plane.parameters),
@@ -129,7 +128,7 @@ class Sheets:
             remove_half_made(place.local)
         header = create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
         with self._lock:
-            return self._opened((plane, key), header, (low_y, low_x))
+            return self._opened((plane, key), header, span)
 
     def close(self, digest: str, name: str) -> None:
         """Forget a sheet that is dropped, by the name of its plane and its own."""
@@ -169,26 +168,24 @@ class Sheets:
         return found
 
     def span(self, key: SheetKey) -> Span | None:
-        """The first and the last tile (y, x) of a sheet whose cells all lie in the valid ranges; None without any."""
-        ends = []
+        """The rows and columns of a sheet's tiles whose cells all lie in the valid ranges; None without any."""
+        found = []
         for along, level, number in ((1, key.level_y, key.y), (0, key.level_x, key.x)):
             first = number * SHEET
             whole = np.flatnonzero(self._subject.admitted(along, level, first, SHEET).all(axis=1))
             if not whole.size:
                 return None
-            ends.append((first + int(whole[0]), first + int(whole[-1])))
-        (low_y, high_y), (low_x, high_x) = ends
-        return (low_y, low_x), (high_y, high_x)
+            found.append(range(first + int(whole[0]), first + int(whole[-1]) + 1))
+        return found[0], found[1]
 
     def span_with(self, key: TileKey) -> Span | None:
         """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
         span = self.span(SheetKey.of(key))
-        if span is None or not (span[0][0] <= key.y <= span[1][0] and span[0][1] <= key.x <= span[1][1]):
-            return None
-        return span
+        return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
-    def _opened(self, at: tuple[Plane, SheetKey], header: Header, first: tuple[int, int]) -> Sheet:
+    def _opened(self, at: tuple[Plane, SheetKey], header: Header, span: Span) -> Sheet:
         """Keep a sheet open; those not used for longest are closed."""
+        first = span[0].start, span[1].start
         self._open[at] = sheet = Sheet(header, first, open_arrays(header), done_tiles(header), looked=time.monotonic())
         self._absent.pop(at, None)
         while len(self._open) > MOST_OPEN:
