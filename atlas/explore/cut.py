@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.explore.branches import Drawn
 from atlas.explore.chosen import Cut
-from atlas.explore.patch import Patch, packed, solve_patch
+from atlas.explore.patch import packed, solve_patch
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Plane, Subject
 from atlas.query.machine import gap_rows
@@ -104,10 +104,8 @@ def cut_job(
     """Points of a line to be solved: the diagonal of a grid of their values."""
     subject, index = line.subject, np.array(part)
     points = line.points(index)
-    settings = replace(subject.settings, section_samples=SAMPLES)
-    x, y = ((name, tuple(values.tolist())) for name, values in zip(subject.axes, points, strict=True))
-    diagonal = packed(np.eye(len(part), dtype=bool))
-    patch = Patch(subject.system, dict(line.plane.parameters), settings, x, y, diagonal)
+    grid = subject.grid(line.plane, *points, packed(np.eye(len(part), dtype=bool)))
+    patch = replace(grid, settings=replace(subject.settings, section_samples=SAMPLES))
 
     def taken(found: dict[str, NDArray[Any]]) -> None:
         values: dict[str, float | Array] = dict(line.plane.parameters)

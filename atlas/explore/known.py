@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, RunError
 from atlas.explore.compose import atlas_cells, atlas_covers, composed, seen_atlas
 from atlas.explore.kept import Keeper
-from atlas.explore.patch import Patch, solve_patch
+from atlas.explore.patch import solve_patch
 from atlas.explore.sheets import LOOK
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
@@ -145,16 +145,13 @@ class Known:
         if min(sight.x.level, sight.y.level) < 0:
             found = self._atlas_cell(plane, x, y)
             if found is not None:
-                across, up = (found.parameters[name] for name in self.subject.axes)
-                return across, up
+                return self.subject.point(found.parameters)[1:]
         j, i = self.subject.x.nearest(sight.x.level, x), self.subject.y.nearest(sight.y.level, y)
         return self._at(sight.x.level, sight.y.level, j, i)
 
     def solved(self, plane: Plane, x: float, y: float) -> Cell:
         """The cell at exactly this point, solved here and now."""
-        subject, (across, up) = self.subject, self.subject.axes
-        patch = Patch(subject.system, dict(plane.parameters), subject.settings, (across, (x,)), (up, (y,)))
-        found = solve_patch(patch)
+        found = solve_patch(self.subject.grid(plane, (x,), (y,)))
         return self._cell_of(plane, found, (0,), (x, y), (x, y))
 
     def atlas_done(self) -> NDArray[np.bool_] | None:

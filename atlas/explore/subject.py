@@ -181,6 +181,11 @@ class Subject:
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
         return plane.moved(name, admitted(self.system.parameter(name), value))
 
+    def point(self, values: Mapping[str, float]) -> tuple[Plane, float, float]:
+        """Where a cell with these parameters lies: the inverse of ``values``."""
+        x, y = (values[name] for name in self.axes)
+        return Plane(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
+
     @cached_property
     def variables(self) -> dict[str, Variable]:
         """The results of its cells, by name."""
@@ -222,12 +227,14 @@ class Subject:
         x, y = sight
         return self.x.edges(x.level, x.first, x.last), self.y.edges(y.level, y.first, y.last)
 
+    def grid(self, plane: Plane, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> Patch:
+        """What it takes to solve cells of a plane at these values of the axes."""
+        across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
+        return Patch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
+
     def patch(self, plane: Plane, key: TileKey, known: np.ndarray | None = None) -> Patch:
         """What it takes to solve a tile, less the cells that are known."""
-        wanted = b"" if known is None else packed(~known)
-        points = self.points(key.columns, key.rows)
-        x, y = ((name, tuple(values.tolist())) for name, values in zip(self.axes, points, strict=True))
-        return Patch(self.system, dict(plane.parameters), self.settings, x, y, wanted)
+        return self.grid(plane, *self.points(key.columns, key.rows), b"" if known is None else packed(~known))
 
     def spec_of(self, plane: Plane, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""
