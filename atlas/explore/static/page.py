@@ -23,6 +23,7 @@ from atlas.query.source import find_part
 from atlas.query.window import axis_names, refuse_table
 from atlas.render.coded import CodedMap, coded_maps, curves_over
 from atlas.render.drawing import check_units
+from atlas.spec.toml_text import spec_toml
 from atlas.text import byte_size
 from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
 
@@ -88,7 +89,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     }
     words = {
         "title": str(ds.attrs.get("title", "Impact atlas")),
-        "spec": about.spec_text(header.spec),
+        "spec": spec_toml(header.spec),
         "citation": about.citation(ds, header),
         "provenance": about.provenance(ds, header),
     }
