@@ -54,11 +54,8 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
     target = Path(path)
     check_path(target)
     text = page_of(ds, limit, most_cells)
-    try:
-        with written_whole(target) as unfinished:
-            unfinished.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    with written_whole(target) as unfinished:
+        unfinished.write_text(text, encoding="utf-8", newline="\n")
     return target
 
 
