@@ -1,6 +1,6 @@
 """What differs between two planes in view: compared at the cells that both know at the same parameters, no others."""
 
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable, Collection, Iterable, Set
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -73,7 +73,7 @@ def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]"
     return made, f"{says}, compared where both are known at the same parameters"
 
 
-def exact(seen: Seen, names: Iterable[str]) -> Arrays:
+def exact(seen: Seen, names: Collection[str]) -> Arrays:
     """The cells in view (y, x) that are known at their own parameters; what is known only nearby is pending."""
     (known, plane, sight), subject = seen, seen.known.subject
     found = subject.without_results(names, sight.shape)

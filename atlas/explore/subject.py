@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -197,7 +197,7 @@ class Subject:
         every = self.variables.values()
         return [each.name for each in every if not each.extra and each.name not in (REGIME.name, REASON.name)]
 
-    def without_results(self, names: Iterable[str], shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
+    def without_results(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
         """Arrays of cells that have no results yet; InputError for a variable that there is not."""
         unknown = [name for name in names if name not in self.variables]
         if unknown:
