@@ -164,12 +164,10 @@ class Known:
             return None
         if time.monotonic() - self._looked > LOOK and (self._done is None or not self._done.all()):
             self._looked = time.monotonic()
-            done = np.zeros(subject.stored.tiling.grid, dtype=bool)
+            tiling = subject.stored.tiling
+            done = np.zeros(tiling.shape, dtype=bool)
             for index in done_tiles(subject.stored):
-                done[index] = True
-            for dim, size in enumerate(subject.stored.tile):
-                done = np.repeat(done, size, axis=dim)
-            done = done[tuple(slice(n) for n in subject.stored.tiling.shape)]
+                done[tiling.at(index).slices] = True
             done = done[subject.layer] if done.ndim > 2 else done
             self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
         return self._done
