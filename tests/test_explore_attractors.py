@@ -21,7 +21,6 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.view import Sight, View
 from atlas.explore.words import attractors_table
 from atlas.query.queries import at
 from atlas.store.store import read_header
@@ -111,7 +110,7 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
 ) -> None:
     with exploring(coexistence, client) as explorer:
         subject = explorer.subject
-        sight = Sight.of(View((3.9, 4.1), (0.75, 0.8), 16, 16), subject.x, subject.y)
+        sight = subject.sight((3.9, 4.1), (0.75, 0.8), (16, 16))
         solved(explorer, sight)
         shown = explorer.known.seen(subject.plane, sight, ["largest"])
     assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)

@@ -17,7 +17,7 @@ from atlas.explore.explorer import MOST_OTHERS, Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.view import Sight, TileKey, View
+from atlas.explore.view import TileKey
 from tests.test_explore_solving import exploring, waited
 from workers.results import PENDING, REGIME
 
@@ -64,7 +64,7 @@ def test_what_was_chosen_goes_along_to_other_axes(explorer: Explorer) -> None:
 def test_cells_over_other_axes_are_those_of_the_point_command_to_the_bit(explorer: Explorer) -> None:
     turned = explorer.turned(("R", "b"))
     subject, plane = turned.subject, turned.subject.plane.moved("omega", 3.9)
-    sight = Sight.of(View((0.7, 0.8), (0.45, 0.55), 20, 20), subject.x, subject.y)
+    sight = subject.sight((0.7, 0.8), (0.45, 0.55), (20, 20))
     turned.want("test", plane, sight, range(3, -1, -1))
     assert waited(lambda: turned.patches.left("test") == 0)
     assert not np.any(turned.known.seen(plane, sight, [])[REGIME.name].values == PENDING)

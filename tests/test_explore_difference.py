@@ -17,7 +17,7 @@ from atlas.explore.kept import Keeper
 from atlas.explore.known import Known
 from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Subject, exploring, subject_of
-from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
+from atlas.explore.view import STAGES, TILE, Sight, TileKey
 from atlas.render.change import CHANGE, change_of
 from atlas.render.screen import screen
 from atlas.render.style import rgb
@@ -26,17 +26,13 @@ from atlas.spec.axis import Axis
 from workers.results import CHAOTIC, PENDING, PERIODIC, REGIME, UNDETERMINED, empty_results
 
 AXES = {"omega": {"start": 2, "stop": 4, "num": 101}, "b": {"start": 0.1, "stop": 0.5, "num": 81}}
-WINDOW = View((2.3, 2.9), (0.2, 0.3), 150, 100)
+WINDOW = (2.3, 2.9), (0.2, 0.3), (150, 100)
 
 
 def known_of(axes: Mapping[str, Any] = AXES) -> Known:
     spec = atlas.Spec("two-mass", axes)
     subject = Subject(spec, exploring(spec.settings))
     return Known(subject, Keeper(subject))
-
-
-def sight_of(known: Known, view: View = WINDOW) -> Sight:
-    return Sight.of(view, known.subject.x, known.subject.y)
 
 
 def put(known: Known, R: float, keys: Iterable[TileKey], seed: int) -> list[xr.Dataset]:
@@ -52,8 +48,8 @@ def put(known: Known, R: float, keys: Iterable[TileKey], seed: int) -> list[xr.D
         arrays["period"][:] = np.where(arrays[REGIME.name] == PERIODIC, rng.integers(1, 4, (TILE, TILE)), 0)
         known.tiles.put(subject.plane.moved("R", R), key, arrays)
         coords = {
-            "b": subject.y.values(key.level_y, key.index_y()),
-            "omega": subject.x.values(key.level_x, key.index_x()),
+            "b": subject.y.values(key.level_y, key.rows.index),
+            "omega": subject.x.values(key.level_x, key.columns.index),
         }
         names = ("largest", "regime", "period")
         made.append(xr.Dataset({name: (("b", "omega"), arrays[name]) for name in names}, coords))
@@ -62,10 +58,7 @@ def put(known: Known, R: float, keys: Iterable[TileKey], seed: int) -> list[xr.D
 
 def naive(tiles: list[xr.Dataset], known: Known, sight: Sight) -> xr.Dataset:
     """Cells at the parameters of a view, found by their coordinates in tiles of which later ones go over earlier."""
-    b, omega = (
-        known.subject.y.values(sight.level_y, sight.index_y),
-        known.subject.x.values(sight.level_x, sight.index_x),
-    )
+    omega, b = known.subject.points(*sight)
     found = xr.Dataset(coords={"b": b, "omega": omega})
     for name in ("largest", "regime", "period"):
         values = xr.DataArray(np.full((b.size, omega.size), np.nan), {"b": b, "omega": omega}, ("b", "omega"))
@@ -84,7 +77,7 @@ def naive(tiles: list[xr.Dataset], known: Known, sight: Sight) -> xr.Dataset:
 def planes() -> tuple[Seen, Seen, xr.Dataset, xr.Dataset]:
     """Two planes of which some tiles are known, in full density or coarser, and the same by the naive twin."""
     known = known_of()
-    sight = sight_of(known)
+    sight = known.subject.sight(*WINDOW)
     coarse, fine = sight.tiles(2), sight.tiles(0)
     here = put(known, 0.7, [*coarse, *fine[::2]], 1)
     there = put(known, 0.75, [*sight.tiles(1), *fine[: len(fine) // 2]], 2)
@@ -146,7 +139,7 @@ def test_a_cell_that_is_not_compared_takes_what_the_nearest_coarser_one_has_and_
 
 def test_grids_are_compared_at_their_common_points_alone() -> None:
     halves, thirds = (known_of({"omega": {"start": 2, "stop": 4, "num": num}, "b": AXES["b"]}) for num in (101, 151))
-    one, other = (Seen(known, known.subject.plane, sight_of(known)) for known in (halves, thirds))
+    one, other = (Seen(known, known.subject.plane, known.subject.sight(*WINDOW)) for known in (halves, thirds))
     R = dict(one.plane.parameters)["R"]
     tiles = [put(seen.known, R, seen.sight.tiles(0), seed) for seed, seen in enumerate((one, other))]
     here, there = (naive(each, halves, one.sight) for each in tiles)
@@ -159,7 +152,7 @@ def test_grids_are_compared_at_their_common_points_alone() -> None:
 
 def test_planes_without_a_common_cell_are_said_to_have_none() -> None:
     one, other = (known_of({"omega": {"start": start, "stop": 4, "num": 101}, "b": AXES["b"]}) for start in (2, 2.003))
-    seen = [Seen(known, known.subject.plane, sight_of(known)) for known in (one, other)]
+    seen = [Seen(known, known.subject.plane, known.subject.sight(*WINDOW)) for known in (one, other)]
     for known, sight in ((each.known, each.sight) for each in seen):
         put(known, dict(known.subject.plane.parameters)["R"], sight.tiles(0), 1)
     made, says = changes(seen[0], seen[1], replace(beginning(one.subject), kind="exponent"))
@@ -181,11 +174,10 @@ def test_a_plane_of_a_store_is_compared_at_its_own_cells_also_where_pixels_are_c
     subject = subject_of(str(finished))
     known = Known(subject, Keeper(subject))
     (x, y) = (np.array(axis.values) for axis in subject.spec.axes)
-    beyond = View((float(x[0]), float(2 * x[-1] - x[0])), (float(y[0]), float(y[-1])), 6, 3)
-    sight = Sight.of(beyond, subject.x, subject.y)
-    assert min(sight.level_x, sight.level_y) < 0
+    sight = subject.sight((float(x[0]), float(2 * x[-1] - x[0])), (float(y[0]), float(y[-1])), (6, 3))
+    assert min(sight.x.level, sight.y.level) < 0
     seen = Seen(known, subject.plane, sight)
-    found, (b, omega) = exact(seen, ["largest", "regime"]), seen.points
+    found, (omega, b) = exact(seen, ["largest", "regime"]), seen.points
     cells = atlas.open(finished)[["largest", "regime"]].reindex(b=b, omega=omega)
     assert 2 < int(cells.regime.notnull().sum()) < cells.regime.size
     assert np.array_equal(found["largest"], cells.largest.values, equal_nan=True)
@@ -215,7 +207,7 @@ def test_every_kind_has_a_picture_of_its_difference(
 
 def test_a_class_that_differs_has_the_colour_of_the_second_plane_and_others_are_white() -> None:
     known = known_of()
-    sight = sight_of(known)
+    sight = known.subject.sight(*WINDOW)
     for R, seed in ((0.7, 1), (0.75, 1)):
         put(known, R, sight.tiles(0), seed)
     moved = known.subject.plane.moved("R", 0.75)

@@ -16,7 +16,7 @@ import pytest
 
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import subject_of
-from atlas.explore.view import Sight, View
+from atlas.explore.view import Sight
 from atlas.explore.words import progress
 from atlas.service.cluster import connected, local_cluster
 from tests.test_explore_solving import waited
@@ -66,7 +66,7 @@ def line(explorer: Explorer) -> str:
 
 def begun(explorer: Explorer, pixels: int) -> Sight:
     """Have a view solved, and wait for the first of its tiles."""
-    sight = Sight.of(View(*WINDOW, pixels, pixels), explorer.subject.x, explorer.subject.y)
+    sight = explorer.subject.sight(*WINDOW, (pixels, pixels))
     explorer.listen("test", lambda *_: None)
     count = explorer.want("test", explorer.subject.plane, sight, range(3, -1, -1))
     assert waited(lambda: explorer.patches.left("test") < count, 120.0)

@@ -24,7 +24,7 @@ from atlas.explore.patches import Patches, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
 from atlas.explore.tiles import Tiles
-from atlas.explore.view import TILE, Sight, TileKey, View
+from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.lease import claimed
 from atlas.store.sidecar import notes_of
 from atlas.store.store import read_header
@@ -46,7 +46,7 @@ def view_of(subject: Subject, pixels: int = 40) -> Sight:
     """A window within the plane, a few tiles of it."""
     (x, y) = (np.array(axis.values) for axis in subject.spec.axes)
     window = (float(x[1]), float(x[3])), (float(y[1]), float(y[3]))
-    return Sight.of(View(*window, pixels, pixels), subject.x, subject.y)
+    return subject.sight(*window, (pixels, pixels))
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
 def test_the_cells_of_a_view_that_are_missing_are_counted_at_its_full_density(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
-        cells = sight.index_x.size * sight.index_y.size
+        cells = sight.x.count * sight.y.count
         assert known.missing(plane, sight) == cells
         explorer.want("test", plane, sight, range(3, 0, -1))  # all but the full density
         assert waited(lambda: explorer.patches.left("test") == 0) and known.missing(plane, sight) == cells
@@ -199,7 +199,7 @@ def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explore
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         solved(explorer, sight)
-    (chunk, *_) = sorted((finished / "zoom").glob(f"*/x{sight.level_x}_*/largest/c/*/*"))
+    (chunk, *_) = sorted((finished / "zoom").glob(f"*/x{sight.x.level}_*/largest/c/*/*"))
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
     report = atlas.verify(finished, sample=0)
     assert not report.fine and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
@@ -422,7 +422,7 @@ def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished:
             assert np.array_equal(
                 found[name].reshape(solved_so.shape), solved_so, equal_nan=solved_so.dtype.kind == "f"
             )
-        sight = Sight.of(View((2.0, 3.0), (-20.0, -19.0), 30, 30), subject.x, subject.y)
+        sight = subject.sight((2.0, 3.0), (-20.0, -19.0), (30, 30))
         assert solved(explorer, sight) == []
         assert (explorer.known.seen(subject.plane, sight, []).regime == INVALID).all()
 
@@ -431,7 +431,7 @@ def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished:
 def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         subject = explorer.subject
-        sight = Sight.of(View((2.0, 3.0), (-0.1, 0.1), 30, 30), subject.x, subject.y)
+        sight = subject.sight((2.0, 3.0), (-0.1, 0.1), (30, 30))
         solved(explorer, sight)
         ds = explorer.known.seen(subject.plane, sight, [])
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}

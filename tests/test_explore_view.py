@@ -19,7 +19,7 @@ from atlas.explore.patches import State as Work
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Plane, Subject, exploring, subject_of
 from atlas.explore.tiles import Tiles
-from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
+from atlas.explore.view import STAGES, TILE, TileKey
 from atlas.explore.words import plain, progress, progress_bar, ticks
 from atlas.render import SCALAR
 from atlas.render.screen import screen
@@ -84,12 +84,12 @@ def test_an_axis_of_one_point_cannot_be_explored() -> None:
 
 
 def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(subject: Subject) -> None:
-    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 640, 480), subject.x, subject.y)
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (640, 480))
     levels = [{key.level_x for key in sight.tiles(stage)} for stage in range(STAGES + 1)]
-    assert levels == [{sight.level_x - stage} for stage in range(STAGES + 1)]
+    assert levels == [{sight.x.level - stage} for stage in range(STAGES + 1)]
     finest = sight.tiles(0)
-    middle = 0.5 * (sight.first_x + sight.last_x), 0.5 * (sight.first_y + sight.last_y)
-    width, height = sight.index_x.size, sight.index_y.size
+    middle = 0.5 * (sight.x.first + sight.x.last), 0.5 * (sight.y.first + sight.y.last)
+    height, width = sight.shape
     away = [
         np.hypot(((k.x + 0.5) * TILE - middle[0]) / width, ((k.y + 0.5) * TILE - middle[1]) / height) for k in finest
     ]
@@ -97,9 +97,9 @@ def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(s
 
 
 def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject) -> None:
-    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 640, 480), subject.x, subject.y)
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (640, 480))
     for stage in range(STAGES + 1):
-        covered = np.zeros((sight.index_y.size, sight.index_x.size), int)
+        covered = np.zeros(sight.shape, int)
         for key in sight.tiles(stage):
             covered[sight.place(key)] += 1
         assert np.all(covered == 1)
@@ -108,8 +108,8 @@ def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject
 def test_the_tile_above_has_every_fourth_cell_of_a_tile() -> None:
     for key in (TileKey(3, 2, 5, -4), TileKey(1, 1, -1, 0)):
         rows, columns = key.quarter
-        assert np.array_equal(2 * key.above.index_x()[columns], key.index_x()[::2])
-        assert np.array_equal(2 * key.above.index_y()[rows], key.index_y()[::2])
+        assert np.array_equal(2 * key.above.columns.index[columns], key.columns.index[::2])
+        assert np.array_equal(2 * key.above.rows.index[rows], key.rows.index[::2])
         assert key in below(key.above)
 
 
@@ -122,13 +122,13 @@ def filled(subject: Subject, key: TileKey, value: float) -> dict[str, np.ndarray
 
 
 def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Subject) -> None:
-    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 300, 200), subject.x, subject.y)
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (300, 200))
     coarse, fine = sight.tiles(2)[0], sight.tiles(0)[0]
     tiles = Tiles()
     for key, value in ((fine, 1.0), (coarse, 4.0)):
         tiles.put(subject.plane, key, filled(subject, key, value))
     ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
-    expected = np.full((sight.index_y.size, sight.index_x.size), np.nan)
+    expected = np.full(sight.shape, np.nan)
     expected[sight.place(coarse)] = 4.0
     expected[sight.place(fine)] = 1.0
     assert np.array_equal(ds.largest.values, expected, equal_nan=True)
@@ -136,10 +136,10 @@ def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Sub
 
 
 def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Subject) -> None:
-    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 300, 200), subject.x, subject.y)
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (300, 200))
     key = sight.tiles(1)[0]
     arrays = filled(subject, key, 0.0)
-    arrays["largest"] += subject.x.values(key.level_x, key.index_x())
+    arrays["largest"] += subject.x.values(key.level_x, key.columns.index)
     tiles = Tiles()
     tiles.put(subject.plane, key, arrays)
     ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
@@ -172,7 +172,7 @@ def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subj
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
     write_curves(read_header(finished), curves())
     stored = subject_of(str(finished))
-    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 30, 20), stored.x, stored.y)
+    sight = stored.sight((2.3, 2.9), (0.2, 0.3), (30, 20))
     assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"])).curves) == len(curves().curves)
     chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
     assert chosen.drawn(stored) == ("grazing", "curves")
@@ -182,7 +182,7 @@ def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> N
 def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(finished: Path) -> None:
     write_curves(read_header(finished), curves())
     stored = subject_of(str(finished))
-    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 60, 40), stored.x, stored.y)
+    sight = stored.sight((2.3, 2.9), (0.2, 0.3), (60, 40))
     tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
     for kind in kinds(stored):
         chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
@@ -312,8 +312,7 @@ def test_the_text_of_a_spec_is_read_as_that_spec() -> None:
         record = atlas.Spec(system, {"omega": [1.0, 2.0], "R": [0.5, 0.6]}).record
         sides = axes if system == "two-mass" else {"omega": axes["omega"], "A": axes["b"]}
         made = atlas.Spec(record, sides, {"R": 0.7}, atlas.Settings(tolerance=0.02))
-        text = spec_toml(record, made.parameters, sides, made.settings)
-        assert Spec.from_mapping(parse_toml(text)).digest == made.digest
+        assert Spec.from_mapping(parse_toml(spec_toml(made))).digest == made.digest
 
 
 def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None:
@@ -323,7 +322,7 @@ def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None
     record = replace(atlas.Spec("two-mass", {"omega": [1.0, 2.0]}).record, packaged=False, name="mine")
     sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
     made = atlas.Spec(record, sides)
-    assert Spec.from_mapping(parse_toml(spec_toml(record, made.parameters, sides, made.settings))).digest == made.digest
+    assert Spec.from_mapping(parse_toml(spec_toml(made))).digest == made.digest
 
 
 def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
@@ -337,7 +336,7 @@ def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
     }
     record = replace(atlas.Spec("bouncing-ball", {"omega": [1.0, 2.0]}).record, **own)
     sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
-    assert parse_toml(spec_toml(record, {}, sides, atlas.Settings()))["system"] == record.table()
+    assert parse_toml(spec_toml(atlas.Spec(record, sides)))["system"] == record.table()
 
 
 def test_a_plane_is_told_by_its_parameters_alone() -> None:

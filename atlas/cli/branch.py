@@ -199,10 +199,7 @@ def _write(found: Branches, out: Path, look: dict[str, Any]) -> None:
     if suffix == ".csv":
         write_rows(out, _records(found.points))
     elif suffix == ".json":
-        try:
-            with written_whole(out) as unfinished:
-                unfinished.write_text(to_json(summary(found) | {"points": _records(found.points)}) + "\n")
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+        with written_whole(out) as unfinished:
+            unfinished.write_text(to_json(summary(found) | {"points": _records(found.points)}) + "\n")
     else:
         render(found, out, **look)

@@ -22,17 +22,14 @@ def export(found: Curves, path: str | Path) -> None:
     """
     target = Path(path)
     check_path(target)
-    try:
-        with written_whole(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-            if target.suffix.lower() == ".csv":
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(columns(found.axes))
-                writer.writerows(rows(found))
-            else:
-                json.dump(as_json(found), file, allow_nan=False)
-                file.write("\n")
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    with written_whole(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+        if target.suffix.lower() == ".csv":
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns(found.axes))
+            writer.writerows(rows(found))
+        else:
+            json.dump(as_json(found), file, allow_nan=False)
+            file.write("\n")
 
 
 def check_path(path: Path) -> None:

@@ -18,7 +18,6 @@ from atlas.render import SCALAR, figure, has_scale, render
 from atlas.render.screen import drawing
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
-from atlas.spec.attractors import resolved_attractors
 from atlas.spec.spec import Spec
 from atlas.spec.toml_text import spec_toml
 
@@ -83,8 +82,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     }
     parameters, settings = dict(chosen.plane.parameters), subject.spec.settings
     spec = Spec(subject.system, axes, parameters, settings, attractors=subject.attractors)
-    attractors = None if spec.attractors is None else resolved_attractors(spec.attractors)
-    text = spec_toml(subject.system, parameters, axes, settings, attractors) + pins_text(chosen.pins)
+    text = spec_toml(spec) + pins_text(chosen.pins)
     for number in range(1, 1000):
         file = folder / f"{Path(subject.name).stem}-{number}.toml"
         try:

@@ -1,14 +1,14 @@
 """All attractors of a cell that was clicked: those that the store has, else found on the cluster from many starts."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from atlas.cell.attractors import in_words
 from atlas.explore.known import Cell
-from atlas.explore.patch import Patch, solve_patch
+from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject
 from atlas.explore.tiles import Arrays
@@ -50,15 +50,13 @@ def known_attractors(subject: Subject, cell: Cell) -> Attractors | None:
 
 def search_job(subject: Subject, cell: Cell, take: Callable[[Attractors], None]) -> Errand:
     """All attractors of a cell to be found; ``take`` gets them, or why there are none."""
-    fixed = {name: cell.parameters[name] for name, _ in subject.plane.parameters}
-    sides = [(name, (cell.parameters[name],)) for name in subject.axes]
-    patch = Patch(subject.system, fixed, subject.settings, sides[0], sides[1], starts=subject.starts)
+    plane, x, y = subject.point(cell.parameters)
+    patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
 
-    def taken(arrays: Arrays) -> int:
+    def taken(arrays: Arrays) -> None:
         take(_found(subject, arrays))
-        return 1
 
-    return Errand((solve_patch, patch), taken, lambda why: take(Attractors(trouble=why)))
+    return Errand((solve_patch, patch), taken, lambda why: take(Attractors(trouble=why)), cells=1)
 
 
 def _found(subject: Subject, arrays: Arrays) -> Attractors:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,12 +57,7 @@ def basin_job(
     grid: Grid, rows: slice, take: Callable[[Grid, slice, NDArray[np.int32]], None], refuse: Callable[[str], None]
 ) -> Errand:
     """Some rows of a plane of initial states to be solved."""
-
-    def taken(found: NDArray[np.int32]) -> int:
-        take(grid, rows, found)
-        return found.size
-
-    return Errand((solve_rows, (grid, rows)), taken, refuse)
+    return Errand((solve_rows, (grid, rows)), partial(take, grid, rows), refuse, len(grid.x[1]) * len(grid.y[1][rows]))
 
 
 def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:

@@ -16,7 +16,7 @@ from atlas.explore.background import Background
 from atlas.explore.basins import BAND, SIDE, UNSOLVED, Grid, basin_job
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
-from atlas.explore.plot import quiet_axis
+from atlas.explore.plot import quiet
 from atlas.explore.style import TEXT
 from atlas.explore.words import symbol_of
 from atlas.render.classes import BASINS
@@ -43,9 +43,7 @@ class BasinsPanel:
         look: dict[str, Any] = {"marker": "circle", "fill_color": "white", "line_color": "black"}
         self._plot.scatter(x="start_x", y="start_y", source=self._start, size=8, **look)
         self._plot.x_range.range_padding = self._plot.y_range.range_padding = 0
-        self._plot.grid.visible = False
-        for axis in (self._plot.xaxis[0], self._plot.yaxis[0]):
-            quiet_axis(axis)
+        quiet(self._plot)
         self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
 
     def offer(self, cell: Cell) -> None:

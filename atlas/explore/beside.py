@@ -5,13 +5,13 @@ from dataclasses import replace
 from typing import Any
 
 from bokeh.layouts import column
-from bokeh.models import Button, Div, NumericInput, Select
+from bokeh.models import Button, NumericInput, Select
 
 from atlas.errors import InputError
-from atlas.explore.chosen import ATLAS, DIFFERENCE, PLANE, Beside, Chosen, kinds, overlays, variables
+from atlas.explore.chosen import ATLAS, DIFFERENCE, PLANE, Beside, Chosen, kinds, overlays
+from atlas.explore.controls import heading
 from atlas.explore.explorer import Explorer
 from atlas.explore.state import State, Store
-from atlas.explore.style import TEXT
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.words import NAMES, symbol_of
 from atlas.render import SCALAR, has_scale
@@ -39,7 +39,7 @@ def second(home: Explorer, explorer: Explorer, state: State) -> tuple[Explorer, 
         shown = replace(shown, kind=kind, variable=variable or shown.variable, log=False, vmin=None, vmax=None)
     elif kind == SCALAR or has_scale(chosen.kind):
         shown = replace(shown, vmin=state.ends[0], vmax=state.ends[1])  # one scale for both
-    if shown.kind not in kinds(there.subject) or (variable and variable not in variables(there.subject)):
+    if shown.kind not in kinds(there.subject) or (variable and variable not in there.subject.numbers):
         raise InputError(f"second.drawn: {there.subject.name} has no {variable or shown.kind!r}")
     return there, shown
 
@@ -86,7 +86,7 @@ class BesidePanel:
         drawn = {
             "compared": [(SAME, "the same map"), (DIFFERENCE, "the difference")],
             "maps": [(kind, kind) for kind in kinds(subject) if kind != SCALAR],
-            "variables": [(f"{SCALAR}:{name}", NAMES.get(name, name.replace("_", " "))) for name in variables(subject)],
+            "variables": [(f"{SCALAR}:{name}", NAMES.get(name, name.replace("_", " "))) for name in subject.numbers],
         }
         self._open = Button(label="compare", **wide)
         self._of = Select(title="the second plane shows", options=of, **wide)
@@ -94,8 +94,7 @@ class BesidePanel:
         self._drawn = Select(title="drawn as", options=drawn, **wide)
         close = Button(label="close the second plane", **wide)
         self._chosen = column(self._of, self._value, self._drawn, close, **wide)
-        heading = Div(text="<h4>a second plane</h4>", stylesheets=[TEXT], margin=(0, 5, 0, 5))
-        self.panel = column(heading, self._open, self._chosen, **wide)
+        self.panel = column(heading("a second plane"), self._open, self._chosen, **wide)
         self._open.on_click(lambda: self._choose(of=of[0][0]))
         close.on_click(lambda: store.choose(beside=None))
         for widget, name in ((self._of, "of"), (self._value, "value"), (self._drawn, "drawn")):

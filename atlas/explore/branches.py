@@ -224,17 +224,11 @@ def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen, cell: 
 
 def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> Follow:
     """A cell's own orbit, to be followed in smaller steps over what is in view of an axis, or over another's slider."""
-    value, parameter = cell_values(subject, cell)[along], subject.system.parameter(along)
+    value, parameter = subject.values(*cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
     seen = dict(zip(subject.axes, (chosen.x, chosen.y), strict=True)).get(along, limits)
     low, high = (end if parameter.admits(end) else limit for end, limit in zip(seen, limits, strict=True))
     return Follow(along, min(low, value), max(high, value), 0, value)
-
-
-def cell_values(subject: Subject, cell: Where) -> dict[str, float]:
-    """All parameters of a cell."""
-    plane, *at = cell
-    return dict(plane.parameters) | dict(zip(subject.axes, at, strict=True))
 
 
 def follow_job(
@@ -242,15 +236,14 @@ def follow_job(
 ) -> Errand:
     """The branch of a cell's orbit to be found."""
 
-    def taken(found: Followed) -> int:
+    def taken(found: Followed) -> None:
         found.motion(found.here(found.own, follow.value))  # loads the kernels here, not in the page's thread
         take(found)
-        return 0
 
     axes, part = dict(zip(subject.axes, subject.spec.axes, strict=False)), (follow.low, follow.high)
     ends = (*part, *(axes[follow.along].values if follow.along in axes else ()))
     windows = (min(ends), max(ends)), part
-    asked = subject.system, cell_values(subject, cell), subject.spec.settings, follow.along, windows
+    asked = subject.system, subject.values(*cell), subject.spec.settings, follow.along, windows
     return Errand((follow_orbit, asked), taken, refuse)
 
 

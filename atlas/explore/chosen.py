@@ -1,9 +1,9 @@
 """What a page shows of its subject, as its controls and its address say: window, plane, kind, overlays, scale."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 from atlas.errors import InputError, check_names
@@ -44,11 +44,10 @@ PLANE, ATLAS, DIFFERENCE = "plane", "atlas", "difference"
 plane that shows the difference.
 """
 
-_OTHERS = (
+ARGUMENTS = (
     "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow.orbit", "without",
-    "second.of", "second.drawn",
+    "second.of", "second.drawn", "axes", "layer", "pin", "token",
 )  # fmt: skip
-ARGUMENTS = (*_OTHERS, "axes", "layer", "pin", "token")
 """What an address has besides parameters, whose names have no dot; ``token`` is the server's."""
 
 
@@ -141,25 +140,14 @@ class Chosen:
 
 def kinds(subject: Subject) -> list[str]:
     """The kinds of maps whose variables the subject has."""
-    held = {variable.name for variable in subject.system.variables(subject.settings)}
-    known = [kind for kind in MAPS if held >= set(needs(kind))]
+    known = [kind for kind in MAPS if subject.variables.keys() >= set(needs(kind))]
     return [kind for kind in known if kind != CHART or subject.stored is not None] + [SCALAR]
 
 
 def overlays(subject: Subject) -> list[str]:
     """The lines that may be drawn over its maps."""
-    held = {variable.name for variable in subject.system.variables(subject.settings)}
-    without = {CURVES: subject.stored is None, "isolines": LARGEST.name not in held}
+    without = {CURVES: subject.stored is None, "isolines": LARGEST.name not in subject.variables}
     return [name for name in MAP_OVERLAYS if not without.get(name, False)]
-
-
-def variables(subject: Subject) -> list[str]:
-    """The variables that can be mapped alone."""
-    return [
-        v.name
-        for v in subject.system.variables(subject.settings)
-        if not v.extra and v.name not in (REGIME.name, "reason")
-    ]
 
 
 def followable(subject: Subject) -> list[str]:
@@ -171,7 +159,7 @@ def followable(subject: Subject) -> list[str]:
 def beginning(subject: Subject) -> Chosen:
     """The whole plane, drawn as the first kind that there is."""
     x, y = ((axis.values[0], axis.values[-1]) for axis in subject.spec.axes[:2])
-    return Chosen(x, y, subject.plane, kinds(subject)[0], variables(subject)[0])
+    return Chosen(x, y, subject.plane, kinds(subject)[0], subject.numbers[0])
 
 
 def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Chosen:
@@ -201,18 +189,8 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
 def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chosen:
     """What an address asks for of a subject; InputError, which names the argument, for what it cannot."""
     chosen, given = beginning(subject), {name: values[-1].decode() for name, values in arguments.items()}
-    x, y = subject.axes
-    for name, value in sorted(
-        given.items(), key=lambda pair: pair[0] in ("cell", "second.drawn")
-    ):  # which go with others
-        if name == x:
-            chosen = replace(chosen, x=_range(name, value, subject.x.log))
-        elif name == y:
-            chosen = replace(chosen, y=_range(name, value, subject.y.log))
-        elif name in dict(chosen.plane.parameters):
-            chosen = replace(chosen, plane=subject.moved(chosen.plane, name, _number(name, value)))
-        elif name in _OTHERS:
-            chosen = _other(subject, chosen, name, value)
+    for name in sorted(given, key=lambda name: name in ("cell", "second.drawn")):  # these two go with others
+        chosen = replace(chosen, **_fields(subject, chosen, name, given[name]))
     pins = tuple(_pin(subject, text.decode()) for text in arguments.get("pin", ()))
     if chosen.follow is not None and chosen.cell is None:
         raise InputError("follow: needs a cell, whose orbit is followed")
@@ -257,43 +235,51 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     return urlencode(pairs, safe=":,")
 
 
-def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
-    possible = {"kind": kinds(subject), "variable": variables(subject)}.get(name)
-    if possible is not None:
-        if value not in possible:
-            raise InputError(f"{name}: found {value!r}; possible: {', '.join(possible)}")
-        return replace(chosen, kind=value) if name == "kind" else replace(chosen, variable=value)
-    if name in ("overlay", "without"):
-        wanted = tuple(value.split(",")) if value else ()
-        known = overlays(subject) if name == "overlay" else CURVE_KINDS
-        unknown = [each for each in wanted if each not in known]
-        if unknown:
-            raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(known)}")
-        if name == "without":
-            return replace(chosen, hidden=tuple(sorted(wanted, key=CURVE_KINDS.index)))
-        return replace(chosen, overlays=wanted)
+def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str, Any]:
+    """What an argument of an address changes of what is chosen."""
+    (x, y), listed = subject.axes, value.split(",") if value else []
+    if name == x:
+        return {"x": _range(name, value, subject.x.log)}
+    if name == y:
+        return {"y": _range(name, value, subject.y.log)}
+    if name in dict(chosen.plane.parameters):
+        return {"plane": subject.moved(chosen.plane, name, _number(name, value))}
+    if name == "kind":
+        return {name: _possible(name, [value], kinds(subject))[0]}
+    if name == "variable":
+        return {name: _possible(name, [value], subject.numbers)[0]}
     if name == "log":
-        return replace(chosen, log=value == "1")
+        return {name: value == "1"}
+    if name == "overlay":
+        return {"overlays": _possible(name, listed, overlays(subject))}
+    if name == "without":
+        return {"hidden": tuple(sorted(_possible(name, listed, CURVE_KINDS), key=CURVE_KINDS.index))}
     if name == "cell":
-        x, y = _numbers(name, value, 2)
-        return replace(chosen, cell=(chosen.plane, x, y))
+        return {name: (chosen.plane, *_numbers(name, value, 2))}
     if name == "follow.orbit":
         along, _, numbers = value.partition(",")
         check_names("parameter in follow", [along], followable(subject))
         low, high, step, at = _numbers(name, numbers, 4)
-        return replace(chosen, follow=Follow(along, low, high, round(step), at))
+        return {"follow": Follow(along, low, high, round(step), at)}
     if name == "cut":
-        x, y, to_x, to_y = _numbers(name, value, 4)
-        if (x, y) == (to_x, to_y):
+        ends = _numbers(name, value, 4)
+        if ends[:2] == ends[2:]:
             raise InputError(f"cut: found {value!r}, which begins and ends at one point")
-        return replace(chosen, cut=(x, y, to_x, to_y))
+        return {name: ends}
     if name == "second.of":
         of, comma, number = value.partition(",")
-        return replace(chosen, beside=Beside(of, _number(name, number) if comma else None))
+        return {"beside": Beside(of, _number(name, number) if comma else None)}
     if name == "second.drawn":
-        return replace(chosen, beside=replace(chosen.beside, drawn=value)) if chosen.beside else chosen
-    end = _number(name, value)
-    return replace(chosen, vmin=end) if name == "vmin" else replace(chosen, vmax=end)
+        return {"beside": replace(chosen.beside, drawn=value)} if chosen.beside else {}
+    return {name: _number(name, value)} if name in ("vmin", "vmax") else {}
+
+
+def _possible(name: str, found: Sequence[str], possible: Sequence[str]) -> tuple[str, ...]:
+    """What was found in an argument, which must be possible there."""
+    unknown = [each for each in found if each not in possible]
+    if unknown:
+        raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(possible)}")
+    return tuple(found)
 
 
 def _number(name: str, value: str) -> float:

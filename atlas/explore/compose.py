@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
-from atlas.explore.view import Sight, TileKey, cells_of
+from atlas.explore.view import Sight, TileKey
 from atlas.query.resample import view as read_view
 from atlas.query.window import axis_values, cell_edges
 from atlas.store.schema import coordinates, variable_attributes
@@ -17,6 +17,8 @@ from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
+
+Index = NDArray[np.int64]
 
 
 def composed(
@@ -32,11 +34,7 @@ def composed(
     ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. It goes
     over tiles that leave cells of the atlas out, and under those with more.
     """
-
-    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
-    wanted = list(dict.fromkeys([*names, REGIME.name]))
-    shape = sight.index_y.size, sight.index_x.size
-    canvas = {name: np.full(shape, variables[name].fill, variables[name].dtype) for name in wanted}
+    canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), sight.shape)
     for key, arrays in tiles:
         if min(key.level_x, key.level_y) < 0:
             _lay(canvas, sight, key, arrays)
@@ -45,8 +43,7 @@ def composed(
     for key, arrays in tiles:
         if min(key.level_x, key.level_y) >= 0:
             _lay(canvas, sight, key, arrays)
-    x, y = subject.x.values(sight.level_x, sight.index_x), subject.y.values(sight.level_y, sight.index_y)
-    return dataset(subject, plane, x, y, canvas)
+    return dataset(subject, plane, *subject.points(*sight), canvas)
 
 
 def dataset(
@@ -57,15 +54,13 @@ def dataset(
 
     spec, fixed = subject.spec, [name for name, _ in plane.parameters]
     described = coordinates(spec)
-    (across, up) = (axis.name for axis in spec.axes)
-    coords: dict[str, Any] = {
-        across: (across, x, described[across].attributes),
-        up: (up, y, described[up].attributes),
-    }
+    across, up = subject.axes
+    values = {across: x, up: y}
+    coords: dict[str, Any] = {name: (name, values[name], described[name].attributes) for name in values}
     coords |= {name: ((), value, described[name].attributes) for name, value in plane.parameters}
-    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     arrays = {
-        name: ((up, across), values, variable_attributes(variables[name], fixed)) for name, values in canvas.items()
+        name: ((up, across), values, variable_attributes(subject.variables[name], fixed))
+        for name, values in canvas.items()
     }
     resolved = spec.resolved()
     axes = [{"name": axis.name, "scale": axis.scale} for axis in spec.axes]
@@ -87,19 +82,24 @@ def seen_atlas(subject: Subject, sight: Sight, names: Iterable[str]) -> "xr.Data
         return None
     part: dict[str, slice] = {}
     pixels = []
-    for axis, lattice, level, first, last in (
-        (subject.spec.axes[0], subject.x, sight.level_x, sight.first_x, sight.last_x),
-        (subject.spec.axes[1], subject.y, sight.level_y, sight.first_y, sight.last_y),
-    ):
-        low, high = (int(np.floor(end)) for end in (first * 2.0**-level, last * 2.0**-level + 1.0))
+    for axis, seen in zip(subject.spec.axes, sight, strict=True):
+        cell = 2.0**-seen.level
+        low, high = (int(np.floor(end)) for end in (seen.first * cell, seen.last * cell + 1.0))
         low, high = max(0, low), min(len(axis), high + 1)
         if low >= high:
             return None
         part[axis.name] = slice(low, high)
-        pixels.append(max(1, round((high - low) * 2.0 ** min(level, 0))))
-        assert lattice.axis == axis
+        pixels.append(max(1, round((high - low) * 2.0 ** min(seen.level, 0))))
     held = [name for name in names if name in ds]
     return read_view(ds.isel(part), held, None, pixels).load()
+
+
+def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: Index) -> Arrays:
+    """Variables of cells of the atlas itself (y, x), by their numbers."""
+    assert subject.ds is not None
+    across, up = subject.axes
+    part = subject.ds[[*names]].isel({across: columns, up: rows}).load()
+    return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 
 def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: Plane, key: TileKey) -> bool:
@@ -109,32 +109,29 @@ def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: Plane,
     """
     if done is None or plane != subject.plane or max(key.level_x, key.level_y) > 0:
         return False
-    rows, columns = key.index_y() << -key.level_y, key.index_x() << -key.level_x
+    rows, columns = key.of_atlas
     inside = rows[0] >= 0 and columns[0] >= 0 and rows[-1] < done.shape[0] and columns[-1] < done.shape[1]
     return bool(inside and done[np.ix_(rows, columns)].all())
 
 
 def _lay(canvas: Arrays, sight: Sight, key: TileKey, arrays: Arrays) -> None:
-    rows, columns = sight.place(key)
-    if not canvas.keys() <= arrays.keys() or rows.start >= rows.stop or columns.start >= columns.stop:
+    if not canvas.keys() <= arrays.keys() or not sight.shows(key):
         return
-    up = cells_of(key, sight.level_y, sight.index_y[rows], along_x=False)
-    across = cells_of(key, sight.level_x, sight.index_x[columns], along_x=True)
+    rows, columns = sight.place(key)
+    up = key.rows.holding(sight.y.level, sight.y.index[rows])
+    across = key.columns.holding(sight.x.level, sight.x.index[columns])
     for name, values in canvas.items():
         values[rows, columns] = arrays[name][np.ix_(up, across)]
 
 
 def _lay_base(canvas: Arrays, subject: Subject, sight: Sight, base: "xr.Dataset") -> None:
     places, inside = [], []
-    for axis, values in (
-        (subject.spec.axes[1], subject.y.values(sight.level_y, sight.index_y)),
-        (subject.spec.axes[0], subject.x.values(sight.level_x, sight.index_x)),
-    ):
-        edges, count = cell_edges(base, axis.name), axis_values(base, axis.name).size
+    dims = subject.axes[::-1]
+    for name, values in zip(dims, subject.points(*sight)[::-1], strict=True):
+        edges, count = cell_edges(base, name), axis_values(base, name).size
         place = np.searchsorted(edges, values, side="right") - 1
         inside.append((place >= 0) & (place < count))
         places.append(np.clip(place, 0, count - 1))
-    dims = tuple(axis.name for axis in reversed(subject.spec.axes))
     known = base[REGIME.name].transpose(*dims).values[np.ix_(*places)] != PENDING
     known &= np.outer(*inside)
     for name, values in canvas.items():

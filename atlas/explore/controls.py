@@ -11,7 +11,7 @@ from bokeh.models import Button, CheckboxGroup, Div, NumericInput, Select, Slide
 
 from atlas.errors import InputError
 from atlas.explore.access import named
-from atlas.explore.chosen import kinds, overlays, variables
+from atlas.explore.chosen import kinds, overlays
 from atlas.explore.curvelist import CurveList
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
@@ -35,7 +35,7 @@ class Controls:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         lines = overlays(subject)
         self.kind = Select(title="map", options=kinds(subject), value=chosen.kind, **wide)
-        self.variable = Select(title="variable", options=variables(subject), value=chosen.variable, **wide)
+        self.variable = Select(title="variable", options=subject.numbers, value=chosen.variable, **wide)
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
         self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
         self.curves = CurveList(store)
@@ -61,13 +61,13 @@ class Controls:
         states = self._sliders(states=True)
         return [
             self.kind, self.variable, self.log, row(self.vmin, self.vmax, sizing_mode="stretch_width"), self.rescale,
-            _heading("lines over it"), self.overlays, self.curves.widget,
-            _heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"), beside,
-            _heading("axes"), *self.axes,
-            _heading("parameters"), *self._sliders(states=False), self.keep,
-            _heading("save the picture"), row(*self.files.values(), sizing_mode="stretch_width"),
-            _heading("a new atlas of the view, or of a box"), self.cells, self.make,
-            *([_heading("initial state"), *states] if states else []),
+            heading("lines over it"), self.overlays, self.curves.widget,
+            heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"), beside,
+            heading("axes"), *self.axes,
+            heading("parameters"), *self._sliders(states=False), self.keep,
+            heading("save the picture"), row(*self.files.values(), sizing_mode="stretch_width"),
+            heading("a new atlas of the view, or of a box"), self.cells, self.make,
+            *([heading("initial state"), *states] if states else []),
         ]  # fmt: skip
 
     def show(self, state: State, kept: bool = False) -> None:
@@ -146,7 +146,8 @@ def _with(axes: tuple[str, str], place: int, name: str) -> tuple[str, str]:
     return (name, other) if place == 0 else (other, name)
 
 
-def _heading(text: str) -> Div:
+def heading(text: str) -> Div:
+    """The heading of some controls."""
     return Div(text=f"<h4>{text}</h4>", stylesheets=[TEXT], margin=(0, 5, 0, 5))
 
 

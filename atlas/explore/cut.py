@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.explore.branches import Drawn
 from atlas.explore.chosen import Cut
-from atlas.explore.patch import Patch, packed, solve_patch
+from atlas.explore.patch import packed, solve_patch
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Plane, Subject
 from atlas.query.machine import gap_rows
@@ -104,12 +104,10 @@ def cut_job(
     """Points of a line to be solved: the diagonal of a grid of their values."""
     subject, index = line.subject, np.array(part)
     points = line.points(index)
-    settings = replace(subject.settings, section_samples=SAMPLES)
-    x, y = ((name, tuple(values.tolist())) for name, values in zip(subject.axes, points, strict=True))
-    diagonal = packed(np.eye(len(part), dtype=bool))
-    patch = Patch(subject.system, dict(line.plane.parameters), settings, x, y, diagonal)
+    grid = subject.grid(line.plane, *points, packed(np.eye(len(part), dtype=bool)))
+    patch = replace(grid, settings=replace(subject.settings, section_samples=SAMPLES))
 
-    def taken(found: dict[str, NDArray[Any]]) -> int:
+    def taken(found: dict[str, NDArray[Any]]) -> None:
         values: dict[str, float | Array] = dict(line.plane.parameters)
         values.update(zip(subject.axes, points, strict=True))
         rows = gap_rows(subject.system, values)
@@ -118,21 +116,16 @@ def cut_job(
         period = found["period"][:, None]
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
         take(line, Cells(index, found | {"gap": gap}))
-        return len(part)
 
-    return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), (line, part, take))
+    key = line, part, take
+    return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), len(part), key)
 
 
 def branch_job(
     line: Line, sweep: "xr.Dataset", take: Callable[[Line, Drawn], None], refuse: Callable[[str], None]
 ) -> Errand:
     """The branches through the periodic cells of a line, which is this sweep, to be followed."""
-
-    def taken(found: Drawn) -> int:
-        take(line, found)
-        return 0
-
-    return Errand((follow, sweep), taken, refuse)
+    return Errand((follow, sweep), partial(take, line), refuse)
 
 
 def follow(sweep: "xr.Dataset") -> Drawn:

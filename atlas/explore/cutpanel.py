@@ -30,7 +30,7 @@ from atlas.explore.chosen import Cut
 from atlas.explore.cut import LONGEST, Cells, Line, branch_job, cut_job, exponents, section, sweep_of, too_long
 from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Errand
-from atlas.explore.plot import quiet_axis
+from atlas.explore.plot import quiet
 from atlas.explore.state import State, Store
 from atlas.explore.style import CUT, CUT_HEAD, DIAGRAM, TEXT
 from atlas.explore.words import symbol_of, ticks
@@ -226,9 +226,7 @@ class CutPanel:
         self._spans = [Span(dimension="height", line_color="#bb5566", line_dash="dotted") for _ in range(2)]
         for plot, span in zip((of, below), self._spans, strict=True):
             plot.add_layout(span)
-            plot.grid.visible = False
-            for axis in (plot.xaxis[0], plot.yaxis[0]):
-                quiet_axis(axis)
+            quiet(plot)
         of.xaxis[0].visible = False
         entries = zip(ENTRIES, of.renderers, strict=True)
         self._items = [LegendItem(label=label, renderers=[lines]) for label, lines in entries]

@@ -1,20 +1,21 @@
 """What differs between two planes in view: compared at the cells that both know at the same parameters, no others."""
 
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable, Collection, Iterable, Set
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, Range
-from atlas.explore.compose import dataset
+from atlas.explore.compose import Index, atlas_cells, dataset
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Known
-from atlas.explore.painter import KEY_WIDTH, Painted, Painter, edges_in_view
-from atlas.explore.subject import Plane
+from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.state import Ends
+from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
-from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
+from atlas.explore.view import STAGES, Sight, Stretch, TileKey
 from atlas.explore.words import number
 from atlas.query.extremes import regimes_with
 from atlas.query.plane import determined
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 ULPS = 4.0
 """Parameters that differ by at most this number of units in the last place are the same: grids round differently."""
 
-Index = NDArray[np.int64]
-
 
 class Seen(NamedTuple):
     """A plane as it is seen: what is known of its subject, which plane, and the cells in view."""
@@ -42,9 +41,8 @@ class Seen(NamedTuple):
 
     @property
     def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The parameters of the cells in view, along y and along x."""
-        subject, sight = self.known.subject, self.sight
-        return subject.y.values(sight.level_y, sight.index_y), subject.x.values(sight.level_x, sight.index_x)
+        """The parameters of the cells in view, along x and along y."""
+        return self.known.subject.points(*self.sight)
 
 
 def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]":
@@ -58,8 +56,8 @@ def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]"
     own = [name for name in kind.variables if name != CHANGE]
     names = [*dict.fromkeys([*own, REGIME.name])]
     one, found = exact(here, names), exact(there, names)
-    other = unknown(there, names, one[REGIME.name].shape)
-    (i, to_i), (j, to_j) = (same_points(*pair) for pair in zip(here.points, there.points, strict=True))
+    other = there.known.subject.without_results(names, here.sight.shape)
+    (j, to_j), (i, to_i) = (same_points(*pair) for pair in zip(here.points, there.points, strict=True))
     for name, values in found.items():
         other[name][np.ix_(i, j)] = values[np.ix_(to_i, to_j)]
     compared = determined(one[REGIME.name]) & determined(other[REGIME.name])
@@ -69,24 +67,23 @@ def changes(here: Seen, there: Seen, chosen: Chosen) -> "tuple[xr.Dataset, str]"
         change, says = _classes(one, other, own, compared)
     other[REGIME.name][~compared] = PENDING
     _spread(other | {CHANGE: change}, compared, here.sight)
-    made = dataset(there.known.subject, there.plane, *here.points[::-1], other)
+    made = dataset(there.known.subject, there.plane, *here.points, other)
     made[CHANGE] = (made[REGIME.name].dims, change)
     if not compared.any():
         return made, "no cell in view is known in both planes at the same parameters"
     return made, f"{says}, compared where both are known at the same parameters"
 
 
-def exact(seen: Seen, names: Iterable[str]) -> Arrays:
+def exact(seen: Seen, names: Collection[str]) -> Arrays:
     """The cells in view (y, x) that are known at their own parameters; what is known only nearby is pending."""
     (known, plane, sight), subject = seen, seen.known.subject
-    found = unknown(seen, names, (sight.index_y.size, sight.index_x.size))
+    found = subject.without_results(names, sight.shape)
     tiles = [(min(key[:2]) >= 0, _tile(key, arrays, found)) for key, arrays in known.tiles.shown(plane, sight)]
     layers = [layer for finer, layer in tiles if not finer]  # in the order in which maps lay them
     if subject.ds is not None and plane == subject.plane:
-        layers.append(_atlas(subject.ds, subject.axes, found))
+        layers.append(_atlas(subject, subject.ds, found))
     for layer in [*layers, *(layer for finer, layer in tiles if finer)]:
-        rows, up = _own(sight.index_y, sight.level_y, layer.y)
-        columns, across = _own(sight.index_x, sight.level_x, layer.x)
+        (columns, across), (rows, up) = _own(sight.x, layer.x), _own(sight.y, layer.y)
         if rows.size and columns.size and layer.names >= found.keys():
             part, place = layer.read(up, across), np.ix_(rows, columns)
             there = part[REGIME.name] != PENDING
@@ -96,11 +93,11 @@ def exact(seen: Seen, names: Iterable[str]) -> Arrays:
 
 
 class Layer(NamedTuple):
-    """Cells of some levels: along each axis the level, the first cell and their number; and what reads some of them."""
+    """Cells that are known, by these names: which along each axis; and what reads some of them, (y, x)."""
 
     names: Set[str]
-    y: tuple[int, int, int]
-    x: tuple[int, int, int]
+    x: Stretch
+    y: Stretch
     read: Callable[[Index, Index], Arrays]
 
 
@@ -108,36 +105,20 @@ def _tile(key: TileKey, arrays: Arrays, wanted: Arrays) -> Layer:
     def read(up: Index, across: Index) -> Arrays:
         return {name: arrays[name][np.ix_(up, across)] for name in wanted}
 
-    return Layer(arrays.keys(), (key.level_y, key.y * TILE, TILE), (key.level_x, key.x * TILE, TILE), read)
+    return Layer(arrays.keys(), key.columns, key.rows, read)
 
 
-def _atlas(ds: "xr.Dataset", axes: tuple[str, str], wanted: Arrays) -> Layer:
-    x, y = axes
-
-    def read(up: Index, across: Index) -> Arrays:
-        part = ds[[*wanted]].isel({x: across, y: up}).load()
-        return {name: part[name].transpose(y, x).values for name in wanted}
-
-    return Layer({str(name) for name in ds.data_vars}, (0, 0, ds.sizes[y]), (0, 0, ds.sizes[x]), read)
+def _atlas(subject: Subject, ds: "xr.Dataset", wanted: Arrays) -> Layer:
+    x, y = (Stretch(0, 0, ds.sizes[name]) for name in subject.axes)
+    return Layer({*map(str, ds.data_vars)}, x, y, partial(atlas_cells, subject, wanted))
 
 
-def _own(index: Index, level: int, layer: tuple[int, int, int]) -> tuple[Index, Index]:
-    """Which cells of a level are cells of a layer too, along one axis, and which of the layer they are."""
-    own, first, count = layer
-    shift = level - own
-    at = (index >> shift if shift > 0 else index << -shift) - first
-    here = np.flatnonzero((index % (1 << max(shift, 0)) == 0) & (at >= 0) & (at < count))
+def _own(seen: Stretch, layer: Stretch) -> tuple[Index, Index]:
+    """Which cells in view are cells of a layer too, along one axis, and which of the layer they are."""
+    index, shift = seen.index, seen.level - layer.level
+    at = (index >> shift if shift > 0 else index << -shift) - layer.first
+    here = np.flatnonzero((index % (1 << max(shift, 0)) == 0) & (at >= 0) & (at < layer.count))
     return here, at[here]
-
-
-def unknown(seen: Seen, names: Iterable[str], shape: tuple[int, int]) -> Arrays:
-    """Cells of which nothing is known; InputError for a variable that the subject does not have."""
-    subject = seen.known.subject
-    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
-    for name in names:
-        if name not in variables:
-            raise InputError(f"{subject.name} has no variable {name!r} to compare")
-    return {name: np.full(shape, variables[name].fill, variables[name].dtype) for name in names}
 
 
 def same_points(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[Index, Index]:
@@ -181,7 +162,7 @@ def _spread(cells: Arrays, known: NDArray[np.bool_], sight: Sight) -> None:
     left = ~known
     for stage in range(1, STAGES + 1):
         half, places, inside = (1 << stage) // 2, [], []
-        for index in (sight.index_y, sight.index_x):
+        for index in (sight.y.index, sight.x.index):
             place = (((index + half) >> stage) << stage) - index[0]
             inside.append((place >= 0) & (place < index.size))
             places.append(np.clip(place, 0, index.size - 1))
@@ -214,7 +195,7 @@ class DifferencePainter(Painter):
     def _find(self, stages: range) -> None:
         if self._asked is not None:
             (chosen, size), first = self._asked, self._first
-            sight = Sight.of(View(chosen.x, chosen.y, *size), first.subject.x, first.subject.y)
+            sight = first.subject.sight(chosen.x, chosen.y, size)
             self._here = Seen(first.known, chosen.less or chosen.plane, sight)
             first.known.look(self._here.plane, sight, chosen.names)
         super()._find(stages)
@@ -224,13 +205,11 @@ class DifferencePainter(Painter):
         return found
 
     def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
-        return edges_in_view(self._first.subject, self._here.sight)
+        return self._first.subject.edges(self._here.sight)
 
-    def _drawn(
-        self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
-    ) -> tuple[Screen, str]:
-        ends: dict[str, Any] = {"vmin": low, "vmax": high} if has_scale(chosen.kind) else {}
-        return screen(ds, change_of(chosen.kind, chosen.variable), pixels, KEY_WIDTH, **ends), self._note
+    def _drawn(self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends) -> tuple[Screen, str]:
+        taken: Any = dict(zip(("vmin", "vmax"), ends, strict=True)) if has_scale(chosen.kind) else {}
+        return screen(ds, change_of(chosen.kind, chosen.variable), pixels, KEY_WIDTH, **taken), self._note
 
     def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
         return {}

@@ -9,18 +9,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.known import Known
-from atlas.explore.patch import Patch, solve_patch
+from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Job, Patches, Task
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import MOST_BYTES as MOST_TILES
 from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.timing import TIMING, Timing
-from atlas.store.schema import extra_sizes
-from workers.results import empty_results
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -120,7 +119,7 @@ class Explorer:
         if not on:
             return
         for key, arrays in self.known.tiles.of(plane):
-            if arrays.keys() >= set(self.known.names):
+            if arrays.keys() >= self.subject.variables.keys():
                 self.keeper.offer(plane, key, arrays)
 
     def want(self, who: Hashable, plane: Plane, sight: Sight, stages: range) -> int:
@@ -138,25 +137,8 @@ class Explorer:
         self.patches.want(who, wanted)
         return len(wanted)
 
-    def make_tile(self, plane: Plane, key: TileKey) -> tuple[Patch, Arrays | None] | None:
-        """The patch of a tile less the cells that the tile above has, and these; None where it is known meanwhile."""
-        if self.known.whole(plane, key) is not None:
-            return None
-        parent = self.known.parent(plane, key)
-        solved = np.zeros((TILE, TILE), dtype=bool)
-        solved[::2, ::2] = parent is not None
-        return self.subject.patch(plane, key, solved), parent
-
-    def take_tile(self, plane: Plane, key: TileKey, made: tuple[Patch, Arrays | None], found: Arrays) -> None:
-        """Put a solved tile together, keep it, and tell the pages."""
-        mask, parent = made[0].mask, made[1]
-        arrays = empty_results(
-            self.subject.system.variables(self.subject.settings), (TILE, TILE), extra_sizes(self.subject.spec)
-        )
-        for name, array in arrays.items():
-            array[mask] = found[name]
-            if parent is not None:
-                array[::2, ::2] = parent[name]
+    def take(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+        """Keep a solved tile, and tell the pages."""
         with self._lock:
             wanted, listeners = plane in self._kept_planes, list(self._listeners.values())
         kept = wanted and self.keeper.can_keep(key)
@@ -178,14 +160,25 @@ class TileJob(Job):
     key: TileKey
 
     def make(self) -> tuple[Task, Any] | None:
-        """See ``Job``."""
-        made = self.explorer.make_tile(self.plane, self.key)
-        return None if made is None else ((solve_patch, made[0]), made)
+        """The patch of the tile less the cells that the tile above has, and which cells it has, and those others."""
+        known = self.explorer.known
+        if known.whole(self.plane, self.key) is not None:
+            return None
+        parent = known.parent(self.plane, self.key)
+        solved = np.zeros((TILE, TILE), dtype=bool)
+        solved[::2, ::2] = parent is not None
+        return (solve_patch, self.explorer.subject.patch(self.plane, self.key, solved)), (~solved, parent)
 
-    def solved(self, held: Any, found: Arrays) -> int:
-        """See ``Job``."""
-        self.explorer.take_tile(self.plane, self.key, held, found)
-        return int(held[0].mask.sum())
+    def solved(self, held: tuple[NDArray[np.bool_], Arrays | None], found: Arrays) -> int:
+        """Put the tile together."""
+        (mask, parent), subject = held, self.explorer.subject
+        arrays = subject.without_results(subject.variables, (TILE, TILE))
+        for name, array in arrays.items():
+            array[mask] = found[name]
+            if parent is not None:
+                array[::2, ::2] = parent[name]
+        self.explorer.take(self.plane, self.key, arrays)
+        return int(mask.sum())
 
     def failed(self, why: str) -> None:
         """See ``Job``."""

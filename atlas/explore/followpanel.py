@@ -10,13 +10,13 @@ from bokeh.plotting import figure
 
 from atlas.explore.background import Background
 from atlas.explore.branches import Arrow as Reach
-from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, cell_values, distance, follow_job
+from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, distance, follow_job
 from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Chosen, Follow, Point, Range, followable
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.motionpanel import MotionPanel
-from atlas.explore.plot import quiet_axis
+from atlas.explore.plot import quiet
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.words import number, symbol_of
@@ -139,7 +139,7 @@ class FollowPanel:
 
     def _mark(self, chosen: Chosen, cell: Point, found: Followed, here: Here) -> None:
         """Mark an orbit over the plane where it lies in that."""
-        values = cell_values(self._subject, cell) | {found.table.along: here.value}
+        values = self._subject.values(*cell) | {found.table.along: here.value}
         inside = all(values[name] == value for name, value in chosen.plane.parameters)
         names = zip(self._marker.data, self._subject.axes, strict=True)
         marker = {name: [values[axis]] if inside else [] for name, axis in names}
@@ -205,9 +205,7 @@ class _Shown:
         diagram.add_layout(self._span)
         self._points = ColumnDataSource({"branch_x": [], "branch_gap": []})
         diagram.scatter(x="branch_x", y="branch_gap", source=self._points, size=9, color=INK, line_color="white")
-        diagram.grid.visible = False
-        for axis in (diagram.xaxis[0], diagram.yaxis[0]):
-            quiet_axis(axis)
+        quiet(diagram)
         diagram.xaxis[0].axis_label = self._symbol
         self.motion = MotionPanel(self._subject)
         self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -10,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
-from atlas.explore.compose import atlas_covers, composed, seen_atlas
+from atlas.explore.compose import atlas_cells, atlas_covers, composed, seen_atlas
 from atlas.explore.kept import Keeper
-from atlas.explore.patch import Patch, solve_patch
+from atlas.explore.patch import solve_patch
+from atlas.explore.sheets import LOOK
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
-from atlas.explore.view import STAGES, TILE, Sight, TileKey
+from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
-from atlas.store.schema import extra_sizes
 from atlas.store.store import done_tiles
 from workers.results import (
     INVALID,
@@ -28,14 +29,11 @@ from workers.results import (
     REASONS,
     REGIME,
     REGIMES,
-    empty_results,
 )
 
 if TYPE_CHECKING:
     import xarray as xr
 
-LOOK = 5.0
-"""Seconds after which it is looked for tiles that a run has added to the atlas itself."""
 DEPTH = 12
 """So many coarser levels are looked through for what was kept."""
 MOST_ROWS = 4096
@@ -56,11 +54,11 @@ class Known:
 
     def __init__(self, subject: Subject, keeper: Keeper) -> None:
         self.subject, self.tiles, self.keeper = subject, Tiles(), keeper
-        self._variables = subject.system.variables(subject.settings)
-        self.names = [variable.name for variable in self._variables]
-        self._invalid = empty_results(self._variables, (TILE, TILE), extra_sizes(subject.spec))
+        self._invalid = subject.without_results(subject.variables, (TILE, TILE))
         self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
-        self._admits = lru_cache(MOST_ROWS)(self._some_admitted)
+        self._admits = lru_cache(MOST_ROWS)(
+            lambda along, level, number: bool(subject.admitted(along, level, number, 1).any())
+        )
         self._done: NDArray[np.bool_] | None = None
         self._looked = float("-inf")
 
@@ -68,7 +66,7 @@ class Known:
         """Read what is kept of the cells in view: finest first, and coarser ones only where these leave gaps."""
         wanted = {*names, REGIME.name}
         hidden: set[TileKey] = set()
-        for stage in range(max(STAGES, min(DEPTH, max(sight.level_x, sight.level_y))) + 1):
+        for stage in range(max(STAGES, min(DEPTH, max(sight.x.level, sight.y.level))) + 1):
             tiles = sight.tiles(stage)
             missing = [key for key in tiles if key not in hidden and not self.tiles.has(plane, key, wanted)]
             for key, arrays in self.keeper.load(plane, missing, wanted).items():
@@ -88,17 +86,18 @@ class Known:
 
     def outside(self, key: TileKey) -> bool:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
-        return not (self._admits("x", key.level_x, key.x) and self._admits("y", key.level_y, key.y))
+        return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
     def whole(self, plane: Plane, key: TileKey) -> Arrays | None:
         """All variables of a tile, from memory or from the store; None where it is not known."""
+        names = self.subject.variables.keys()
         arrays = self.tiles.get(plane, key)
-        if arrays is not None and arrays.keys() >= set(self.names):
+        if arrays is not None and arrays.keys() >= names:
             return arrays
         if self.outside(key):
             return self._invalid
-        kept = self.keeper.load(plane, [key], self.names).get(key)
-        if kept is not None and kept.keys() >= set(self.names):
+        kept = self.keeper.load(plane, [key], names).get(key)
+        if kept is not None and kept.keys() >= names:
             self.tiles.put(plane, key, kept)
             return kept
         return None
@@ -109,20 +108,15 @@ class Known:
         whole = self.whole(plane, above)
         if whole is not None:
             return {name: array[key.quarter] for name, array in whole.items()}
-        subject, axes = self.subject, [axis.name for axis in self.subject.spec.axes]
-        if subject.ds is None or not subject.same_settings or max(above.level_x, above.level_y) > 0:
-            return None
+        subject, names = self.subject, self.subject.variables.keys()
+        if subject.ds is None or not subject.same_settings or not names <= subject.ds.data_vars.keys():
+            return None  # an older atlas lacks some of its variables
         if not atlas_covers(subject, self.atlas_done(), plane, above):
             return None
-        rows = (above.index_y() << -above.level_y)[key.quarter[0]]
-        columns = (above.index_x() << -above.level_x)[key.quarter[1]]
-        part = subject.ds[[name for name in self.names if name in subject.ds]].isel({axes[1]: rows, axes[0]: columns})
-        if len(part.data_vars) < len(self.names):
-            return None  # an older atlas lacks some of its variables
-        try:
-            return {name: part[name].transpose(axes[1], axes[0], ...).values for name in self.names}
-        except (OSError, RunError):
-            return None
+        rows, columns = (cells[part] for cells, part in zip(above.of_atlas, key.quarter, strict=True))
+        with suppress(OSError, RunError):
+            return atlas_cells(subject, names, rows, columns)
+        return None
 
     def seen(self, plane: Plane, sight: Sight, names: Iterable[str]) -> "xr.Dataset":
         """The cells in view as far as they are known."""
@@ -133,8 +127,8 @@ class Known:
 
     def cell(self, plane: Plane, sight: Sight, x: float, y: float) -> Cell | None:
         """The finest cell that is known at a point in view; None where none is."""
-        for stage in range(max(STAGES, sight.level_x, sight.level_y) + 1):
-            level_x, level_y = sight.level_x - stage, sight.level_y - stage
+        for stage in range(max(STAGES, sight.x.level, sight.y.level) + 1):
+            level_x, level_y = sight.x.level - stage, sight.y.level - stage
             if min(level_x, level_y) < 0:
                 found = self._atlas_cell(plane, x, y)
                 if found is not None:
@@ -148,19 +142,16 @@ class Known:
 
     def point(self, plane: Plane, sight: Sight, x: float, y: float) -> tuple[float, float]:
         """The cell of a view nearest to a point: one of the atlas itself where its cells lie closer than the view's."""
-        if min(sight.level_x, sight.level_y) < 0:
+        if min(sight.x.level, sight.y.level) < 0:
             found = self._atlas_cell(plane, x, y)
             if found is not None:
-                across, up = (found.parameters[name] for name in self.subject.axes)
-                return across, up
-        j, i = self.subject.x.nearest(sight.level_x, x), self.subject.y.nearest(sight.level_y, y)
-        return self._at(sight.level_x, sight.level_y, j, i)
+                return self.subject.point(found.parameters)[1:]
+        j, i = self.subject.x.nearest(sight.x.level, x), self.subject.y.nearest(sight.y.level, y)
+        return self._at(sight.x.level, sight.y.level, j, i)
 
     def solved(self, plane: Plane, x: float, y: float) -> Cell:
         """The cell at exactly this point, solved here and now."""
-        subject, (across, up) = self.subject, self.subject.axes
-        patch = Patch(subject.system, dict(plane.parameters), subject.settings, (across, (x,)), (up, (y,)))
-        found = solve_patch(patch)
+        found = solve_patch(self.subject.grid(plane, (x,), (y,)))
         return self._cell_of(plane, found, (0,), (x, y), (x, y))
 
     def atlas_done(self) -> NDArray[np.bool_] | None:
@@ -173,55 +164,44 @@ class Known:
             return None
         if time.monotonic() - self._looked > LOOK and (self._done is None or not self._done.all()):
             self._looked = time.monotonic()
-            done = np.zeros(subject.stored.tiling.grid, dtype=bool)
+            tiling = subject.stored.tiling
+            done = np.zeros(tiling.shape, dtype=bool)
             for index in done_tiles(subject.stored):
-                done[index] = True
-            for dim, size in enumerate(subject.stored.tile):
-                done = np.repeat(done, size, axis=dim)
-            done = done[tuple(slice(n) for n in subject.stored.tiling.shape)]
+                done[tiling.at(index).slices] = True
             done = done[subject.layer] if done.ndim > 2 else done
             self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
         return self._done
 
-    def _some_admitted(self, along: str, level: int, number: int) -> bool:
-        """Whether a column ("x") or a row ("y") of tiles has a point in the valid range."""
-        lattice = self.subject.x if along == "x" else self.subject.y
-        index = np.arange(number * TILE, (number + 1) * TILE, dtype=np.int64)
-        return bool(lattice.admitted(self.subject.system.parameter(lattice.axis.name), level, index).any())
-
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
         """The parameters of a column and a row of a level."""
-        across = self.subject.x.values(level_x, np.array([j]))
-        up = self.subject.y.values(level_y, np.array([i]))
+        across, up = self.subject.points(Stretch(level_x, j, 1), Stretch(level_y, i, 1))
         return float(across[0]), float(up[0])
 
     def _atlas_cell(self, plane: Plane, x: float, y: float) -> Cell | None:
-        ds, names = self.subject.ds, [axis.name for axis in self.subject.spec.axes]
-        if ds is None or plane != self.subject.plane:
+        subject = self.subject
+        if subject.ds is None or plane != subject.plane:
             return None
         try:
-            found = at(ds, dict(zip(names, (x, y), strict=True)))
+            found = at(subject.ds, dict(zip(subject.axes, (x, y), strict=True)))
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None
         if found[REGIME.name] == REGIMES[0].name:
             return None
-        return Cell(dict(plane.parameters) | {name: found[name] for name in names}, found, of_atlas=True)
+        return Cell(subject.values(plane, *(found[name] for name in subject.axes)), found, of_atlas=True)
 
     def _cell_of(
         self, plane: Plane, arrays: Arrays, place: tuple[int, ...], at: tuple[float, float], point: tuple[float, float]
     ) -> Cell:
         """The cell at a place of arrays, which lies at ``at``, as the one nearest to a point."""
         subject, (x, y) = self.subject, at
-        names = [axis.name for axis in subject.spec.axes]
-        found: dict[str, Any] = dict(zip(names, (x, y), strict=True))
-        found["distance"] = dict(zip(names, (abs(x - point[0]), abs(y - point[1])), strict=True))
+        found: dict[str, Any] = dict(zip(subject.axes, at, strict=True))
+        found["distance"] = dict(zip(subject.axes, (abs(x - point[0]), abs(y - point[1])), strict=True))
         regime, reason = int(arrays[REGIME.name][place]), int(arrays[REASON.name][place])
         found[REGIME.name] = next(each.name for each in REGIMES if each.code == regime)
         if reason != NO_REASON:
             found[REASON.name] = REASONS[reason].text
-        scalars = [v.name for v in self._variables if not v.extra and v.name not in (REGIME.name, REASON.name)]
-        found |= {name: arrays[name][place].item() for name in scalars}
-        return Cell(dict(plane.parameters) | dict(zip(names, (x, y), strict=True)), found, of_atlas=False)
+        found |= {name: arrays[name][place].item() for name in subject.numbers}
+        return Cell(subject.values(plane, x, y), found, of_atlas=False)
 
 
 def below(key: TileKey) -> list[TileKey]:

@@ -8,7 +8,6 @@ it. Levels below zero leave points out.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +77,11 @@ class Lattice:
         low, high = self.values(level + 1, np.array([2 * first - 1, 2 * last + 1]))
         return float(low), float(high)
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Where the cells of the atlas begin and end."""
+        return self.edges(0, 0, len(self.axis) - 1)
+
     def level(self, low: float, high: float, pixels: int) -> int:
         """The deepest level whose cells are not finer than pixels, where a window is so many of them wide.
 
@@ -85,7 +89,3 @@ class Lattice:
         """
         first, last = self.positions(np.array([low, high]))
         return min(self.deepest, math.floor(math.log2(max(pixels, 1) / float(last - first)) + 0.25))
-
-    def admitted(self, parameter: Any, level: int, index: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which points of a level lie in the parameter's valid range."""
-        return np.asarray(parameter.admits(self.values(level, index)), dtype=bool)

@@ -8,7 +8,7 @@ from bokeh.models import ColumnDataSource, CustomJS, Toggle
 from bokeh.plotting import figure
 
 from atlas.explore.motion import Motion
-from atlas.explore.plot import quiet_axis
+from atlas.explore.plot import quiet
 from atlas.explore.subject import Subject
 from atlas.render.classes import PALETTE
 from atlas.text import plain
@@ -53,10 +53,8 @@ class MotionPanel:
             x0="stop", x1="stop", y0="low", y1="high", source=self._stops, line_width=5, color="#5a6675"
         )
         self._scene.scatter(x="at", y="lane", source=self._machine, marker="square", size=17, color="#4477aa")
-        for axis in (self._phase.xaxis[0], self._phase.yaxis[0], self._scene.xaxis[0]):
-            quiet_axis(axis)
         for plot in (self._phase, self._scene):
-            plot.grid.visible = False
+            quiet(plot)
             plot.min_border_left = 58
         self._scene.yaxis[0].ticker = list(range(len(lanes)))
         self._scene.yaxis[0].major_label_overrides = dict(enumerate(lanes))

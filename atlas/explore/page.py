@@ -200,7 +200,7 @@ class Page:
         """Open the page of other axes or of another layer, with what is in the middle of the view, or clicked, kept."""
         subject, chosen = self._subject, self._store.now.chosen
         turned = self._home.turned(axes or subject.axes, subject.layer_value if layer is None else layer).subject
-        values = dict(zip(subject.axes, chosen.middle(subject), strict=True)) | dict(chosen.plane.parameters)
+        values = subject.values(chosen.plane, *chosen.middle(subject))
         if layer is not None and turned.third is not None:
             values[turned.third.name] = layer
         there = carried(turned, chosen, values)
@@ -259,7 +259,7 @@ class Page:
         if self._explorer.keeper.header is not None and chosen.plane == subject.plane:
             notes.append(f"kept in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
-            first, last = lattice.edges(0, 0, len(lattice.axis) - 1)
+            first, last = lattice.ends
             slack = 1e-9 * (last - first)
             if low < first - slack or high > last + slack:
                 notes.append("partly outside the atlas's window")

@@ -16,8 +16,9 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.explore.chosen import CHART, Chosen, Range, beginning
 from atlas.explore.explorer import Explorer
-from atlas.explore.subject import Plane, Subject
-from atlas.explore.view import STAGES, Sight, TileKey, View
+from atlas.explore.state import Ends
+from atlas.explore.subject import Plane
+from atlas.explore.view import STAGES, Sight, TileKey
 from atlas.render import SCALAR, has_scale
 from atlas.render.kinds import OverlayError
 from atlas.render.screen import Screen, screen
@@ -53,7 +54,7 @@ class Painted:
     screen: Screen
     x: Range
     y: Range
-    ends: tuple[float | None, float | None]
+    ends: Ends
     note: str
     cells: int
     left: int
@@ -62,8 +63,8 @@ class Painted:
 def warm(explorer: Explorer) -> None:
     """Draw something once, so that the first page need not wait for all that drawing loads."""
     chosen = beginning(explorer.subject)
-    sight = Sight.of(View(chosen.x, chosen.y, *WHOLE), explorer.subject.x, explorer.subject.y)
-    _drawn(explorer.known.seen(chosen.plane, sight, chosen.names), chosen, WHOLE, None, None)
+    sight = explorer.subject.sight(chosen.x, chosen.y, WHOLE)
+    _drawn(explorer.known.seen(chosen.plane, sight, chosen.names), chosen, WHOLE)
 
 
 class Painter:
@@ -103,7 +104,7 @@ class Painter:
         if sight is None:
             return None
         ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
-        return _drawn(ds, replace(chosen, overlays=()), WHOLE, None, None).ends
+        return _drawn(ds, replace(chosen, overlays=()), WHOLE).ends
 
     def close(self) -> None:
         """Paint no more, and want nothing more."""
@@ -124,10 +125,7 @@ class Painter:
 
     def _concerns(self, chosen: Chosen, plane: Plane, key: TileKey) -> bool:
         """Whether a tile is seen in a picture."""
-        sight = self.sight
-        if plane != chosen.plane or sight is None or key.level_x > sight.level_x or key.level_y > sight.level_y:
-            return False
-        return sight.shows(key)
+        return plane == chosen.plane and self.sight is not None and self.sight.shows(key)
 
     def _run(self) -> None:
         while True:
@@ -164,7 +162,7 @@ class Painter:
             return
         (chosen, size), explorer = asked, self._explorer
         self.looked += 1
-        self.sight = sight = Sight.of(View(chosen.x, chosen.y, *size), explorer.subject.x, explorer.subject.y)
+        self.sight = sight = explorer.subject.sight(chosen.x, chosen.y, size)
         explorer.patches.want(self, ())
         explorer.known.look(chosen.plane, sight, chosen.names)
         explorer.want(self, chosen.plane, sight, stages)
@@ -180,15 +178,15 @@ class Painter:
             _pixels(size[0], x, chosen.x, self._explorer.subject.x.log),
             _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
         )
-        low, high = self._ends(chosen)
-        made, note = self._drawn(ds, chosen, pixels, low, high)
+        ends = self._ends(chosen)
+        made, note = self._drawn(ds, chosen, pixels, ends)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
         if made.ends is not None and pending <= SETTLED and chosen.vmin is None and chosen.vmax is None:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:
             left = self._explorer.known.missing(chosen.plane, sight)
-            self._deliver(Painted(made, x, y, made.ends or (low, high), note, ds[REGIME.name].size, left))
+            self._deliver(Painted(made, x, y, made.ends or ends, note, ds[REGIME.name].size, left))
         with self._changed:
             self._rested = begin + max(PAUSE, seconds / SHARE)
             if None in self._plan:
@@ -200,11 +198,9 @@ class Painter:
 
     def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
         """The window that they fill."""
-        return edges_in_view(self._explorer.subject, sight)
+        return self._explorer.subject.edges(sight)
 
-    def _drawn(
-        self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
-    ) -> tuple[Screen, str]:
+    def _drawn(self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends) -> tuple[Screen, str]:
         """A picture with the lines that can be drawn, and why others cannot."""
         why = chosen.without_curves(self._explorer.subject)
         if why and chosen.kind == CHART:
@@ -212,13 +208,13 @@ class Painter:
         lacking, shown = [why] if why else [], replace(chosen, overlays=chosen.drawn(self._explorer.subject))
         while True:
             try:
-                return _drawn(ds, shown, pixels, low, high, numbers=True), "; ".join(lacking)
+                return _drawn(ds, shown, pixels, ends, numbers=True), "; ".join(lacking)
             except OverlayError as error:
                 lacking.append(str(error))
                 kept = tuple(name for name in shown.overlays if name != error.overlay)
                 shown = replace(shown, overlays=kept)
 
-    def _ends(self, chosen: Chosen) -> tuple[float | None, float | None]:
+    def _ends(self, chosen: Chosen) -> Ends:
         """The ends of the scale: those asked for, those held, those of the whole plane; None for the picture's own."""
         if chosen.scale not in self._scales:
             self._scales |= self._whole(chosen)
@@ -230,36 +226,24 @@ class Painter:
         subject = self._explorer.subject
         if subject.ds is None or not (chosen.kind == SCALAR or has_scale(chosen.kind)):
             return {}
-        windows = [lattice.edges(0, 0, len(lattice.axis) - 1) for lattice in (subject.x, subject.y)]
-        sight = Sight.of(View(windows[0], windows[1], *WHOLE), subject.x, subject.y)
+        sight = subject.sight(subject.x.ends, subject.y.ends, WHOLE)
         ds = self._explorer.known.seen(subject.plane, sight, chosen.names)
         if float(np.mean(ds[REGIME.name].values == PENDING)) > 0.5:
             return {}
-        made = _drawn(ds, replace(chosen, overlays=()), WHOLE, None, None)
+        made = _drawn(ds, replace(chosen, overlays=()), WHOLE)
         return {} if made.ends is None else {chosen.scale: made.ends}
 
 
 def _drawn(
-    ds: "xr.Dataset",
-    chosen: Chosen,
-    pixels: tuple[int, int],
-    low: float | None,
-    high: float | None,
-    numbers: bool = False,
+    ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends = (None, None), numbers: bool = False
 ) -> Screen:
     """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
     scalar = chosen.kind == SCALAR
-    ends: dict[str, Any] = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
+    taken: Any = dict(zip(("vmin", "vmax"), ends, strict=True)) if scalar or has_scale(chosen.kind) else {}
     return screen(
         ds, chosen.kind, pixels, KEY_WIDTH, overlay=chosen.overlays, variable=chosen.variable if scalar else None,
-        log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **ends,
+        log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **taken,
     )  # fmt: skip
-
-
-def edges_in_view(subject: Subject, sight: Sight) -> tuple[Range, Range]:
-    """Where the cells in view begin and end, along x and along y."""
-    x = subject.x.edges(sight.level_x, sight.first_x, sight.last_x)
-    return x, subject.y.edges(sight.level_y, sight.first_y, sight.last_y)
 
 
 def _pixels(pixels: int, edges: Range, window: Range, log: bool) -> int:

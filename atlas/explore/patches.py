@@ -64,13 +64,14 @@ class Job(Protocol):
 
 @dataclass(frozen=True)
 class Errand(Job):
-    """A job for one who waits: ``take`` gets what the worker found and returns how many cells it has, ``refuse`` why
-    the job is given up, both in a thread of this service. Errands of one key are one job.
+    """A job for one who waits: ``take`` gets what the worker found, so many ``cells``, ``refuse`` why the job is given
+    up, both in a thread of this service. Errands of one key are one job.
     """
 
     task: Task = field(compare=False)
-    take: Callable[[Any], int] = field(compare=False)
+    take: Callable[[Any], None] = field(compare=False)
     refuse: Callable[[str], None] = field(compare=False)
+    cells: int = field(compare=False, default=0)
     key: Hashable = field(default_factory=object)
 
     def make(self) -> tuple[Task, Any]:
@@ -79,7 +80,8 @@ class Errand(Job):
 
     def solved(self, held: Any, found: Any) -> int:
         """See ``Job``."""
-        return self.take(found)
+        self.take(found)
+        return self.cells
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
@@ -95,8 +97,7 @@ class Patches:
         self._wanted: dict[Hashable, deque[Job]] = {}
         self._turn: deque[Hashable] = deque()
         self._ended: SimpleQueue[Future[Any] | None] = SimpleQueue()
-        self._running: dict[Future[Any], tuple[Job, Any]] = {}
-        self._under_way: set[Job] = set()
+        self._running: dict[Future[Any], tuple[Job, Any]] = {}  # for this service's own thread alone
         self._tries: dict[Job, int] = {}
         self._solved: deque[tuple[float, int]] = deque()
         self._state = State()
@@ -146,9 +147,7 @@ class Patches:
             except (InputError, RunError, OSError) as error:
                 self._say(f"{str(error).replace(LOST, _LOST)}; trying again")
             finally:
-                with self._lock:
-                    self._running.clear()
-                    self._under_way.clear()
+                self._running.clear()
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
@@ -186,7 +185,7 @@ class Patches:
         """Cancel what nobody wants any more and no worker has."""
         with self._lock:
             wanted = {job for jobs in self._wanted.values() for job in jobs}
-            stale = [future for future, (job, _) in self._running.items() if job not in wanted]
+        stale = [future for future, (job, _) in self._running.items() if job not in wanted]
         if not stale:
             return
         with suppress(OSError):
@@ -194,17 +193,18 @@ class Patches:
             idle = [future for future in stale if future.key not in begun and not future.done()]
             client.cancel(idle)
             for future in idle:
-                self._forget(future)
+                self._running.pop(future)
+                future.release()
 
     def _next(self) -> Job | None:
         """The next job to send: of all who want some in turn, the first that is not under way."""
+        under_way = {job for job, _ in self._running.values()}
         with self._lock:
             for _ in range(len(self._turn)):
                 who = self._turn[0]
                 self._turn.rotate(-1)
                 for job in self._wanted.get(who, ()):
-                    if job not in self._under_way:
-                        self._under_way.add(job)
+                    if job not in under_way:
                         return job
         return None
 
@@ -218,8 +218,7 @@ class Patches:
             return True
         task, held = made
         future = client.submit(*task, pure=False)
-        with self._lock:
-            self._running[future] = (job, held)
+        self._running[future] = (job, held)
         future.add_done_callback(self._ended.put)
         return True
 
@@ -227,7 +226,8 @@ class Patches:
         job, held = self._running[future]
         if future.status == "finished":
             found = future.result()
-            self._forget(future)
+            self._running.pop(future)
+            future.release()
             cells = self._tried(job, partial(job.solved, held, found)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
@@ -236,7 +236,8 @@ class Patches:
         if future.status != "error":
             raise RunError(LOST)
         error = future.exception()
-        self._forget(future)
+        self._running.pop(future)
+        future.release()
         self._tries[job] = self._tries.get(job, 0) + 1
         if self._tries[job] >= ATTEMPTS or isinstance(error, InputError):  # bad input stays bad
             self._tries.pop(job)
@@ -254,17 +255,9 @@ class Patches:
             job.failed(_why(error))
             return None
 
-    def _forget(self, future: "Future[Any]") -> None:
-        """Count a job as no longer sent."""
-        with self._lock:
-            job, _ = self._running.pop(future)
-            self._under_way.discard(job)
-        future.release()
-
     def _done_with(self, job: Job) -> None:
         """Nobody has to wait for a job any more."""
         with self._lock:
-            self._under_way.discard(job)
             for jobs in self._wanted.values():
                 with suppress(ValueError):
                     jobs.remove(job)

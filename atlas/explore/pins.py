@@ -10,7 +10,7 @@ from bokeh.plotting import figure
 from atlas.explore.access import named
 from atlas.explore.chosen import Chosen, Pin
 from atlas.explore.state import Store
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.subject import Subject
 from atlas.explore.words import where
 
 
@@ -63,18 +63,15 @@ class Pins:
         cell = self._store.now.chosen.cell
         if cell is None:
             return
-        plane, *at = cell
-        values = dict(plane.parameters) | dict(zip(self._subject.axes, at, strict=True))
+        values = self._subject.values(*cell)
         pin = tuple((p.name, values[p.name]) for p in self._subject.system.parameters), self._note.value
         self._store.choose(pins=(*(each for each in self._store.now.chosen.pins if each[0] != pin[0]), pin))
         self._note.value = ""
 
     def _go(self, pin: Pin) -> None:
         """Show the plane and the details of a pin."""
-        values = dict(pin[0])
-        plane = Plane(tuple((name, values[name]) for name, _ in self._subject.plane.parameters))
-        x, y = (values[name] for name in self._subject.axes)
-        self._store.choose(plane=plane, cell=(plane, x, y))
+        cell = self._subject.point(dict(pin[0]))
+        self._store.choose(plane=cell[0], cell=cell)
 
     def _remove(self, pin: Pin) -> None:
         self._store.choose(pins=tuple(each for each in self._store.now.chosen.pins if each != pin))

@@ -47,9 +47,7 @@ def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource, like: fi
     plot.add_tools(wheel, BoxSelectTool(description="choose a window for an atlas"))
     plot.toolbar.active_scroll = wheel
     plot.toolbar.logo = None
-    plot.grid.visible = False
-    for axis in (plot.xaxis[0], plot.yaxis[0]):
-        quiet_axis(axis)
+    quiet(plot)
     image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
     plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image")
     for color, width in (("white", 4.0), ("black", 1.6)):
@@ -60,10 +58,12 @@ def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource, like: fi
     return plot, image
 
 
-def quiet_axis(axis: Any) -> None:
-    """Give an axis the type of the page, and ticks that ``label_axes`` can count from a round number."""
-    axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
-    axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
+def quiet(plot: figure) -> None:
+    """Give a plot no grid, and axes in the type of the page with ticks that may count from a round number."""
+    plot.grid.visible = False
+    for axis in (plot.xaxis[0], plot.yaxis[0]):
+        axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
+        axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
 
 
 def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:

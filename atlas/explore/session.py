@@ -2,8 +2,8 @@
 
 import os
 import secrets
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -153,12 +153,7 @@ def _connection(
 ) -> "Callable[[], AbstractContextManager[Client]]":
     if client is not None:
         given = client
-
-        @contextmanager
-        def used() -> "Iterator[Client]":
-            yield given
-
-        return used
+        return lambda: nullcontext(given)
     if scheduler is not None:
         return partial(connected, scheduler, timing=timing)
     return partial(local_cluster, workers)

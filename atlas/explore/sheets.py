@@ -15,14 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
-from atlas.explore.view import TILE, TileKey
+from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.making import remove_half_made
 from atlas.store.store import Header, create, done_tiles, open_arrays, read_header
 from atlas.store.zoom import make_plane, sheet_place
-from workers.model.parameter import Parameter
 
 SHEET = 16
 """Tiles of a sheet along each axis."""
@@ -33,9 +31,9 @@ MOST_ABSENT = 4096
 MOST_PLANES = 256
 """Planes whose digests are remembered."""
 LOOK = 5.0
-"""Seconds after which it is looked for what other explorers have written."""
+"""Seconds after which it is looked for what other explorers have written, or a run to the atlas itself."""
 
-Span = tuple[tuple[int, int], tuple[int, int]]
+Span = tuple[range, range]
 
 
 class SheetKey(NamedTuple):
@@ -106,7 +104,7 @@ class Sheets:
             if span is not None:
                 with suppress(InputError, OSError):
                     header = read_header(sheet_place(self._header, self.digest(plane), key.name))
-                    return self._opened(at, header, span[0])
+                    return self._opened(at, header, span)
             self._absent[at] = now
             self._absent.move_to_end(at)
             while len(self._absent) > MOST_ABSENT:
@@ -115,10 +113,9 @@ class Sheets:
 
     def made(self, plane: Plane, key: SheetKey, span: Span) -> Sheet:
         """A sheet that there was not, made and open. For the claim's holder only."""
-        subject, digest = self._subject, self.digest(plane)
-        (low_y, low_x), (high_y, high_x) = span
-        x = subject.x.values(key.level_x, np.arange(low_x * TILE, (high_x + 1) * TILE))
-        y = subject.y.values(key.level_y, np.arange(low_y * TILE, (high_y + 1) * TILE))
+        subject, digest, (rows, columns) = self._subject, self.digest(plane), span
+        x = Stretch(key.level_x, columns.start * TILE, len(columns) * TILE)
+        y = Stretch(key.level_y, rows.start * TILE, len(rows) * TILE)
         described = {
             "long_name": "a plane as it was looked at",
             "parameters": dict(plane.parameters),
@@ -129,9 +126,9 @@ class Sheets:
         place = sheet_place(self._header, digest, key.name)
         if place.local is not None:
             remove_half_made(place.local)
-        header = create(place, subject.spec_of(plane, x, y), (TILE, TILE))
+        header = create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
         with self._lock:
-            return self._opened((plane, key), header, (low_y, low_x))
+            return self._opened((plane, key), header, span)
 
     def close(self, digest: str, name: str) -> None:
         """Forget a sheet that is dropped, by the name of its plane and its own."""
@@ -171,23 +168,24 @@ class Sheets:
         return found
 
     def span(self, key: SheetKey) -> Span | None:
-        """The first and the last tile (y, x) of a sheet whose cells all lie in the valid ranges; None without any."""
-        subject, ends = self._subject, []
-        for lattice, level, number in ((subject.y, key.level_y, key.y), (subject.x, key.level_x, key.x)):
-            parameter = subject.system.parameter(lattice.axis.name)
-            ends.append(_admitted_tiles(lattice, parameter, level, number))
-        (low_y, high_y), (low_x, high_x) = ends
-        return ((low_y, low_x), (high_y, high_x)) if low_y <= high_y and low_x <= high_x else None
+        """The rows and columns of a sheet's tiles whose cells all lie in the valid ranges; None without any."""
+        found = []
+        for along, level, number in ((1, key.level_y, key.y), (0, key.level_x, key.x)):
+            first = number * SHEET
+            whole = np.flatnonzero(self._subject.admitted(along, level, first, SHEET).all(axis=1))
+            if not whole.size:
+                return None
+            found.append(range(first + int(whole[0]), first + int(whole[-1]) + 1))
+        return found[0], found[1]
 
     def span_with(self, key: TileKey) -> Span | None:
         """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
         span = self.span(SheetKey.of(key))
-        if span is None or not (span[0][0] <= key.y <= span[1][0] and span[0][1] <= key.x <= span[1][1]):
-            return None
-        return span
+        return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
-    def _opened(self, at: tuple[Plane, SheetKey], header: Header, first: tuple[int, int]) -> Sheet:
+    def _opened(self, at: tuple[Plane, SheetKey], header: Header, span: Span) -> Sheet:
         """Keep a sheet open; those not used for longest are closed."""
+        first = span[0].start, span[1].start
         self._open[at] = sheet = Sheet(header, first, open_arrays(header), done_tiles(header), looked=time.monotonic())
         self._absent.pop(at, None)
         while len(self._open) > MOST_OPEN:
@@ -199,12 +197,3 @@ def depth(name: str) -> int:
     """How deep a sheet of this name lies, by both its levels."""
     x, y, *_ = name.split("_")
     return int(x[1:]) + int(y[1:])
-
-
-def _admitted_tiles(lattice: Lattice, parameter: Parameter, level: int, number: int) -> tuple[int, int]:
-    """The first and the last tile of a sheet, along one axis, whose points all lie in the valid range."""
-    first = number * SHEET
-    index = np.arange(first * TILE, (first + SHEET) * TILE, dtype=np.int64)
-    whole = lattice.admitted(parameter, level, index).reshape(SHEET, TILE).all(axis=1)
-    good = np.flatnonzero(whole)
-    return (first + int(good[0]), first + int(good[-1])) if good.size else (0, -1)

@@ -2,17 +2,18 @@
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
 from atlas.explore.lattice import Lattice
 from atlas.explore.patch import Patch, packed
-from atlas.explore.view import TileKey
+from atlas.explore.view import TILE, Sight, Stretch, TileKey
 from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
@@ -20,11 +21,13 @@ from atlas.spec.axis import Axis, admitted
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import is_url, place_of
+from atlas.store.schema import extra_sizes
 from atlas.store.store import Header, read_header
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
 from workers.model.parameter import Parameter
 from workers.model.system import System, identity
+from workers.results import REASON, REGIME, Variable, empty_results
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -168,7 +171,7 @@ class Subject:
     def digest(self, plane: Plane) -> str:
         """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
         axes = [[axis.name, axis.values] for axis in self.spec.axes]
-        solve = {name: value for name, value in vars(self.settings).items()}
+        solve = dict(vars(self.settings))
         rest = {"parameters": dict(plane.parameters), "axes": axes, "solve": solve, "solver": SOLVER_VERSION}
         return digest_of(identity(self.system.resolved()) | rest)
 
@@ -178,22 +181,66 @@ class Subject:
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
         return plane.moved(name, admitted(self.system.parameter(name), value))
 
+    def point(self, values: Mapping[str, float]) -> tuple[Plane, float, float]:
+        """Where a cell with these parameters lies: the inverse of ``values``."""
+        x, y = (values[name] for name in self.axes)
+        return Plane(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
+
+    @cached_property
+    def variables(self) -> dict[str, Variable]:
+        """The results of its cells, by name."""
+        return {variable.name: variable for variable in self.system.variables(self.settings)}
+
+    @property
+    def numbers(self) -> list[str]:
+        """Those of one number a cell, but for its regime and the reason for that."""
+        every = self.variables.values()
+        return [each.name for each in every if not each.extra and each.name not in (REGIME.name, REASON.name)]
+
+    def without_results(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
+        """Arrays of cells that have no results yet; InputError for a variable that there is not."""
+        unknown = [name for name in names if name not in self.variables]
+        if unknown:
+            raise InputError(f"{self.name} has no variable {unknown[0]!r} to compare")
+        return empty_results(tuple(self.variables[name] for name in names), shape, extra_sizes(self.spec))
+
+    def values(self, plane: Plane, x: float, y: float) -> dict[str, float]:
+        """All parameters of a cell of a plane."""
+        return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
+
+    def sight(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Sight:
+        """The cells in a window on so many pixels, at the deepest levels whose cells are not finer than pixels."""
+        return Sight(Stretch.seen(self.x, *x, pixels[0]), Stretch.seen(self.y, *y, pixels[1]))
+
+    def points(self, x: Stretch, y: Stretch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The values of both axes at cells, (N,) each."""
+        return self.x.values(x.level, x.index), self.y.values(y.level, y.index)
+
+    def admitted(self, along: int, level: int, first: int, count: int) -> NDArray[np.bool_]:
+        """Which cells of tiles along an axis, 0 across or 1 up, lie in its valid range, (count, TILE)."""
+        lattice, cells = (self.x, self.y)[along], Stretch(level, first * TILE, count * TILE)
+        values = lattice.values(level, cells.index)
+        return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE))
+
+    def edges(self, sight: Sight) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Where the cells in view begin and end, along x and along y."""
+        x, y = sight
+        return self.x.edges(x.level, x.first, x.last), self.y.edges(y.level, y.first, y.last)
+
+    def grid(self, plane: Plane, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> Patch:
+        """What it takes to solve cells of a plane at these values of the axes."""
+        across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
+        return Patch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
+
     def patch(self, plane: Plane, key: TileKey, known: np.ndarray | None = None) -> Patch:
         """What it takes to solve a tile, less the cells that are known."""
-        (x, across), (y, up) = (
-            (self.spec.axes[0].name, self.x.values(key.level_x, key.index_x())),
-            (self.spec.axes[1].name, self.y.values(key.level_y, key.index_y())),
-        )
-        wanted = b"" if known is None else packed(~known)
-        sides = (x, tuple(across.tolist())), (y, tuple(up.tolist()))
-        return Patch(self.system, dict(plane.parameters), self.settings, *sides, wanted)
+        return self.grid(plane, *self.points(key.columns, key.rows), b"" if known is None else packed(~known))
 
     def spec_of(self, plane: Plane, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""
-        names = (axis.name for axis in self.spec.axes)
         axes = {
-            name: {"values": np.asarray(values), "scale": axis.scale}
-            for name, axis, values in zip(names, self.spec.axes, (x, y), strict=True)
+            axis.name: {"values": np.asarray(values), "scale": axis.scale}
+            for axis, values in zip(self.spec.axes, (x, y), strict=True)
         }
         return Spec(self.system, axes, dict(plane.parameters), self.settings)
 

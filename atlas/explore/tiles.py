@@ -65,11 +65,7 @@ class Tiles:
 
     def shown(self, plane: Plane, sight: Sight) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane in view that are as dense as the view or less, coarse ones first."""
-        found = [
-            (key, arrays)
-            for key, arrays in self.of(plane)
-            if key.level_x <= sight.level_x and key.level_y <= sight.level_y and sight.shows(key)
-        ]
+        found = [(key, arrays) for key, arrays in self.of(plane) if sight.shows(key)]
         return sorted(found, key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
 
 

@@ -16,6 +16,54 @@ MOST_TILES = 4096
 """Tiles of a level that are looked at at once, more than any screen takes."""
 
 
+@dataclass(frozen=True)
+class Stretch:
+    """Neighbouring cells of a level along one axis: the number of the first, which may be negative, and how many."""
+
+    level: int
+    first: int
+    count: int
+
+    @classmethod
+    def seen(cls, lattice: Lattice, low: float, high: float, pixels: int) -> "Stretch":
+        """The cells in a window on so many pixels, at the deepest level whose cells are not finer than pixels."""
+        level = lattice.level(low, high, pixels)
+        first = lattice.nearest(level, low)
+        return cls(level, first, lattice.nearest(level, high) - first + 1)
+
+    @property
+    def last(self) -> int:
+        """The number of the last."""
+        return self.first + self.count - 1
+
+    @property
+    def index(self) -> NDArray[np.int64]:
+        """The cells' numbers."""
+        return np.arange(self.first, self.first + self.count, dtype=np.int64)
+
+    def tiles(self, stage: int) -> range:
+        """The numbers of the tiles that it lies in, so many times halved in density."""
+        half = (1 << stage) // 2
+        first, last = (((end + half) >> stage) // TILE for end in (self.first, self.last))
+        return range(first, last + 1)
+
+    def place(self, other: "Stretch") -> slice:
+        """Which of its cells another one covers, of its level or a coarser one; perhaps none."""
+        step = 1 << (self.level - other.level)
+        begin, end = (step * number - step // 2 - self.first for number in (other.first, other.first + other.count))
+        return slice(max(begin, 0), max(0, min(end, self.count)))
+
+    def holding(self, level: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Which of its cells, from 0 on, those of a level as fine or finer lie in."""
+        shift = level - self.level
+        return np.asarray(((index + (1 << shift) // 2) >> shift) - self.first)
+
+    def away(self, other: "Stretch") -> float:
+        """How far the middle of another one, of its level or a coarser one, lies from its own, in its own lengths."""
+        middle = (other.first + 0.5 * other.count) * (1 << (self.level - other.level))
+        return (middle - 0.5 * (self.first + self.last)) / self.count
+
+
 class TileKey(NamedTuple):
     """A tile of a level: the level and the tile's number along x and along y. Numbers may be negative."""
 
@@ -35,97 +83,48 @@ class TileKey(NamedTuple):
         half = TILE // 2
         return tuple(slice(half * (n % 2), half * (n % 2) + half) for n in (self.y, self.x))  # type: ignore[return-value]
 
-    def index_x(self) -> NDArray[np.int64]:
-        """The cells' numbers along x."""
-        return np.arange(self.x * TILE, (self.x + 1) * TILE, dtype=np.int64)
-
-    def index_y(self) -> NDArray[np.int64]:
-        """The cells' numbers along y."""
-        return np.arange(self.y * TILE, (self.y + 1) * TILE, dtype=np.int64)
-
-
-@dataclass(frozen=True)
-class View:
-    """A window of the plane, x and y from low to high, on so many pixels."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-    width: int
-    height: int
-
-
-@dataclass(frozen=True)
-class Sight:
-    """A view on two lattices: the levels of the full density, and the cells of that level in view, ends included."""
-
-    level_x: int
-    level_y: int
-    first_x: int
-    last_x: int
-    first_y: int
-    last_y: int
-
-    @classmethod
-    def of(cls, view: View, x: Lattice, y: Lattice) -> "Sight":
-        """The cells of the deepest levels whose cells are not finer than pixels."""
-        level_x, level_y = x.level(*view.x, view.width), y.level(*view.y, view.height)
-        ends_x = [x.nearest(level_x, end) for end in view.x]
-        ends_y = [y.nearest(level_y, end) for end in view.y]
-        return cls(level_x, level_y, *ends_x, *ends_y)
+    @property
+    def of_atlas(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Which rows and columns of the atlas itself its cells are, for a tile that is not finer than it."""
+        return self.rows.index << -self.level_y, self.columns.index << -self.level_x
 
     @property
-    def index_x(self) -> NDArray[np.int64]:
-        """The cells' numbers along x."""
-        return np.arange(self.first_x, self.last_x + 1, dtype=np.int64)
+    def columns(self) -> Stretch:
+        """The cells along x."""
+        return Stretch(self.level_x, self.x * TILE, TILE)
 
     @property
-    def index_y(self) -> NDArray[np.int64]:
-        """The cells' numbers along y."""
-        return np.arange(self.first_y, self.last_y + 1, dtype=np.int64)
+    def rows(self) -> Stretch:
+        """The cells along y."""
+        return Stretch(self.level_y, self.y * TILE, TILE)
+
+
+class Sight(NamedTuple):
+    """The cells in view along both axes, at the levels of the full density."""
+
+    x: Stretch
+    y: Stretch
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """How many they are, (y, x)."""
+        return self.y.count, self.x.count
 
     def tiles(self, stage: int) -> list[TileKey]:
         """The tiles in view, so many times halved in density, from the centre out.
 
         The distance from the centre is measured in views, so that a wide view does not begin with a column.
         """
-        half = (1 << stage) // 2
-        across = [(n + half) >> stage for n in (self.first_x, self.last_x)]
-        up = [(n + half) >> stage for n in (self.first_y, self.last_y)]
-        keys = [
-            TileKey(self.level_x - stage, self.level_y - stage, tx, ty)
-            for ty in range(up[0] // TILE, up[1] // TILE + 1)
-            for tx in range(across[0] // TILE, across[1] // TILE + 1)
-        ]
-        return sorted(keys, key=lambda key: self._distance(key, stage))[:MOST_TILES]
+        levels = self.x.level - stage, self.y.level - stage
+        keys = [TileKey(*levels, x, y) for y in self.y.tiles(stage) for x in self.x.tiles(stage)]
+        return sorted(keys, key=lambda key: self.x.away(key.columns) ** 2 + self.y.away(key.rows) ** 2)[:MOST_TILES]
 
     def shows(self, key: TileKey) -> bool:
-        """Whether a tile, of this density or a coarser one, has a cell in view."""
-        rows, columns = self.place(key)
-        return rows.start < rows.stop and columns.start < columns.stop
+        """Whether a tile is of this density or a coarser one, and has a cell in view."""
+        if key.level_x > self.x.level or key.level_y > self.y.level:
+            return False
+        return all(part.start < part.stop for part in self.place(key))
 
     def place(self, key: TileKey) -> tuple[slice, slice]:
         """Rows and columns of the view that a tile of this density or a coarser one covers, perhaps none."""
-        found = []
-        for first, last, level, own, number in (
-            (self.first_y, self.last_y, self.level_y, key.level_y, key.y),
-            (self.first_x, self.last_x, self.level_x, key.level_x, key.x),
-        ):
-            step, half = 1 << (level - own), (1 << (level - own)) // 2
-            begin, end = number * TILE * step - half, (number + 1) * TILE * step - half
-            found.append(slice(max(begin - first, 0), max(0, min(end, last + 1) - first)))
-        return found[0], found[1]
-
-    def _distance(self, key: TileKey, stage: int) -> float:
-        width, height = self.last_x - self.first_x + 1, self.last_y - self.first_y + 1
-        step = float(1 << stage)
-        x = (key.x + 0.5) * TILE * step - 0.5 * (self.first_x + self.last_x)
-        y = (key.y + 0.5) * TILE * step - 0.5 * (self.first_y + self.last_y)
-        return (x / width) ** 2 + (y / height) ** 2
-
-
-def cells_of(tile: TileKey, level: int, index: NDArray[np.int64], along_x: bool) -> NDArray[np.int64]:
-    """Which cell of a tile each cell of a level, as fine or finer, lies in, along one axis: 0 to TILE - 1."""
-    own, number = (tile.level_x, tile.x) if along_x else (tile.level_y, tile.y)
-    shift = level - own
-    half = (1 << shift) // 2
-    return np.asarray(((index + half) >> shift) - number * TILE)
+        return self.y.place(key.rows), self.x.place(key.columns)

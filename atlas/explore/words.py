@@ -114,7 +114,7 @@ NAMES = {
 
 def cell_table(cell: Cell, subject: Subject) -> str:
     """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
-    names = [axis.name for axis in subject.spec.axes]
+    names = subject.axes
     rows = [(symbol_of(subject.system, name), number(cell.results[name]), repr(cell.results[name])) for name in names]
     rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " "), ""))
     if REASON.name in cell.results:

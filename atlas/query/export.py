@@ -47,14 +47,11 @@ def export(
     check_path(target)
     shown = within(ds, window)
     count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
-    try:
-        with written_whole(target) as unfinished:
-            if target.suffix.lower() == ".csv":
-                _write_csv(shown, unfinished, csv_cells)
-            else:
-                _write_netcdf(shown, unfinished, netcdf_bytes)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    with written_whole(target) as unfinished:
+        if target.suffix.lower() == ".csv":
+            _write_csv(shown, unfinished, csv_cells)
+        else:
+            _write_netcdf(shown, unfinished, netcdf_bytes)
     return count
 
 
@@ -70,13 +67,10 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
     Raises InputError for a path that cannot be written.
     """
-    try:
-        with written_whole(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    with written_whole(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def check_writable(path: Path) -> None:
@@ -92,13 +86,19 @@ def check_writable(path: Path) -> None:
 
 @contextmanager
 def written_whole(target: Path) -> Iterator[Path]:
-    """A path to write to that takes the place of the target at the end; at an error nothing of it stays."""
+    """A path to write to that takes the place of the target at the end; at an error nothing of it stays.
+
+    Raises InputError for a target that cannot be written.
+    """
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
-        yield unfinished
-        os.replace(unfinished, target)
-    finally:
-        unfinished.unlink(missing_ok=True)
+        try:
+            yield unfinished
+            os.replace(unfinished, target)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
 
 
 def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:

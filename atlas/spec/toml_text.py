@@ -1,34 +1,36 @@
 """A spec as the text of a TOML file that a person can go on with."""
 
-from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
 import tomli_w
 
+from atlas.spec.attractors import resolved_attractors
+from atlas.spec.axis import Axis, spaced_again
+from atlas.spec.spec import Spec
 from workers import Settings
-from workers.model.system import System
 
 
-def spec_toml(
-    system: System,
-    parameters: Mapping[str, float],
-    axes: Mapping[str, Mapping[str, Any]],
-    settings: Settings,
-    attractors: Mapping[str, Any] | None = None,
-) -> str:
-    """The text of a spec with these tables; defaults are omitted. ``Spec.from_toml`` reads it."""
+def spec_toml(spec: Spec) -> str:
+    """The text of the file of a spec; defaults are omitted. ``Spec.from_toml`` reads it."""
+    system, settings = spec.record, spec.settings
     defaults = {parameter.name: parameter.default for parameter in system.parameters}
     tables = {
         "system": system.name if system.packaged else system.table(),
-        "parameters": {name: value for name, value in parameters.items() if value != defaults[name]},
-        "axes": {
-            name: {key: value for key, value in axis.items() if (key, value) != ("scale", "linear")}
-            for name, axis in axes.items()
-        },
+        "parameters": {name: value for name, value in spec.parameters.items() if value != defaults[name]},
+        "axes": {axis.name: _axis_table(axis) for axis in spec.axes},
         "solve": {
             field.name: value for field in fields(Settings) if (value := getattr(settings, field.name)) != field.default
         },
-        "attractors": attractors,
+        "attractors": None if spec.attractors is None else resolved_attractors(spec.attractors),
     }
     return tomli_w.dumps({name: table for name, table in tables.items() if table}, multiline_strings=True)
+
+
+def _axis_table(axis: Axis) -> dict[str, Any]:
+    """An axis by its ends where it is spaced evenly on its scale, else by its values."""
+    outline = axis.outline()
+    given = ("start", "stop", "num") if spaced_again(outline) == tuple(axis.values) else ()
+    table = {key: outline[key] for key in given} or {"values": list(axis.values)}
+    kept = {key: outline[key] for key in ("scale", "continuation") if key in outline}
+    return table | {key: value for key, value in kept.items() if value != "linear"}

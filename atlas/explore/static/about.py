@@ -1,4 +1,4 @@
-"""What a page says of an atlas besides its numbers: its axes, variables and parameters, its spec, what to cite."""
+"""What a page says of an atlas besides its numbers: its axes, variables and parameters, what to cite."""
 
 import shlex
 from typing import TYPE_CHECKING, Any
@@ -8,11 +8,7 @@ from atlas.query.extremes import regimes_with
 from atlas.query.plane import Axis as PlaneAxis
 from atlas.render import words
 from atlas.render.coded import text_of
-from atlas.spec.attractors import resolved_attractors
-from atlas.spec.axis import Axis, spaced_again
 from atlas.spec.citation import bibtex, computed_by
-from atlas.spec.spec import Spec
-from atlas.spec.toml_text import spec_toml
 from atlas.store.schema import ALLOWANCES
 from atlas.store.store import Header
 from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME, REGIMES
@@ -77,13 +73,6 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
     }
 
 
-def spec_text(spec: Spec) -> str:
-    """The text of the spec file of an atlas."""
-    axes = {axis.name: _axis_table(axis) for axis in spec.axes}
-    attractors = None if spec.attractors is None else resolved_attractors(spec.attractors)
-    return spec_toml(spec.record, spec.parameters, axes, spec.settings, attractors)
-
-
 def provenance(ds: "xr.Dataset", header: Header) -> dict[str, str]:
     """Where the numbers are from, by its name on the page."""
     cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in header.spec.axes)
@@ -109,12 +98,3 @@ def _axis(ds: "xr.Dataset", axis: PlaneAxis) -> dict[str, Any]:
 
 def _symbol(ds: "xr.Dataset", name: str) -> str:
     return text_of(f"${words.symbol(ds, name)}$")
-
-
-def _axis_table(axis: Axis) -> dict[str, Any]:
-    """An axis as in a spec file: by its ends where it is spaced evenly on its scale."""
-    outline = axis.outline()
-    kept = {key: value for key, value in outline.items() if key in ("scale", "continuation")}
-    if spaced_again(outline) != tuple(axis.values):
-        return {"values": list(axis.values)} | kept
-    return {key: outline[key] for key in ("start", "stop", "num")} | kept

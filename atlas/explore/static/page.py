@@ -23,6 +23,7 @@ from atlas.query.source import find_part
 from atlas.query.window import axis_names, refuse_table
 from atlas.render.coded import CodedMap, coded_maps, curves_over
 from atlas.render.drawing import check_units
+from atlas.spec.toml_text import spec_toml
 from atlas.text import byte_size
 from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
 
@@ -53,11 +54,8 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
     target = Path(path)
     check_path(target)
     text = page_of(ds, limit, most_cells)
-    try:
-        with written_whole(target) as unfinished:
-            unfinished.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    with written_whole(target) as unfinished:
+        unfinished.write_text(text, encoding="utf-8", newline="\n")
     return target
 
 
@@ -88,7 +86,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     }
     words = {
         "title": str(ds.attrs.get("title", "Impact atlas")),
-        "spec": about.spec_text(header.spec),
+        "spec": spec_toml(header.spec),
         "citation": about.citation(ds, header),
         "provenance": about.provenance(ds, header),
     }
