@@ -13,7 +13,7 @@ from atlas.explore.controls import heading
 from atlas.explore.explorer import Explorer
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Plane, Subject
-from atlas.explore.words import NAMES, symbol_of
+from atlas.explore.words import name_of, symbol_of
 from atlas.render import SCALAR, has_scale
 from workers.model.parameter import Parameter
 
@@ -86,7 +86,7 @@ class BesidePanel:
         drawn = {
             "compared": [(SAME, "the same map"), (DIFFERENCE, "the difference")],
             "maps": [(kind, kind) for kind in kinds(subject) if kind != SCALAR],
-            "variables": [(f"{SCALAR}:{name}", NAMES.get(name, name.replace("_", " "))) for name in subject.numbers],
+            "variables": [(f"{SCALAR}:{name}", name_of(name)) for name in subject.numbers],
         }
         self._open = Button(label="compare", **wide)
         self._of = Select(title="the second plane shows", options=of, **wide)

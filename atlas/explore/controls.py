@@ -16,7 +16,7 @@ from atlas.explore.curvelist import CurveList
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import STEPS, Subject, slider_range
-from atlas.explore.words import symbol_of
+from atlas.explore.words import name_of, symbol_of
 from atlas.render import SCALAR
 from atlas.text import plain
 
@@ -35,7 +35,8 @@ class Controls:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         lines = overlays(subject)
         self.kind = Select(title="map", options=kinds(subject), value=chosen.kind, **wide)
-        self.variable = Select(title="variable", options=subject.numbers, value=chosen.variable, **wide)
+        named = [(name, name_of(name)) for name in subject.numbers]
+        self.variable = Select(title="variable", options=named, value=chosen.variable, **wide)
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
         self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
         self.curves = CurveList(store)

@@ -97,7 +97,7 @@ def cell_reading(cell: Cell, subject: Subject, names: Iterable[str]) -> str:
     for name in names:
         if name != REGIME.name and regime in regimes_with(name) and not math.isnan(found.get(name, math.nan)):
             value = with_error(found[name], found[ERROR.name]) if name == LARGEST.name else _value(found[name])
-            parts.append(f"{NAMES.get(name, name.replace('_', ' '))} {html.escape(value)}")
+            parts.append(f"{name_of(name)} {html.escape(value)}")
     return ", &ensp;".join(parts)
 
 
@@ -112,6 +112,11 @@ NAMES = {
 """Variables in words that fit beside their numbers; others are named by themselves, less the underscores."""
 
 
+def name_of(variable: str) -> str:
+    """A variable in words."""
+    return NAMES.get(variable, variable.replace("_", " "))
+
+
 def cell_table(cell: Cell, subject: Subject) -> str:
     """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
     names = subject.axes
@@ -121,7 +126,7 @@ def cell_table(cell: Cell, subject: Subject) -> str:
         rows.append((REASON.name, str(cell.results[REASON.name]), ""))
     if not math.isnan(cell.results.get(LARGEST.name, math.nan)):
         value, error = cell.results[LARGEST.name], cell.results[ERROR.name]
-        rows.append((NAMES[LARGEST.name], with_error(value, error), f"{value!r} ± {error!r}"))
+        rows.append((name_of(LARGEST.name), with_error(value, error), f"{value!r} ± {error!r}"))
     shown = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
     regime = next(each.code for each in REGIMES if each.name == cell.results[REGIME.name])
     for name, value in cell.results.items():
@@ -129,7 +134,7 @@ def cell_table(cell: Cell, subject: Subject) -> str:
             continue
         endless = name.endswith(("_upper", "_lower")) and isinstance(value, int) and value < 0
         text = "without end: at rest on a stop" if endless else _value(value)
-        rows.append((NAMES.get(name, name.replace("_", " ")), text, repr(value)))
+        rows.append((name_of(name), text, repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
     body = "".join(
         f'<tr><td>{html.escape(left)}</td><td title="{html.escape(full)}">{html.escape(right)}</td></tr>'
@@ -160,7 +165,7 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
     if not found.each:
         return f"none of {plural(found.starts, 'initial state')} is decided"
     exponents = subject.settings.exponents != "none"
-    heads = ["", "", "regime", "n-p-q", *([NAMES[LARGEST.name]] if exponents else []), "share, 95 %"]
+    heads = ["", "", "regime", "n-p-q", *([name_of(LARGEST.name)] if exponents else []), "share, 95 %"]
     rows = [
         f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
         + _cells("td", _attractor(each, k == found.own, exponents, subject.system)).removeprefix("<tr>")
