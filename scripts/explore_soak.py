@@ -4,8 +4,9 @@ Usage: python -m scripts.explore_soak STORE [--minutes 20] [--seed 1] [--size 12
 
 The visitor zooms, drags, draws cuts and their branches, pins cells, follows orbits and opens second planes.
 Needs chromium, Playwright and Linux. Scheduler and workers are processes of their own; the store is explored in place.
-Ends with exit code 1 where a tile of the atlas's plane was solved twice or failed, where the browser complained, or
-where verifying finds a fault. Memory is printed to be judged: after the caches are full it should stay.
+Ends with exit code 1 where a tile of the atlas's plane failed, or was solved twice though its sheet was not dropped for
+room, where the browser complained, or where verifying finds a fault. Memory is printed to be judged: after the caches
+are full it should stay.
 """
 
 import argparse
@@ -19,9 +20,13 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import atlas
 from atlas.explore.session import Exploration, explore
+from atlas.explore.sheets import SheetKey
+from atlas.explore.view import TileKey
+from atlas.store.zoom import drop_sheet
 from tests.browser import Tab, opened, started
 
 STAY = 0.5, 6.0
@@ -128,9 +133,10 @@ class Report:
     def __init__(self, running: Exploration, scheduler: int, workers: list[int]) -> None:
         self._running, self._scheduler, self._workers = running, scheduler, workers
         self._begin = time.monotonic()
-        self.counts: Counter[object] = Counter()
+        self.counts: Counter[TileKey] = Counter()
         self.moves = 0
         self._memory: list[tuple[float, float, float]] = []
+        self._drop = patch("atlas.explore.kept.drop_sheet", wraps=drop_sheet).start()
         plane = running.explorer.subject.plane
         running.explorer.listen("soak", lambda of, key: self.counts.update([key] if of == plane else []))
 
@@ -162,9 +168,12 @@ class Report:
         ):
             first, last = max(column[: half + 1]), max(column[half:])
             print(f"memory of the {what}: at most {first:.0f} MiB in the first half, {last:.0f} MiB in the second")
-        again = [key for key, count in self.counts.items() if count > 1]
+        twice = [key for key, count in self.counts.items() if count > 1]
+        dropped = {drop.args[2] for drop in self._drop.call_args_list}
+        again = [key for key in twice if SheetKey.of(key).name not in dropped]
         failed = len(self._running.explorer.failures)
-        print(f"tiles of the atlas's plane solved twice: {len(again)} of {len(self.counts)}; failed: {failed}")
+        print(f"sheets dropped for room: {len(dropped)}; their tiles solved again: {len(twice) - len(again)}")
+        print(f"other tiles of the atlas's plane solved twice: {len(again)} of {len(self.counts)}; failed: {failed}")
         for key in again[:10]:
             print(f"  {key}")
         print(f"complaints of the browser: {len(complaints)}", *sorted(set(complaints)), sep="\n  ")
