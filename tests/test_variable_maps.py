@@ -54,6 +54,20 @@ def rgb(color: str) -> tuple[int, ...]:
     return tuple(round(255 * part) for part in colors.to_rgb(color))
 
 
+def test_a_scale_that_ends_at_zero_is_pointed_where_values_lie_above_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends, draw = [], Figure.colorbar
+
+    def noted(drawn: Figure, *given: Any, extend: str, **look: Any) -> Any:
+        ends.append(extend)
+        return draw(drawn, *given, extend=extend, **look)
+
+    monkeypatch.setattr(Figure, "colorbar", noted)
+    ds = speeds()
+    ds["max_impact_speed"] = ds["max_impact_speed"] - 8.5
+    render.figure(ds, variable="max_impact_speed", vmin=-9.0, vmax=0.0)
+    assert ends == ["max"]
+
+
 def test_a_variable_is_drawn_on_its_scale_with_its_name_and_unit() -> None:
     figure = render.figure(speeds(), variable="max_impact_speed")
     assert figure.axes[1].get_ylabel() == "fastest impact"

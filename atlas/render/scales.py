@@ -212,7 +212,7 @@ def draw_bars(
     Ends are pointed where values lie beyond them. The scale of exponents has a line at zero, where its step may change.
     """
     for place, bar in enumerate(bars):
-        low, high = float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 1.0)
+        low, high = (default if end is None else end for end, default in ((bar.norm.vmin, 0.0), (bar.norm.vmax, 1.0)))
         values = bar.values[np.isfinite(bar.values) & (bar.values != 0.0)]  # zero has no logarithm, or its own name
         beyond = int(np.any(values < low)) + 2 * int(np.any(values > high))
         extend, mappable = ("neither", "min", "max", "both")[beyond], ScalarMappable(bar.norm, bar.colormap)
