@@ -204,6 +204,11 @@ def test_basins_over_parameters_are_refused_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "out.zarr").exists()
 
 
+def test_labels_of_branches_are_refused_where_labels_are_those_of_basins(solved: Path) -> None:
+    with pytest.raises(InputError, match="not labelled; label them with atlas label"):
+        render.figure(atlas.open(solved), "labels")
+
+
 def test_what_is_no_atlas_of_basins_has_none(solved_plane: Path) -> None:
     with pytest.raises(InputError, match="not an atlas of basins"):
         atlas.open(solved_plane).atlas.basins()

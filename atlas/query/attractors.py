@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
 from atlas.query.open import open_table
-from atlas.store.groups import LABELS
+from atlas.store.groups import LABELS, group_attributes
 from atlas.store.store import read_header
 from workers.results import ATTRACTOR, LABEL, PENDING, REGIME
 
@@ -56,9 +56,10 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
     InputError where they are not.
     """
     source = ds.encoding.get("source")
-    if LABEL.name not in ds or not isinstance(source, str):
+    header = read_header(source) if LABEL.name in ds and isinstance(source, str) else None
+    if header is None or group_attributes(header, LABELS) is None:  # the labels of basins are its results
         raise InputError("the attractors of this atlas are not labelled; label them with atlas label")
-    return open_table(read_header(source), LABELS).drop_vars(LABEL.name).load()
+    return open_table(header, LABELS).drop_vars(LABEL.name).load()
 
 
 def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
