@@ -35,7 +35,7 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
         options["curves"] = chosen.curves
     if chosen.kind == SCALAR:
         options |= {"variable": chosen.variable, "log": chosen.log}
-    if chosen.kind == SCALAR or has_scale(chosen.kind):
+    if has_scale(chosen.kind):
         options |= dict(zip(("vmin", "vmax"), ends, strict=True))
     name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:

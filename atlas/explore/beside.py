@@ -37,7 +37,7 @@ def second(home: Explorer, explorer: Explorer, state: State) -> tuple[Explorer, 
     kind, _, variable = beside.drawn.partition(":")
     if beside.drawn != SAME:
         shown = replace(shown, kind=kind, variable=variable or shown.variable, log=False, vmin=None, vmax=None)
-    elif kind == SCALAR or has_scale(chosen.kind):
+    elif has_scale(chosen.kind):
         shown = replace(shown, vmin=state.ends[0], vmax=state.ends[1])  # one scale for both
     if shown.kind not in kinds(there.subject) or (variable and variable not in there.subject.numbers):
         raise InputError(f"second.drawn: {there.subject.name} has no {variable or shown.kind!r}")

@@ -224,7 +224,7 @@ class Painter:
     def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
         """The ends that suit the whole plane of the atlas, as far as it is known."""
         subject = self._explorer.subject
-        if subject.ds is None or not (chosen.kind == SCALAR or has_scale(chosen.kind)):
+        if subject.ds is None or not has_scale(chosen.kind):
             return {}
         sight = subject.sight(subject.x.ends, subject.y.ends, WHOLE)
         ds = self._explorer.known.seen(subject.plane, sight, chosen.names)
@@ -239,7 +239,7 @@ def _drawn(
 ) -> Screen:
     """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
     scalar = chosen.kind == SCALAR
-    taken: Any = dict(zip(("vmin", "vmax"), ends, strict=True)) if scalar or has_scale(chosen.kind) else {}
+    taken: Any = dict(zip(("vmin", "vmax"), ends, strict=True)) if has_scale(chosen.kind) else {}
     return screen(
         ds, chosen.kind, pixels, KEY_WIDTH, overlay=chosen.overlays, variable=chosen.variable if scalar else None,
         log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **taken,
