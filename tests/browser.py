@@ -32,9 +32,14 @@ class Tab:
         self.sent: list[int] = []
         self.received: list[int] = []
         page.on("websocket", self._listen)
-        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        page.on("console", self._hear)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
+
+    def _hear(self, said: Any) -> None:
+        # What a driver says of its speed is of this machine, as of reading pixels for a screenshot.
+        if said.type in ("error", "warning") and "GL Driver Message" not in said.text:
+            self.complaints.append(said.text)
 
     def _listen(self, socket: Any) -> None:
         for event, sizes in (("framesent", self.sent), ("framereceived", self.received)):

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Patches, Task
+from atlas.explore.patches import Errand, Patches, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
 from atlas.explore.tiles import Tiles
@@ -363,6 +364,32 @@ class Mistaken:
     def _step(self, name: str) -> None:
         if name == self.wrong:
             raise KeyError(name)
+
+
+def test_a_result_that_went_with_its_worker_is_asked_for_again_and_never_waited_for_without_end(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker may die after it reported a job as done, before it handed the result over."""
+    asked, found, result = list[float | None](), list[int](), Future.result
+
+    def late(future: Future, timeout: float | None = None) -> Any:
+        asked.append(timeout)
+        if len(asked) == 1:
+            raise TimeoutError
+        return result(future, timeout)
+
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        yield client
+
+    monkeypatch.setattr(Future, "result", late)
+    patches = Patches(connect)
+    try:
+        patches.want("test", [Errand((abs, -3), found.append, pytest.fail)])
+        assert waited(lambda: patches.left("test") == 0)
+    finally:
+        patches.stop()
+    assert found == [3] and len(asked) == 2 and None not in asked
 
 
 def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: Client) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.layouts import column
-from bokeh.models import Button, ColumnDataSource, Div
+from bokeh.models import Button, ColumnDataSource, Div, Range1d
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -37,12 +37,12 @@ class BasinsPanel:
         self._says = Div(stylesheets=[TEXT], visible=False)
         self._image = ColumnDataSource({"basins": [], "x0": [], "y0": [], "w": [], "h": []})
         self._start = ColumnDataSource({"start_x": [], "start_y": []})
-        self._plot = figure(height=260, sizing_mode="stretch_width", toolbar_location=None, tools="", visible=False)
+        of: dict[str, Any] = {"x_range": Range1d(0.0, 1.0), "y_range": Range1d(0.0, 1.0), "toolbar_location": None}
+        self._plot = figure(height=260, sizing_mode="stretch_width", tools="", visible=False, **of)
         self._plot.html_attributes = named("basins of the cell over its initial states")
         self._plot.image_rgba(image="basins", x="x0", y="y0", dw="w", dh="h", source=self._image)
         look: dict[str, Any] = {"marker": "circle", "fill_color": "white", "line_color": "black"}
         self._plot.scatter(x="start_x", y="start_y", source=self._start, size=8, **look)
-        self._plot.x_range.range_padding = self._plot.y_range.range_padding = 0
         quiet(self._plot)
         self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
 
@@ -87,6 +87,9 @@ class BasinsPanel:
         )
         own = [cell.parameters[name] for name in (grid.x[0], grid.y[0])]
         self._start.data = {"start_x": own[:1], "start_y": own[1:]}
+        (left,), (low,), (width,), (height,) = (grid.box[name] for name in ("x0", "y0", "w", "h"))
+        self._plot.x_range.update(start=left, end=left + width)
+        self._plot.y_range.update(start=low, end=low + height)
         self._plot.visible = True
         rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
         jobs = [basin_job(grid, each, partial(self._told, cell), self._refuse) for each in rows]

@@ -225,7 +225,11 @@ class Patches:
     def _finish(self, future: "Future[Any]") -> None:
         job, held = self._running[future]
         if future.status == "finished":
-            found = future.result()
+            try:
+                found = future.result(timeout=self._timing.connect)
+            except TimeoutError:  # its worker is gone: Dask has it done again once there is another one
+                future.add_done_callback(self._ended.put)
+                return
             self._running.pop(future)
             future.release()
             cells = self._tried(job, partial(job.solved, held, found)) or 0
