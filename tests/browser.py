@@ -37,7 +37,7 @@ class Tab:
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
 
     def _hear(self, said: Any) -> None:
-        # A driver speaks of its own speed, and Bokeh of a cut that is closed before it has a cell.
+        # A driver speaks of its own speed, and Bokeh of plots that have no data yet.
         known = "GL Driver Message", "could not set initial ranges"
         if said.type in ("error", "warning") and not any(words in said.text for words in known):
             self.complaints.append(said.text)

@@ -78,8 +78,8 @@ class CutPanel:
         self._note = ""
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
         self._sources = {
-            "section": ColumnDataSource({"x": [0.0], "gap": [0.0]}),  # Bokeh warns of plots of nothing
-            "exponents": ColumnDataSource({"x": [0.0], "largest": [0.0], "low": [0.0], "high": [0.0]}),
+            "section": ColumnDataSource({"x": [], "gap": []}),
+            "exponents": ColumnDataSource({"x": [], "largest": [], "low": [], "high": []}),
         }
         self._over_plane()
         subject, scale = explorer.subject, "linear"
@@ -127,7 +127,7 @@ class CutPanel:
         x0, y0, x1, y1 = chosen.cut
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
         self._cells = None
-        for source in self._sources.values() if old else ():
+        for source in self._sources.values():
             source.data = {name: [] for name in source.data}
         self._show_branches(None)
         low, high = sorted((chosen.cut[line.along], chosen.cut[2 + line.along]))

@@ -36,10 +36,10 @@ class MotionPanel:
     """The portraits of a cell's attractors in one phase plane, and its machine, which a button sets in motion."""
 
     def __init__(self, subject: Subject) -> None:
-        self._paths = ColumnDataSource({"xs": [[0.0]], "ys": [[0.0]], "color": ["white"]})  # see CutPanel
+        self._paths = ColumnDataSource({"xs": [], "ys": [], "color": []})
         self._path = ColumnDataSource({"y": [], "v": []})
         self._here = ColumnDataSource({"now_y": [], "now_v": []})
-        self._machine = ColumnDataSource({"at": [0.0], "lane": [0]})
+        self._machine = ColumnDataSource({"at": [], "lane": []})
         self._stops = ColumnDataSource({"stop": [], "low": [], "high": []})
         self._pace = ColumnDataSource({"per_period": [1.0]})
         look: dict[str, Any] = {"sizing_mode": "stretch_width", "toolbar_location": None, "tools": ""}
