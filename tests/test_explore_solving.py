@@ -314,10 +314,10 @@ def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
 ) -> None:
     back = threading.Event()
 
-    def gone(future: Future) -> object:
+    def gone(future: Future, timeout: float | None = None) -> object:
         if not back.is_set():
             raise CancelledError(future.key)
-        return result(future)
+        return result(future, timeout)
 
     result = Future.result
     monkeypatch.setattr(Future, "result", gone)
