@@ -193,8 +193,7 @@ class Patches:
             idle = [future for future in stale if future.key not in begun and not future.done()]
             client.cancel(idle)
             for future in idle:
-                self._running.pop(future)
-                future.release()
+                self._forget(future)
 
     def _next(self) -> Job | None:
         """The next job to send: of all who want some in turn, the first that is not under way."""
@@ -230,8 +229,7 @@ class Patches:
             except TimeoutError:  # its worker is gone: Dask has it done again once there is another one
                 future.add_done_callback(self._ended.put)
                 return
-            self._running.pop(future)
-            future.release()
+            self._forget(future)
             cells = self._tried(job, partial(job.solved, held, found)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
@@ -240,13 +238,17 @@ class Patches:
         if future.status != "error":
             raise RunError(LOST)
         error = future.exception()
-        self._running.pop(future)
-        future.release()
+        self._forget(future)
         self._tries[job] = self._tries.get(job, 0) + 1
         if self._tries[job] >= ATTEMPTS or isinstance(error, InputError):  # bad input stays bad
             self._tries.pop(job)
             self._done_with(job)
             job.failed(_why(error))
+
+    def _forget(self, future: "Future[Any]") -> None:
+        """Count a job as no longer sent."""
+        self._running.pop(future)
+        future.release()
 
     def _tried(self, job: Job, step: Callable[[], Any]) -> Any:
         """What a step of a job returns; None after a mistake of ours, which ends that job and not the work for all."""
