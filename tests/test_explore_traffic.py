@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from atlas.explore.chosen import from_address
-from atlas.explore.painter import KEY_WIDTH
 from atlas.explore.session import Exploration
+from atlas.explore.style import KEY_WIDTH
 from atlas.render.screen import screen
 from tests.browser import Tab, opened
 from tests.test_explore_page import arguments, painter_of, settled

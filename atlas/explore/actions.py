@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from atlas.cell.orbit import CellOrbit, cell_orbit
-from atlas.explore.chosen import CHART, CURVES, Chosen, Range
+from atlas.explore.chosen import Chosen, Ends, Range
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.pins import pins_text
 from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
-from atlas.render import SCALAR, figure, has_scale, render
+from atlas.render import figure, render
 from atlas.render.screen import drawing
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
@@ -26,21 +26,15 @@ PORTRAIT: Any = {"width": "90mm", "dpi": 220}
 MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 
 
-def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, ends: Any) -> tuple[str, str]:
+def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, ends: Ends) -> tuple[str, str]:
     """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
     subject = explorer.subject
     ds = explorer.known.seen(chosen.plane, sight, chosen.names)
-    options: dict[str, Any] = {"overlay": chosen.drawn(subject)}
-    if CURVES in options["overlay"] or chosen.kind == CHART:
-        options["curves"] = chosen.curves
-    if chosen.kind == SCALAR:
-        options |= {"variable": chosen.variable, "log": chosen.log}
-    if has_scale(chosen.kind):
-        options |= dict(zip(("vmin", "vmax"), ends, strict=True))
+    look = replace(chosen, overlays=chosen.drawn(subject)).look(ends)
     name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:
         with drawing:
-            path = render(ds, Path(folder) / name, chosen.kind, **options)
+            path = render(ds, Path(folder) / name, chosen.kind, **look)
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 

@@ -9,11 +9,14 @@ from urllib.parse import urlencode
 from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import Plane, Subject
-from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, needs
+from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, has_scale, needs
 from atlas.render.kinds import CURVES as CURVE_KINDS
+from atlas.render.options import MapLook
 from workers.results import LARGEST, REGIME
 
 Range = tuple[float, float]
+Ends = tuple[float | None, float | None]
+"""Of a scale; None is an end that a picture chooses for itself."""
 
 CURVES, CHART = "curves", "regions"
 """The overlay and the kind of map that draw what a store keeps."""
@@ -130,6 +133,20 @@ class Chosen:
         moved = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
         there, here = (", ".join(f"{each[0]} = {each[i]:.6g}" for each in moved) for i in (1, 2))
         return f"no curves at {here}: a store has curves of its own plane alone, {there}"
+
+    def scaled(self, ends: Ends) -> MapLook:
+        """These ends of its scale, if it has one, as options of ``render.figure``."""
+        return {"vmin": ends[0], "vmax": ends[1]} if has_scale(self.kind) else {}
+
+    def look(self, ends: Ends = (None, None)) -> MapLook:
+        """How its picture looks with these ends of its scale, as options of ``render.figure``."""
+        found = self.scaled(ends)
+        found["overlay"] = self.overlays
+        if CURVES in self.overlays or self.kind == CHART:
+            found["curves"] = self.curves
+        if self.kind == SCALAR:
+            found["variable"], found["log"] = self.variable, self.log
+        return found
 
     @property
     def scale(self) -> tuple[object, ...]:

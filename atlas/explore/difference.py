@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.explore.chosen import Chosen, Range
+from atlas.explore.chosen import Chosen, Ends, Range
 from atlas.explore.compose import Index, atlas_cells, dataset
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Known
-from atlas.explore.painter import KEY_WIDTH, Painted, Painter
-from atlas.explore.state import Ends
+from atlas.explore.painter import Painted, Painter
+from atlas.explore.style import KEY_WIDTH
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import STAGES, Sight, Stretch, TileKey
@@ -208,8 +208,8 @@ class DifferencePainter(Painter):
         return self._first.subject.edges(self._here.sight)
 
     def _drawn(self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends) -> tuple[Screen, str]:
-        taken: Any = dict(zip(("vmin", "vmax"), ends, strict=True)) if has_scale(chosen.kind) else {}
-        return screen(ds, change_of(chosen.kind, chosen.variable), pixels, KEY_WIDTH, **taken), self._note
+        kind = change_of(chosen.kind, chosen.variable)
+        return screen(ds, kind, pixels, KEY_WIDTH, **chosen.scaled(ends)), self._note
 
     def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
         return {}

@@ -9,17 +9,17 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from atlas.errors import InputError, RunError
-from atlas.explore.chosen import CHART, Chosen, Range, beginning
+from atlas.explore.chosen import CHART, Chosen, Ends, Range, beginning
 from atlas.explore.explorer import Explorer
-from atlas.explore.state import Ends
+from atlas.explore.style import KEY_WIDTH
 from atlas.explore.subject import Plane
 from atlas.explore.view import STAGES, Sight, TileKey
-from atlas.render import SCALAR, has_scale
+from atlas.render import has_scale
 from atlas.render.kinds import OverlayError
 from atlas.render.screen import Screen, screen
 from workers.results import PENDING, REGIME
@@ -39,7 +39,6 @@ WHOLE = (240, 180)
 """Pixels of the picture of the whole plane that the ends of a scale are taken from."""
 SETTLED = 0.01
 """Share of pending cells from which on a picture can say how far a scale should reach."""
-KEY_WIDTH = 165
 
 FIRST, ALL = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
 """The stages that are solved of a view while a slider moves, and once it rests."""
@@ -238,12 +237,7 @@ def _drawn(
     ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends = (None, None), numbers: bool = False
 ) -> Screen:
     """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
-    scalar = chosen.kind == SCALAR
-    taken: Any = dict(zip(("vmin", "vmax"), ends, strict=True)) if has_scale(chosen.kind) else {}
-    return screen(
-        ds, chosen.kind, pixels, KEY_WIDTH, overlay=chosen.overlays, variable=chosen.variable if scalar else None,
-        log=chosen.log and scalar, curves=chosen.curves, numbers=numbers, **taken,
-    )  # fmt: skip
+    return screen(ds, chosen.kind, pixels, KEY_WIDTH, numbers=numbers, **chosen.look(ends))
 
 
 def _pixels(pixels: int, edges: Range, window: Range, log: bool) -> int:

@@ -11,10 +11,10 @@ from bokeh.plotting import figure
 from atlas.explore.background import Background, Latest, Show
 from atlas.explore.chosen import Chosen
 from atlas.explore.explorer import Explorer
-from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.painter import Painted, Painter
 from atlas.explore.picture import Picture
 from atlas.explore.plot import label_axes, make_plot
-from atlas.explore.style import BAR, KEY, LINE, PANE, PLANE, TEXT
+from atlas.explore.style import BAR, KEY, KEY_WIDTH, LINE, PANE, PLANE, TEXT
 from atlas.explore.words import cell_reading, key_image, progress_bar, title
 
 LINE_HEIGHT = 20

@@ -7,7 +7,7 @@ from bokeh.plotting import figure
 
 from atlas.explore.access import named
 from atlas.explore.chosen import Chosen
-from atlas.explore.style import PLOT
+from atlas.explore.style import PLOT, RIGHT_MARGIN
 from atlas.explore.subject import Subject
 from atlas.explore.words import ticks
 
@@ -38,7 +38,7 @@ def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource, like: fi
         toolbar_location="above",
         sizing_mode="stretch_both",
         min_border_left=76,  # room for any tick's label: the plane keeps its size
-        min_border_right=12,
+        min_border_right=RIGHT_MARGIN,
         min_border_bottom=52,
         lod_threshold=None,
         stylesheets=[PLOT],

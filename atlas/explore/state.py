@@ -4,9 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from atlas.explore.chosen import Chosen, Range
-
-Ends = tuple[float | None, float | None]
+from atlas.explore.chosen import Chosen, Ends, Range
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,10 @@ A page of at least three columns' width has the plane between its controls and t
 as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
 """
 
+KEY_WIDTH = 165
+"""Pixels of the key beside a plane."""
+RIGHT_MARGIN, TOOLBAR = 12, 30
+"""Pixels between a plane and its key, and of the toolbar to the right of a plot."""
 CUT_HEIGHT = "min(330px, 45vh)"
 STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
 """The widths of a page with the plane above all else, and of one with a single column."""
@@ -119,7 +123,7 @@ PANEL = f"""
 
 CUT = f"""
 :host {{ flex: none !important; height: {CUT_HEIGHT} !important; box-sizing: border-box;
-        padding-right: var(--right-of-cut, 147px); }}
+        padding-right: var(--right-of-cut, {KEY_WIDTH + RIGHT_MARGIN - TOOLBAR}px); }}
 @media {SINGLE} {{ :host {{ width: 100% !important; height: auto !important; padding-right: 0; }} }}
 """
 """Its diagrams end where the plane does: beside that stand the key of the map and, here, the toolbar."""
