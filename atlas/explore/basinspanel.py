@@ -37,8 +37,10 @@ class BasinsPanel:
         self._says = Div(stylesheets=[TEXT], visible=False)
         self._image = ColumnDataSource({"basins": [], "x0": [], "y0": [], "w": [], "h": []})
         self._start = ColumnDataSource({"start_x": [], "start_y": []})
-        of: dict[str, Any] = {"x_range": Range1d(0.0, 1.0), "y_range": Range1d(0.0, 1.0), "toolbar_location": None}
-        self._plot = figure(height=260, sizing_mode="stretch_width", tools="", visible=False, **of)
+        self._plot = figure(
+            height=260, sizing_mode="stretch_width", toolbar_location=None, tools="", visible=False,
+            x_range=Range1d(0.0, 1.0), y_range=Range1d(0.0, 1.0),
+        )  # fmt: skip
         self._plot.html_attributes = named("basins of the cell over its initial states")
         self._plot.image_rgba(image="basins", x="x0", y="y0", dw="w", dh="h", source=self._image)
         look: dict[str, Any] = {"marker": "circle", "fill_color": "white", "line_color": "black"}

@@ -35,8 +35,8 @@ class Controls:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         lines = overlays(subject)
         self.kind = Select(title="map", options=kinds(subject), value=chosen.kind, **wide)
-        named = [(name, name_of(name)) for name in subject.numbers]
-        self.variable = Select(title="variable", options=named, value=chosen.variable, **wide)
+        numbers = [(name, name_of(name)) for name in subject.numbers]
+        self.variable = Select(title="variable", options=numbers, value=chosen.variable, **wide)
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
         self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
         self.curves = CurveList(store)

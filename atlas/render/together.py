@@ -116,9 +116,8 @@ def _sheet(page: Page, count: int, most: int) -> tuple[Figure, list[Axes], Page]
     columns = count if count <= most else 2 if count == 4 else most
     rows = math.ceil(count / columns)
     under = 0.9 if page.wide else 1.5  # with a colour bar
-    height = (
-        page.scale * (under + 1.1 * rows) + 0.51 * page.width / columns * rows
-    )  # a row's grows with its maps' width
+    # The height of a row grows with the width of its maps.
+    height = page.scale * (under + 1.1 * rows) + 0.51 * page.width / columns * rows
     drawn = page.figure(height)
     plots = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
     for empty in plots[count:]:
