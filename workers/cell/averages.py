@@ -6,7 +6,7 @@ from workers.cell.cells import Average, Cells
 from workers.cell.exponents import impact_count
 from workers.kernel.averages import COUNT, MEAN
 from workers.kernel.cells import reset_frames, standard_errors
-from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, axes
+from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, slanted
 from workers.model.oscillator import Array, Mask, Rows, taken
 
 CLEAR = 4.0
@@ -43,6 +43,8 @@ def under_way(cells: Cells, rows: Rows) -> Average:
     motions, levels = cells.batch.motions, cells.batch.levels
     periods = levels[rows, 0, COUNT] if cells.vectors else cells.flown[rows] - cells.began[rows]
     lost = motions.tally[rows, LOST] >= cells.directions
+    if cells.vectors:
+        lost |= motions.growth[rows, 0] == -np.inf
     return Average(
         mean=np.where(lost, -np.inf, levels[rows, 0, MEAN]),
         error=np.where(lost, 0.0, standard_errors(levels, rows)),
@@ -124,7 +126,7 @@ def restart(cells: Cells, rows: Rows) -> None:
     motions, batch = cells.batch.motions, cells.batch
     cells.tallied[rows], _ = counts(cells, rows)
     cells.began[rows] = cells.flown[rows]
-    motions.V[rows[motions.tally[rows, LOST] > cells.drifts]] = axes(motions.h.shape[1])[: cells.vectors]
+    motions.V[rows[motions.tally[rows, LOST] > cells.drifts]] = slanted(motions.h.shape[1])[: cells.vectors]
     motions.tally[rows] = np.where(NEVER_RESTARTED, motions.tally[rows], NOTHING_COUNTED)
     reset_frames(cells.oscillators.gap.blocks, motions, rows)
     motions.growth[rows], batch.levels[rows], batch.weighted[rows] = 0.0, 0.0, 0.0

@@ -148,7 +148,10 @@ def _of_measures(definition: Definition, weights: Array, readings: Readings, spa
 
 def _of_machine(machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
     """The variables of a whole machine with modes."""
-    early, late = readings.halves[:, 0], readings.halves[:, 1]
+    halves = readings.halves
+    if machines.drifting >= 0:  # where that coordinate is does not matter
+        halves = np.delete(halves, machines.drifting, axis=2)
+    early, late = halves[:, 0], halves[:, 1]
     away = np.linalg.norm(early + late, axis=1)
     size = np.linalg.norm(early, axis=1) + np.linalg.norm(late, axis=1)
     return {

@@ -9,7 +9,7 @@ from workers.kernel.averages import LEVELS
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.lanes.layout import LANES
 from workers.kernel.lanes.run import Batch, run_alone, run_batch
-from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at
+from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at, slanted
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, each, many_of
 
 REASON_OF = np.array(
@@ -36,6 +36,7 @@ def begin(
     """
     N, size = states.shape
     motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
+    motions.V[:] = slanted(size // 2)[:vectors]
     scales = start_motions(oscillators, motions, states, np.flatnonzero(reasons == results.NO_REASON))
     if contact is not None:
         motions.contact[:, 0] = contact

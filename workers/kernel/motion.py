@@ -136,6 +136,20 @@ def axes(n: int) -> NDArray[np.float64]:
     return frame
 
 
+@register_jitable
+def slanted(n: int) -> NDArray[np.float64]:
+    """2n orthogonal tangent vectors (2n, n, 2): cos(pi (2i + 1) (2k + 1) / 8n), the cosine transform of type IV.
+
+    The first r of them are independent in any r of the block axes (odd powers of r cosines, Vandermonde's determinant).
+    Where blocks do not couple, an axis sees its own block alone and is lost where a stop holds that one.
+    """
+    frame = np.empty((2 * n, n, 2))
+    for i in range(2 * n):
+        for k in range(2 * n):
+            frame[i, k // 2, k % 2] = np.cos(np.pi * (2 * i + 1) * (2 * k + 1) / (8 * n))
+    return frame
+
+
 def motions_at(
     h: NDArray[np.float64], contact: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
 ) -> Motion:

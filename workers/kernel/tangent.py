@@ -19,6 +19,10 @@ MAX_SPREAD = 8.0
 digits of the most contracted direction. One flight with its impact may go further."""
 
 
+DEPENDENT = 1e-12
+"""Share of a vector that may be what rounding leaves of a sum of others, after an event that takes directions away."""
+
+
 @inlined
 def inner(blocks, V, i, W, k):
     """The product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k], which undamped flight keeps."""
@@ -32,14 +36,17 @@ def inner(blocks, V, i, W, k):
 def orthonormalise(blocks, V, growth, triangle, rank):
     """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
-    V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others are structurally
-    lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with its
-    rows divided by exp(growth): it stays in range where the product itself would not.
+    V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others, and vectors of no length,
+    are structurally lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far
+    with its rows divided by exp(growth): it stays in range where the product itself would not.
     """
     blocks, V, growth, triangle = whole(blocks), whole(V), whole(growth), whole(triangle)
     m = V.shape[0]
     for i in range(min(rank, m)):
         norm = math.sqrt(inner(blocks, V, i, V, i))
+        if norm == 0.0:
+            growth[i] = -np.inf
+            continue
         inverse = 1.0 / norm
         for j in range(len(blocks)):
             V[i, j, 0] *= inverse
@@ -56,6 +63,29 @@ def orthonormalise(blocks, V, growth, triangle, rank):
         for j in range(len(blocks)):
             V[i, j, 0] = V[i, j, 1] = 0.0
         growth[i] = -np.inf
+
+
+@kernel
+def drop_dependent(blocks, V, rank):
+    """Set to zero what of the first ``rank`` vectors of V (m, n, 2) is a sum of those before it, to rounding.
+
+    An event that takes directions away may leave fewer vectors than directions, where masses do not couple.
+    """
+    U, m = V.copy(), min(rank, V.shape[0])
+    lengths = np.empty(m)
+    for i in range(m):
+        lengths[i] = math.sqrt(inner(blocks, V, i, V, i))
+    for i in range(m):
+        square = inner(blocks, U, i, U, i)
+        if not math.sqrt(square) > DEPENDENT * lengths[i]:
+            for j in range(len(blocks)):
+                V[i, j, 0] = V[i, j, 1] = 0.0
+            continue
+        for k in range(i + 1, m):
+            share = inner(blocks, U, i, U, k) / square
+            for j in range(len(blocks)):
+                U[k, j, 0] -= share * U[i, j, 0]
+                U[k, j, 1] -= share * U[i, j, 1]
 
 
 @inlined
@@ -135,7 +165,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
                 if size > best:
                     pivot, best = i, size
         if pivot < 0:
-            break
+            continue
         used[pivot] = True
         p = X[pivot, k]
         gain = log(abs(p)) - decay[pivot]

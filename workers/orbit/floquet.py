@@ -6,7 +6,7 @@ import numpy as np
 
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, identity, moduli
-from workers.kernel.motion import LOST, RUNNING, STATUS, axes
+from workers.kernel.motion import RUNNING, STATUS, slanted
 from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
 
@@ -85,10 +85,11 @@ def floquet(osc, point, steps, half, most):
 
     A frame is carried round the orbit until it splits into invariant subspaces; what QR took out of each is
     kept as logarithms, so that multipliers of any spread keep their digits. Blocks that do not split have
-    multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity.
+    multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity: a turn that loses
+    some only tells which are left, and what is left of these after another turn may be less.
     """
     size = point.h.size
-    frame = axes(point.h.shape[0])
+    frame = slanted(point.h.shape[0])
     logs = np.full(size, -np.inf)
     rounding = np.inf
     turns = 0
@@ -98,11 +99,11 @@ def floquet(osc, point, steps, half, most):
         if motion.tally[STATUS] != RUNNING:
             break
         reset_frame(osc.gap.blocks, motion)
-        rank = size - int(motion.tally[LOST])
-        rotation = overlaps(osc.gap.blocks, frame, motion.V, rank)
-        frame = motion.V[:rank].copy()
-        if turn == 1:
+        kept = np.flatnonzero(motion.growth > -np.inf)
+        before, frame = frame, motion.V[kept]
+        if turn == 1 or len(kept) < m:
             continue
+        rotation = overlaps(osc.gap.blocks, before, frame, m)
         ends = block_ends(rotation)
         spread = spread_of(motion.growth, ends)
         if spread < NARROW or turn == most:

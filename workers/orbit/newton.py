@@ -124,7 +124,8 @@ def least_turn(osc, point, steps, half, scale):
                 continue
             trial = iterate_alone(osc, point.h, point.contact, fewer, halved)
             spent += fewer if halved else 2 * fewer
-            if separation(osc.gap.blocks, trial.h, point.h) < 1e-6 * scale:
+            arrived = trial.tally[STATUS] == RUNNING
+            if arrived and separation(osc.gap.blocks, trial.h, point.h) < 1e-6 * scale:
                 return fewer, halved, spent
     return steps, half, spent
 
@@ -139,8 +140,9 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
     blocks, norm = osc.gap.blocks, shrinking_norm(osc.gap.blocks, point.jacobian, contraction)
     begun, at, nearer = separation(blocks, h, point.h), h, False
     for turn in range(1, most + 1):
-        image = iterate_alone(osc, at, point.contact, steps, half).h
-        if not falls_into(norm, point.jacobian, contraction, point.h, at, image):
+        trial = iterate_alone(osc, at, point.contact, steps, half)
+        image, arrived = trial.h, trial.tally[STATUS] == RUNNING
+        if not (arrived and falls_into(norm, point.jacobian, contraction, point.h, at, image)):
             return False, turn
         if nearer or separation(blocks, image, point.h) <= ON_ORBIT * scale:
             return True, turn

@@ -17,7 +17,7 @@ from workers.kernel.hybrid.events import (
     soft_event,
     strikes_while_held,
 )
-from workers.kernel.hybrid.neutral import count_progress, keep_neighbours, note_slips
+from workers.kernel.hybrid.neutral import count_progress, keep_neighbours, note_slips, with_drift
 from workers.kernel.hybrid.notes import note
 from workers.kernel.hybrid.state import (
     enter,
@@ -47,10 +47,14 @@ from workers.kernel.motion import (
     count_contact,
     spend,
 )
-from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spread_rate
+from workers.kernel.tangent import MAX_SPREAD, drop_dependent, graded_flow, orthonormalise, spread_rate
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import HEAD, Mode
+
+AT_SECTION = 1e-13
+"""Share of a period after a section within which an event counts as at the section, and past there: rounding would
+decide, from turn to turn, in which mode an orbit is where it changes its mode."""
 
 
 @inline_always
@@ -82,17 +86,23 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
 
 
 @inline_always
-def fly(pieces, k, s, h, V, growth, triangle, tally):
-    """Move the block state and the tangent vectors on by s in mode k."""
-    blocks, rank = pieces.blocks[k, 0], 2 * h.shape[0] - int(tally[LOST])
+def fly(pieces, k, s, h, V, growth, triangle, lost):
+    """Move the block state and the tangent vectors on by s in mode k, of which ``lost`` directions are no more.
+
+    A frame is orthonormal before it flies: what an event has taken of it is seen before the flight turns rounding into
+    directions.
+    """
+    blocks, rank = pieces.blocks[k, 0], 2 * h.shape[0] - int(lost)
     framed = growth.shape[0] > 0
+    if framed and lost > 0.0:
+        drop_dependent(blocks, V, rank)
+    if framed:
+        orthonormalise(blocks, V, growth, triangle, rank)
     if framed and s * spread_rate(blocks) > MAX_SPREAD:
         flow(blocks, s, h)
         graded_flow(blocks, s, V, growth, triangle, rank)
     else:
         flow_with_tangent(blocks, s, h, V)
-    if framed:
-        orthonormalise(blocks, V, growth, triangle, rank)
 
 
 @kernel
@@ -140,7 +150,8 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
 
     All in place:
     code (1,)                   number of their mode
-    growth (m,), triangle       see tangent.orthonormalise; of no length where the vectors are not to be orthonormal
+    growth (m,), triangle       see tangent.orthonormalise; of no length where the vectors are not to be orthonormal.
+                                Else the first vector is what drifts, if anything does, see neutral.with_drift
     hits (K, 3)                 the first K contacts: time, +-(1 + contact) with the side's sign, speed
     legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.Leg
     Stops early with tally[STATUS] set where it cannot go on.
@@ -170,22 +181,25 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
         if t == 0.0:
             keep_neighbours(elements, states, pieces.lost[k], V)
         note_slips(slips, tally)
-        s, reached, end = first_event(pieces, k, h, phase, begun, until - t, scratch, tally)
+        last = until >= min(duration, period)
+        margin = AT_SECTION * period if last else 0.0
+        s, reached, end = first_event(pieces, k, h, phase, begun, until - t + margin, scratch, tally)
+        s = min(s, until - t)
         if tally[STATUS] != RUNNING:
             return
         if seen < legs.shape[0]:
             note(legs[seen], t, hit, side, rate, number, k, s, z, begun)
             seen += 1
         hit, side = reached, end
-        fly(pieces, k, s, h, V, growth, triangle, tally)
+        fly(pieces, k, s, h, V, growth, triangle, tally[LOST] - table.drifts)
         tally[CONTRACTION] -= pieces.trace[k] * s
         tally[STUCK] += s if pieces.lost[k] > 0.0 else 0.0
         if s > 0.0:
             begun[:] = 0
-        t = until if hit < 0 else t + s
+        t = until if hit < 0 else min(t + s, until)
         phase = table.tau + table.omega * t
         leave(pieces, k, h, V, phase, z, W)
-        if hit < 0 and until >= min(duration, period):
+        if hit < 0 and last:
             code[0] = number
             return
         if hit < 0:
@@ -226,20 +240,24 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
 def propagate_hybrid(osc, motion, duration):
     """period.propagate of a machine with modes. Where a mode is missing the motion stays where it was."""
     size = 2 * motion.h.shape[0]
-    h, z, W = motion.h.copy().reshape((1, size // 2, 2)), np.zeros((1, size)), np.zeros((motion.V.shape[0], size))
-    growth, triangle, tally = motion.growth.copy(), motion.triangle.copy(), motion.tally.copy()
+    h, z, tally = motion.h.copy().reshape((1, size // 2, 2)), np.zeros((1, size)), motion.tally.copy()
+    more = 1 if osc.table.drifts > 0.0 and motion.growth.shape[0] > 0 else 0
+    V, growth, triangle = with_drift(motion, more)
+    W = np.zeros((len(V), size))
     transform(osc.to_physical, h, z)
-    transform(osc.to_physical, motion.V, W)
+    transform(osc.to_physical, V, W)
     code = motion.contact - FIRST_NUMBER
     through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, np.empty((0, 0)), duration)
     if tally[STATUS] == RUNNING:
         transform(osc.to_blocks, z, h)
-        transform(osc.to_blocks, W, motion.V)
+        transform(osc.to_blocks, W[more:], motion.V)
         motion.tally[:] = tally
         if osc.table.drifts > 0.0 and duration >= osc.head[HEAD.period]:
             count_progress(motion, h[0], osc.table.omega)
         motion.h[:] = h[0]
         motion.contact[0] = code[0] + FIRST_NUMBER
-        motion.growth[:], motion.triangle[:] = growth, triangle
+        motion.growth[:] = growth[more:]
+        if motion.triangle.shape[0] > 0:
+            motion.triangle[:] = triangle[more:, more:]
     else:
         motion.tally[STATUS] = tally[STATUS]
