@@ -7,15 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.contact import load_on_stop, to_held, wave
-from workers.kernel.hybrid.state import shown_number, transform
+from workers.kernel.hybrid.state import ROUNDING, show, shown_number, transform
 from workers.kernel.jit import for_modes, inline_always, kernel
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
-
-ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
-"""Rounding of y = g . x as a share of sum |g_i x_i|, and of y' likewise: 16 units in the last place."""
 
 
 def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
@@ -103,6 +100,8 @@ def put_on_stop(row, stop, x):
 def leave_hybrid(osc, h, contact, state):
     """leave_blocks of a machine with modes."""
     transform(osc.to_physical, h.reshape((1, len(state))), state.reshape((1, len(state))))
+    if contact >= FIRST_NUMBER:  # or the mode is not known
+        show(osc.table.elements, contact - FIRST_NUMBER, state)
 
 
 @for_modes(leave_hybrid)

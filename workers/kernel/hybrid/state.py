@@ -4,8 +4,11 @@ import numpy as np
 
 from workers.kernel.contact import wave
 from workers.kernel.jit import inline_always, kernel
-from workers.model.hybrid_modes import CONTACT_DIGIT, SLIP_DIGIT
+from workers.model.hybrid_modes import CONTACT_DIGIT, ON, PARALLEL, SLIP_DIGIT
 from workers.model.oscillator import COLUMN
+
+ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
+"""Rounding of y = row . x as a share of sum |row_i x_i|, and of y' likewise: 16 units in the last place."""
 
 
 @kernel
@@ -123,6 +126,15 @@ def product(row, z, first):
 
 
 @kernel
+def size_of(row, z, first):
+    """The sum of the moduli that add up to row . z[first:]."""
+    total = 0.0
+    for i in range(len(row)):
+        total += abs(row[i] * z[first + i])
+    return total
+
+
+@kernel
 def reset(z, first, row, kick, target, factor):
     """Take row . z[first:] by ``factor`` of its distance to ``target`` nearer to it, along ``kick``, row . kick = 1."""
     change = factor * (target - product(row, z, first))
@@ -144,23 +156,78 @@ def damping_along(acceleration, row, kick):
 def shown_number(elements, z):
     """The number of the mode that a physical section state z (2n,) shows, in the first phase; -1 beyond a rigid stop.
 
-    On a rigid stop with v = 0 it is held; friction sticks where nothing slides. Forces that say otherwise are heeded
-    at once, see events.follow_jumps.
+    On a rigid stop with v = 0, to ROUNDING, it is held; friction sticks where nothing slides. Forces that say otherwise
+    are heeded at once, see events.follow_jumps.
     """
     n = elements.row.shape[1]
     states = np.zeros(elements.row.shape[0], dtype=np.int64)
     slips = np.zeros(elements.slide.shape[0], dtype=np.int64)
     for c in range(len(states)):
-        y, v = product(elements.row[c], z, 0), product(elements.row[c], z, n)
+        row = elements.row[c]
+        y, v = product(row, z, 0), product(row, z, n)
+        near, slow = ROUNDING * size_of(row, z, 0), ROUNDING * size_of(row, z, n)
         for side in (-1, 1):
             stop = elements.stops[c, 1 if side > 0 else 0]
             depth = side * (y - stop)
             if elements.soft[c] > 0.0 and depth > 0.0:
                 states[c] = side
-            elif elements.soft[c] == 0.0 and depth > 0.0:
+            elif elements.soft[c] == 0.0 and depth > near:
                 return -1
-            elif elements.soft[c] == 0.0 and depth == 0.0 and v == 0.0:
+            elif elements.soft[c] == 0.0 and abs(depth) <= near and abs(v) <= slow:
                 states[c] = side
     for e in range(len(slips)):
-        slips[e] = np.sign(product(elements.slide[e], z, n) - elements.belt[e])
+        sliding = product(elements.slide[e], z, n) - elements.belt[e]
+        if abs(sliding) > ROUNDING * (size_of(elements.slide[e], z, n) + abs(elements.belt[e])):
+            slips[e] = np.sign(sliding)
     return number_of(states, slips, 0)
+
+
+@kernel
+def show(elements, number, z):
+    """Take off a physical state z (2n,) in the mode of this number what rounding hides of it: see shown_number.
+
+    What a rigid stop holds is on it with v = 0, and what sticks does not slide.
+    """
+    C, F, n = len(elements.row), len(elements.slide), elements.row.shape[1]
+    states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)
+    rows, values, count = np.zeros((C + F, n)), np.zeros(C + F), 0
+    read_number(number, states, slips)
+    for c in range(C):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            rows[count], values[count] = elements.row[c], elements.stops[c, 1 if states[c] > 0 else 0]
+            count += 1
+    meet(rows[:count], values[:count], z[:n])
+    values[:count] = 0.0
+    for e in range(F):
+        if slips[e] == 0:
+            rows[count], values[count] = elements.slide[e], elements.belt[e]
+            count += 1
+    meet(rows[:count], values[:count], z[n:])
+
+
+@kernel
+def meet(rows, values, x):
+    """Set one coordinate of x (n,) for each row (r, n), the one that weighs most, so that rows x = values.
+
+    Exactly where these rows are coordinates with weights +-1, or differences of two. A row that depends on those before
+    it, as that of friction on the row of a contact may, is left out.
+    """
+    A, right, pivots = rows.copy(), values.copy(), np.full(len(rows), -1)
+    for i in range(len(rows)):
+        for j in range(i):
+            if pivots[j] >= 0:
+                share = A[i, pivots[j]] / A[j, pivots[j]]
+                right[i] -= share * right[j]
+                for k in range(len(x)):
+                    A[i, k] = 0.0 if k == pivots[j] else A[i, k] - share * A[j, k]
+        most, least = 0.0, PARALLEL * np.max(np.abs(rows[i]))
+        for k in range(len(x)):
+            if abs(A[i, k]) > max(most, least):
+                most, pivots[i] = abs(A[i, k]), k
+    for i in range(len(rows) - 1, -1, -1):
+        if pivots[i] >= 0:
+            total = right[i]
+            for k in range(len(x)):
+                if k != pivots[i]:
+                    total -= A[i, k] * x[k]
+            x[pivots[i]] = total / A[i, pivots[i]]
