@@ -13,6 +13,7 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.robustness.linear import (
     DRIFTS,
+    JUMPS,
     NO_ORBIT,
     STICKS,
     TOUCHES,
@@ -173,6 +174,43 @@ def test_a_ball_that_rests_on_its_table_at_the_section_is_not_linearised() -> No
     (found,) = atlas.stability({"R": 0.5}, system="bouncing-ball", starts=3)["coexisting"]
     assert (found["reason"], found["return_time"]) == (TOUCHES, 0.0)
     assert math.isnan(found["reactivity"]) and math.isnan(found["amplification"])
+
+
+STICKS_ON = {"omega": 0.25, "A": 1.6}
+"""Friction sticks at the section under a force between the kinetic and the static one."""
+
+
+@pytest.mark.parametrize(
+    ("system", "given"), [("friction-oscillator", STICKS_ON), ("stick-slip", {"omega": 1.4, "u": 0.25})]
+)
+def test_friction_that_sticks_under_a_force_above_the_kinetic_one_has_no_reactivity(
+    system: str, given: dict[str, float]
+) -> None:
+    (found,) = atlas.stability(given, system=system, starts=1)["coexisting"]
+    assert found["reason"] == JUMPS
+    assert 0.0 < found["return_time"] < math.inf
+    assert math.isnan(found["reactivity"]) and math.isnan(found["amplification"])
+
+
+def test_there_the_smallest_push_along_the_force_makes_it_slide_and_one_against_it_does_not() -> None:
+    table = table_of("friction-oscillator", STICKS_ON, 1)
+    state = table.attractors[0].result["state"]
+    assert state[1] == 0.0
+
+    def moved(push: float) -> float:
+        return float(trace("friction-oscillator", STICKS_ON | {"x": state[0], "v": push}, 1).states[-1, 0] - state[0])
+
+    assert [moved(push) for push in (1e-9, 1e-6)] == pytest.approx([-0.0139932] * 2, abs=1e-6)
+    assert [moved(push) for push in (-1e-9, 0.0)] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_friction_that_sticks_under_a_force_below_the_kinetic_one_has_a_jacobian() -> None:
+    given = STICKS_ON | {"tau": 0.25 * 9.0}
+    table = table_of("friction-oscillator", given, 1)
+    phases = phases_of(table.cell.oscillator, table.attractors[0])
+    assert not isinstance(phases, str)
+    assert phases.states[0, 1] == 0.0
+    assert phases.jacobians[0] == pytest.approx(differences(table, phases.states[0]), abs=1e-6)
 
 
 def test_friction_that_holds_a_mass_at_rest_is_a_reason() -> None:

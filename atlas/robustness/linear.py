@@ -22,7 +22,9 @@ from atlas.robustness.norm import weighted
 from workers.attractors.cell import FIRST
 from workers.attractors.record import STABLE, Attractor
 from workers.kernel.cells import physical_states
+from workers.kernel.hybrid.state import guard_value, shown_number, slot_of
 from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, Motion, axes, motions_at
+from workers.model.hybrid_modes import SIGNALS, code_of
 from workers.model.oscillator import Array, Oscillator, one_of
 from workers.orbit.map import iterate, jacobian_of
 
@@ -35,7 +37,10 @@ AT_SECTION = 1e-9
 ENDLESS = 1e-10
 """Decay per forcing period below which a deviation is taken to last."""
 
-NO_ORBIT, TOUCHES, STICKS, DRIFTS, LASTING, LONG, LOST = (
+EVEN = 1e-12
+"""Share by which a force may exceed kinetic friction and count as equal to it."""
+
+NO_ORBIT, TOUCHES, STICKS, DRIFTS, LASTING, LONG, LOST, JUMPS = (
     "chaos or a torus: there is no orbit to linearise about",
     "the orbit touches a stop at the section, where the map is not smooth",
     "friction holds the orbit at rest: deviations there last",
@@ -43,11 +48,12 @@ NO_ORBIT, TOUCHES, STICKS, DRIFTS, LASTING, LONG, LOST = (
     "a deviation in some direction does not decay",
     f"deviations may still grow after {MOST_PRODUCTS} products of Jacobians",
     "one turn of the orbit could not be followed",
+    "friction sticks at the section under a force above the kinetic one: the map jumps there",
 )
 """Why a measure of an attractor is not known."""
-UNMEASURED = {NO_ORBIT: 0, TOUCHES: 1, STICKS: 2, DRIFTS: 3, LASTING: 4, LONG: 5, LOST: 6}
+UNMEASURED = {NO_ORBIT: 0, TOUCHES: 1, STICKS: 2, DRIFTS: 3, LASTING: 4, LONG: 5, LOST: 6, JUMPS: 7}
 """Their codes in a store; a new one gets a new code."""
-FLAGS = ("no_orbit", "touches_stop", "sticks", "drifts", "lasting", "long", "lost")
+FLAGS = ("no_orbit", "touches_stop", "sticks", "drifts", "lasting", "long", "lost", "jumps")
 """Their names in a store, by code."""
 
 
@@ -102,7 +108,7 @@ def phases_of(oscillator: Oscillator, orbit: Attractor) -> Phases | str:
         jacobians.append(jacobian)
         h, contact = motion.h, int(motion.contact[0])
     phases = Phases(np.array(states), np.array(jacobians))
-    return TOUCHES if touches_a_stop(oscillator, phases.states) else phases
+    return not_smooth(oscillator, phases.states) or phases
 
 
 def one_period(oscillator: Oscillator, h: Array, contact: int) -> tuple[Motion, Array]:
@@ -116,6 +122,13 @@ def one_period(oscillator: Oscillator, h: Array, contact: int) -> tuple[Motion, 
     return motion, np.asarray(oscillator.to_physical[0] @ jacobian_of(motion.V) @ oscillator.to_blocks[0])
 
 
+def not_smooth(oscillator: Oscillator, states: Array) -> str:
+    """Why the map of one machine has no derivative at one of these section states (p, 2n), "" if it has."""
+    if touches_a_stop(oscillator, states):
+        return TOUCHES
+    return JUMPS if slips_at_a_push(oscillator, states) else ""
+
+
 def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
     """Whether one of these section states (p, 2n) of one machine is on a rigid stop, to within AT_SECTION periods."""
     n, period = states.shape[1] // 2, float(oscillator.period[0])
@@ -124,6 +137,26 @@ def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
         for stop in stops:
             near = AT_SECTION * (period * np.abs(v) + np.abs(states[:, :n]) @ np.abs(row[0]))
             if np.isfinite(stop[0]) and np.any(np.abs(y - stop[0]) <= near):
+                return True
+    return False
+
+
+def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
+    """Whether friction sticks in one of these states (p, 2n) of one machine's sections under a force above the kinetic.
+
+    A push along the force, however small, makes it slide on then; a push against it does not. The machine has been
+    through these states.
+    """
+    if not oscillator.has_modes:
+        return False
+    table, own = one_of(oscillator, 0).table, oscillator.table.machines
+    _, C, F = own.sizes
+    for state in states:
+        number = int(shown_number(table.elements, state))
+        k = int(slot_of(table.codes, number))
+        for e, sign in enumerate(code_of(number, C, F).slips if k >= 0 else ()):
+            force, _ = guard_value(table.pieces, k, SIGNALS * C + e, state, table.tau)
+            if sign == 0 and abs(force) > (1.0 + EVEN) * own.rub[0, 0, e, 0]:
                 return True
     return False
 

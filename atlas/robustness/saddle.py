@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.robustness.linear import touches_a_stop
+from atlas.robustness.linear import not_smooth
 from atlas.robustness.section_map import SectionMap
 from atlas.robustness.shock import CHAOS_STATES, NO_MOTION, reached
 from workers.attractors.basins import Table, section_points
@@ -181,7 +181,7 @@ class _Tracker:
             if period % turn == 0 and np.abs(states[turn] - z).max() <= SAME * np.abs(states).max():
                 return self.orbit(z, turn, whole)
         multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
-        if np.sum(np.abs(multipliers) > 1.0) != 1 or touches_a_stop(self.map.oscillator, states):
+        if np.sum(np.abs(multipliers) > 1.0) != 1 or not_smooth(self.map.oscillator, states):
             return None
         normal, along = zip(*(self._directions(each, period) for each in states), strict=True)
         aside = ASIDE * max(self.size(each) for each in states) * normal[0] / self.weights
