@@ -49,11 +49,11 @@ def statements() -> list[Statement]:
     """Amplitudes, and the force at which stops begin, at four frequencies."""
     found = []
     for omega in (0.6, 0.8, 1.3, 1.8):
-        given = DRY | {"omega": omega, "A": 1.5 * least_force(omega)}
+        given = DRY | {"omega": omega, "A": round(1.5 * least_force(omega), 4)}
         ours = 0.5 * cell("friction-oscillator", given)["peak_to_peak"]
         window = (0.5 * given["A"], 2.0 * given["A"])
         found += [
-            Statement(f"omega = {omega}: amplitude at A = {given['A']:.4f}", amplitude(omega, given["A"]), ours),
+            Statement(f"omega = {omega}: amplitude at A = {given['A']:g}", amplitude(omega, given["A"]), ours),
             Statement(f"omega = {omega}: A below which the mass stops", least_force(omega),
                       event("friction-oscillator", given, "A", window, "stick_onset")),
         ]  # fmt: skip
