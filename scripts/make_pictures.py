@@ -24,11 +24,11 @@ FOLDER = ROOT / "demo" / f"pictures-{SOLVER_VERSION}"
 BESIDE = {
     "chaos-map.png": [
         "atlas run omega-b-fine -o omega-b-fine.zarr",
-        "atlas render omega-b-fine.zarr -o chaos-map.png --overlay grazing",
+        "atlas plot omega-b-fine.zarr -o chaos-map.png --overlay grazing",
     ],
     "explorer.png": [
         "atlas run omega-b -o plane.zarr",
-        "atlas curves plane.zarr",
+        "atlas find-curves plane.zarr",
         "python -m scripts.explorer_picture plane.zarr explorer.png",
     ],
 }

@@ -1,5 +1,6 @@
 """Claims about what the command says of itself: whole summaries, an example for each command, kinds with meanings."""
 
+import inspect
 import shlex
 from dataclasses import fields
 from pathlib import Path
@@ -8,6 +9,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
+import atlas
+from atlas.accessor import AtlasAccessor
 from atlas.cli.main import main
 from atlas.cli.options import SETTING_MEANINGS
 from atlas.render import KINDS, OVERLAYS, SCALAR
@@ -54,7 +57,7 @@ def test_every_option_of_a_command_says_what_it_does(name: str) -> None:
 def test_every_kind_and_overlay_has_a_meaning_in_the_help() -> None:
     assert sorted(KIND_MEANINGS) == sorted((*KINDS, SCALAR))
     assert sorted(OVERLAY_MEANINGS) == sorted(OVERLAYS)
-    listed = shown("render", "--help")
+    listed = shown("plot", "--help")
     assert all(meaning in listed for meaning in [*KIND_MEANINGS.values(), *OVERLAY_MEANINGS.values()])
 
 
@@ -86,3 +89,30 @@ def test_a_table_is_as_wide_as_it_needs_to_be_where_a_notebook_asks_for_colours(
     listed = shown("systems", "two-mass")
     assert "\x1b" not in listed and "…" not in listed
     assert "clearance: half the gap between the stops" in listed
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("plto", "plot"), ("draw", "plot"), ("show", "plot"), ("render", "plot"), ("info", "status"),
+        ("curves", "find-curves"), ("label", "label-attractors"), ("measure", "measure-attractors"), ("help", "--help"),
+    ],
+)  # fmt: skip
+def test_an_unknown_command_is_answered_with_the_one_that_is_meant(typed: str, meant: str) -> None:
+    result = CliRunner().invoke(main, [typed, "plane.zarr"])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert f"unknown command {typed!r}; did you mean" in result.stderr and f"{meant}'?" in result.stderr
+
+
+IN_PYTHON_ALONE = {
+    "at", "attractors", "beside", "boundary", "curves", "distance_to", "fractions", "labels", "open", "page",
+    "per_unit_time", "reasons", "solve_tile", "trace", "where_regime",
+}  # fmt: skip
+"""Answers that are arrays, and parts of what one command prints: ``atlas query`` has shares, reasons and cells."""
+
+
+def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
+    functions = {name for name in atlas.__all__ if inspect.isfunction(getattr(atlas, name))}
+    methods = {name for name in vars(AtlasAccessor) if not name.startswith("_")}
+    commands = {name.replace("-", "_") for name in main.commands}
+    assert (functions | methods) - IN_PYTHON_ALONE <= commands

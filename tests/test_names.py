@@ -56,7 +56,8 @@ def own_names() -> Iterator[str]:
     yield from set(re.findall(r"`(\w+)=", PAGE))
     for function in vars(AtlasAccessor).values():
         if inspect.isfunction(function) and "point" in inspect.signature(function).parameters:
-            yield from set(inspect.signature(function).parameters) - {"point"}
+            named = inspect.signature(function).parameters.values()
+            yield from {each.name for each in named if each.kind is not each.POSITIONAL_ONLY} - {"point"}
 
 
 def with_parameter(name: str) -> dict[str, object]:

@@ -18,6 +18,7 @@ from atlas.cli.options import (
     input_errors,
     json_option,
     look_options,
+    opened,
     read_number,
     read_pairs,
     select_option,
@@ -29,8 +30,6 @@ from atlas.cli.output import print_table, to_json
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
 from atlas.query.export import write_rows, written_whole
-from atlas.query.open import open_atlas
-from atlas.query.window import select as selected
 from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.task.compile import ORBITS, kernels_for
@@ -144,7 +143,7 @@ def _seed(
         prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)
-    ds = selected(open_atlas(store), read_pairs("--select", select, read_number))
+    ds = opened(store, read_pairs("--select", select, read_number))
     prepare_kernels(show, *kernels_for(system_of(ds), ORBITS))
     return seed_of_cell(ds, at)
 

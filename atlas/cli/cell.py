@@ -15,6 +15,7 @@ from atlas.cli.options import (
     input_errors,
     json_option,
     look_options,
+    opened,
     picture_option,
     read_number,
     read_pairs,
@@ -30,7 +31,7 @@ from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
-from atlas.spec.system import checked_system
+from atlas.spec.system import checked_system, unused_lines
 from atlas.task.compile import ATTRACTORS, kernels_for
 from workers.attractors.starts import Starts
 from workers.model.system import System, find_system, system_names
@@ -93,8 +94,6 @@ def portrait(
     The cell is one of STORE, by --at, solved anew with its settings, or is given by --set.
     """
     from atlas.query.cell import SolvedCell, solved_cell
-    from atlas.query.open import open_atlas
-    from atlas.query.window import select as select_plane
     from atlas.render import LOOK, check_path
     from atlas.render import portrait as draw_portrait
 
@@ -105,7 +104,7 @@ def portrait(
         if store is None:
             cell = SolvedCell(*asked_cell(given, system, options))
         else:
-            ds = select_plane(open_atlas(store), read_pairs("--select", select, read_number))
+            ds = opened(store, read_pairs("--select", select, read_number))
             cell = solved_cell(ds, read_pairs("--at", point, read_number))
         prepare_kernels(show, *kernels_for(cell.system))
         show(Progress("solving and drawing"))
@@ -157,6 +156,8 @@ def _print_system(record: System) -> None:
     if record.own_variables:
         click.echo()
         print_table("", ["result", "meaning", "unit"], [(v.name, v.long_name, v.units) for v in record.own_variables])
+    for line in unused_lines(record):
+        click.echo(f"\n{line}")
     if record.source:
         click.echo(f"\nsource: {record.source}")
     if record.axes:

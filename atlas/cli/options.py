@@ -1,5 +1,6 @@
 """What several commands share: options, how their texts are read, and how errors of a question are reported."""
 
+import math
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -7,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from types import FrameType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -21,6 +22,9 @@ from workers import Settings
 from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import DEFAULT, System
 from workers.settings import EXPONENTS, METHODS
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -49,7 +53,7 @@ window_option = click.option(
     "--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis; may be given for each."
 )
 select_option = click.option(
-    "--select", metavar="NAME=VALUE", multiple=True, help="One value of an axis, such as one plane of a stack."
+    "--select", metavar="NAME=VALUE", multiple=True, help="The plane of a stack, or the line, nearest to it."
 )
 store_argument = click.argument("store")  # a path or a URL
 set_option = click.option(
@@ -160,6 +164,18 @@ def asked_cell(
     record = checked_system(system)
     checked_parameters(record, pairs)
     return record, pairs, settings
+
+
+def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
+    """The atlas of a STORE at these values of some of its axes; a value between two cells is told."""
+    from atlas.query.open import open_atlas
+    from atlas.query.window import select
+
+    ds = select(open_atlas(store), place)
+    for name, value in place.items():
+        if name in ds.coords and not math.isclose(found := float(ds[name]), value, rel_tol=1e-9):
+            say(f"{name} = {found:.10g}, the nearest to {value:.10g}")
+    return ds
 
 
 def say(text: str) -> None:

@@ -12,6 +12,7 @@ from atlas.cli.options import (
     input_errors,
     look_options,
     meanings,
+    opened,
     picture_option,
     read_bounds,
     read_number,
@@ -24,8 +25,6 @@ from atlas.cli.options import (
 from atlas.cli.paper import figures as draw_figures
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
-from atlas.query.open import open_atlas
-from atlas.query.window import select as selected
 from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
@@ -39,10 +38,10 @@ from atlas.service.options import RunOptions
             meanings("Overlays:", OVERLAY_MEANINGS),
             meanings("Curves:", {", ".join(CURVES[:4]): "", ", ".join(CURVES[4:]): ""}),
             examples(
-                "atlas render plane.zarr -o chaos.png --overlay grazing",
-                "atlas render plane.zarr -o period.pdf --kind period --window omega=2:3 --width 85mm",
-                "atlas render plane.zarr -o speed.png --variable max_impact_speed",
-                "atlas render up.zarr --against down.zarr -o hysteresis.png",
+                "atlas plot plane.zarr -o chaos.png --overlay grazing",
+                "atlas plot plane.zarr -o period.pdf --kind period --window omega=2:3 --width 85mm",
+                "atlas plot plane.zarr -o speed.png --variable max_impact_speed",
+                "atlas plot up.zarr --against down.zarr -o hysteresis.png",
             ),
         ]
     )
@@ -58,13 +57,13 @@ from atlas.service.options import RunOptions
     multiple=True,
     help="Lines over a map or a sweep; may be given again.",
 )
-@click.option("--curves", metavar="KINDS", help="Exact curves of these kinds alone, such as fold,graze; default: all.")
+@click.option("--curves", metavar="KINDS", help="Exact curves of these kinds alone, such as fold,graze; or all.")
 @click.option("--names/--no-names", default=True, help="Whether names of points and motions stand on a map.")
 @click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
 @window_option
 @select_option
 @look_options()
-def render(
+def plot(
     stores: tuple[str, ...],
     out: Path,
     kind: str | None,
@@ -91,8 +90,8 @@ def render(
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
-        atlases = [selected(open_atlas(store), at) for store in stores]
-        other = None if against is None else selected(open_atlas(against), at)
+        atlases = [opened(store, at) for store in stores]
+        other = None if against is None else opened(against, at)
         say("drawing")
         if len(atlases) > 1:
             stems = [os.path.basename(store.rstrip("/" + os.sep)) for store in stores]

@@ -174,7 +174,7 @@ def retry(
 def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None) -> None:
     """Basins of attraction of SPEC, whose axes are components of the initial state, into a store.
 
-    Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas render and
+    Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas plot and
     atlas basin-measures.
     """
     check_workers(scheduler, workers)

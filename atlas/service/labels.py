@@ -27,7 +27,7 @@ class LabelSummary:
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas label --json`` prints."""
+        """What ``atlas label-attractors --json`` prints."""
         return {"store": self.store, **asdict(self.count), "seconds": self.seconds}
 
     def __str__(self) -> str:

@@ -18,7 +18,7 @@ from workers.model.hybrid import build_hybrid
 from workers.model.measures import element_variables, measure_variables, refuse_ambiguous
 from workers.model.names import NAMES
 from workers.model.oscillator import Array, Machines, one_of
-from workers.model.parameter import Parameter, unknown_name
+from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
@@ -92,6 +92,12 @@ class System:
     def exponents(self) -> int:
         """How many exponents a motion has: one for each component of the state but the displacement that may drift."""
         return len(self.states) - bool(self.definition.drift)
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Names of its own parameters that no entry uses: they change nothing."""
+        without = {OMEGA, TAU, *self.states, *self.definition.used}
+        return tuple(parameter.name for parameter in self.parameters if parameter.name not in without)
 
     @property
     def has_modes(self) -> bool:
