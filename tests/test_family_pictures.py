@@ -118,6 +118,42 @@ def test_of_several_harmonics_the_largest_deflection_counts() -> None:
     assert ratio(LOADED, omega=0.5, A2=0.7) == pytest.approx(np.log(np.abs(values).max()), abs=1e-8)
 
 
+@pytest.mark.parametrize("beta", [1.0, 29.0])
+def test_a_soft_stop_is_grazed_where_the_response_reaches_it(beta: float) -> None:
+    soft = find_system("soft-impact")
+    fixed = {p.name: p.default for p in soft.parameters if p.name not in ("omega", "a")} | {"beta": beta}
+    found = grazing.grazing_ratio(soft, fixed, ("omega", np.array([0.6, 0.9, 1.1])), ("a", np.array([0.2, 0.7])))
+    omega = np.array([0.6, 0.9, 1.1])
+    reach = np.array([[0.2], [0.7]]) * omega**2 / np.abs(1.0 - omega**2 + 2j * 0.01 * omega)
+    assert found == pytest.approx(np.log(reach / 1.26), abs=1e-12)
+
+
+def test_of_several_contacts_the_nearest_is_grazed() -> None:
+    """Truth: the response of both masses from their matrices."""
+    two, omega = find_system("two-stops"), 0.9
+    fixed = {p.name: p.default for p in two.parameters if p.name not in ("omega", "b2")}
+    K = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    first, second = np.abs(np.linalg.solve(K - omega**2 * np.eye(2) + 0.1j * omega * K, [0.5, 0.5]))
+    b2 = np.array([0.2, 0.5, 2.0, 9.0])
+    found = grazing.grazing_ratio(two, fixed, ("omega", np.array([omega])), ("b2", b2))[:, 0]
+    assert found == pytest.approx(np.log(np.maximum(first / 0.5, second / b2)), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["soft-impact", "two-stops"])
+def test_the_grazing_line_of_a_machine_with_modes_is_drawn(name: str) -> None:
+    system = find_system(name)
+    axes = {each: np.linspace(low, high, 5) for each, low, high in system.axes}
+    drawn = render.figure(periodic_plane(system, axes), "period", overlay="grazing")
+    assert labels(drawn)[-1] == "impact-free motion\ngrazes a stop"
+
+
+def test_where_motion_without_impact_is_not_linear_the_way_on_is_named() -> None:
+    mass = find_system("stick-slip")
+    ds = periodic_plane(mass, {each: np.linspace(low, high, 4) for each, low, high in mass.axes})
+    with pytest.raises(InputError, match=r"has friction, so that .*; atlas find-curves finds the grazes of its orbits"):
+        render.figure(ds, "period", overlay="grazing")
+
+
 def test_where_a_mode_has_no_stiffness_there_is_no_grazing_line() -> None:
     ball = find_system("bouncing-ball")
     ds = periodic_plane(ball, {"omega": [1, 2], "R": [0.2, 0.4]})

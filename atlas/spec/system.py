@@ -78,11 +78,6 @@ def unused_lines(record: System) -> list[str]:
     return [f"no entry of {record.name} uses {', '.join(record.unused)}"] if record.unused else []
 
 
-def refuse_modes(record: System, what: str) -> None:
-    """InputError, in one line, that ``what`` does not exist for machines with modes, if this is one."""
-    _refused(record.refuse_modes, what)
-
-
 def refuse_drift(record: System, what: str) -> None:
     """InputError, in one line, that ``what`` does not exist for drifting coordinates, if this system has one."""
     _refused(record.refuse_drift, what)

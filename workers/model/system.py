@@ -121,13 +121,6 @@ class System:
         """The results of a cell, see ``results.result_variables``, and the results that only this system has."""
         return result_variables(settings, attractors, basins, self.own_variables)
 
-    def refuse_modes(self, what: str) -> None:
-        """DefinitionError, in one line, that ``what`` does not exist for machines with modes, if this is one."""
-        if self.has_modes:
-            raise DefinitionError(
-                f"system {self.name!r}: {what} are there for machines with one rigid contact alone, which this is not"
-            )
-
     def refuse_drift(self, what: str) -> None:
         """DefinitionError, in one line, that ``what`` does not exist for a drifting coordinate, if this has one."""
         if self.definition.drift:
