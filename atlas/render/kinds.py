@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
     from atlas.render.options import Wanted
 
-STABLE = ("#f8fbfe", "#dfecf6", "#c3dbee", "#a5cae5", "#86b6db", "#64a1d2")
+STABLE = ("#dcebf5", "#c9dff0", "#b3d2ea", "#9bc3e3", "#81b3db", "#64a1d2")
 CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
 """Colours of exponents below and above zero, from the least to the largest.
 
-They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too.
+They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too. None
+is as pale as cells without data, which are white.
 """
 
 

@@ -205,11 +205,11 @@ def _read_harmonics(table: Mapping[str, Any], known: Collection[str], n: int) ->
 
 
 def symbol_of(name: str) -> str:
-    r"""A name as mathtext: ``\mu_{m}`` of mu_m, ``x_{1}`` of x1, words upright."""
+    r"""A name as mathtext: ``\mu_{m}`` of mu_m, ``x_{1}`` of x1, words in italics too."""
     base, underscore, rest = name.partition("_")
     stem = base.rstrip("0123456789")
     below = base[len(stem) :] + ("," if base != stem and underscore else "") + rest.replace("_", ",")
-    sign = f"\\{stem}" if stem in _GREEK else stem if len(stem) == 1 else rf"\mathrm{{{stem}}}"
+    sign = f"\\{stem}" if stem in _GREEK else stem if len(stem) == 1 else rf"\mathit{{{stem}}}"
     return sign + (f"_{{{below}}}" if below else "")
 
 
