@@ -27,6 +27,7 @@ from atlas.query.window import Window, axis_names
 from atlas.render import check_path, figure, portrait
 from atlas.render.options import Look, MapLook, Sheet, split_look, takes
 from atlas.spec.spec import given_values
+from atlas.spec.system import stored_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -81,6 +82,11 @@ class AtlasAccessor:
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._whole, self._ds = ds, leading(ds)
+
+    def __repr__(self) -> str:
+        cells = " x ".join(f"{self._ds.sizes[name]} {name}" for name in axis_names(self._ds))
+        name = stored_name(self._ds.attrs) or "an unknown system"
+        return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its questions>"
 
     def at(self, given: Mapping[str, float] | None = None, /, **point: float) -> dict[str, Any]:
         """The cell nearest to a point, ``at(omega=3, b=0.15)``: all its results, and its distance on each axis.

@@ -3,6 +3,8 @@
 import re
 import unicodedata
 from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
 SIGNS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
@@ -25,6 +27,14 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s"
     return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def short_repr(value: Any) -> str:
+    """A dataclass as a call with the fields that differ from their defaults."""
+    changed = [
+        f"{each.name}={given!r}" for each in fields(value) if (given := getattr(value, each.name)) != each.default
+    ]
+    return f"{type(value).__name__}({', '.join(changed)})"
 
 
 def plural(count: int, noun: str, many: str = "") -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 import pytest
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
 import atlas
@@ -17,6 +18,8 @@ from atlas.render import KINDS, OVERLAYS, SCALAR
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.spec.examples import example_names
 from atlas.spec.spec import Spec
+from atlas.store.store import create
+from tests.synthetic import spec_of
 from tests.test_docs import parse
 from workers import Settings
 
@@ -116,3 +119,40 @@ def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
     methods = {name for name in vars(AtlasAccessor) if not name.startswith("_")}
     commands = {name.replace("-", "_") for name in main.commands}
     assert (functions | methods) - IN_PYTHON_ALONE <= commands
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return create(tmp_path_factory.mktemp("completed") / "a.zarr", spec_of(), (19, 45)).path
+
+
+@pytest.mark.parametrize(
+    ("typed", "word", "offered"),
+    [
+        ((), "find", {"find-curves"}),
+        (("point", "--system"), "soft", {"soft-impact", "soft-suspension"}),
+        (("point", "--system", "bouncing-ball", "--set"), "", {"omega=", "R=", "A=", "g=", "tau=", "y=", "v="}),
+        (("point", "--set"), "om", {"omega="}),
+        (("systems",), "two", {"two-mass", "two-stops"}),
+        (("run",), "omega-b", {"omega-b", "omega-b-fine"}),
+        (("plot", "PLANE", "--kind"), "per", {"period"}),
+        (("plot", "PLANE", "--variable"), "lar", {"largest"}),
+        (("plot", "PLANE", "--curves"), "fo", {"fold"}),
+        (("plot", "PLANE", "--window"), "", {"omega=", "b="}),
+        (("query", "PLANE", "--at"), "b", {"b="}),
+        (("extremes", "PLANE"), "lar", {"largest"}),
+        (("regions", "PLANE"), "cha", {"chaotic"}),
+        (("branch", "PLANE", "--along"), "z", {"zeta"}),
+        (("query", "nowhere.zarr", "--at"), "", set()),
+    ],
+)
+def test_the_tab_key_completes(plane: Path, typed: tuple[str, ...], word: str, offered: set[str]) -> None:
+    words = [str(plane) if each == "PLANE" else each for each in typed]
+    found = ShellComplete(main, {}, "atlas", "_ATLAS_COMPLETE").get_completions(words, word)
+    assert {each.value for each in found if each.type == "plain"} == offered
+
+
+def test_the_help_of_a_run_in_python_shows_its_options_and_no_record_of_defaults() -> None:
+    shown = str(inspect.signature(atlas.run))
+    assert "options: atlas.service.options.RunOptions = RunOptions(), *, workers=None" in shown
+    assert "connect" not in shown and "fields" not in shown

@@ -42,3 +42,24 @@ def test_branches_show_what_they_are_of_in_one_line() -> None:
     found = DrawnBranches(find_system("two-mass"), {"b": 0.15}, "omega", (2.0, 4.0), traced)
     reach = "two-mass along omega from 2 to 4"
     assert repr(found) == f"<DrawnBranches of {reach}: 2 branches, 75 points, 1 event>"
+
+
+LONGEST = 400
+"""Characters."""
+
+
+def test_a_spec_shows_its_axes_and_what_differs_from_the_defaults() -> None:
+    spec = atlas.Spec("two-mass", {"omega": {"start": 2, "stop": 4, "num": 500}}, {"b": 0.2, "R": 0.8})
+    assert repr(spec) == "<Spec of two-mass: omega 2..4 (500 values); b = 0.2>"
+
+
+def test_a_status_and_the_accessor_show_what_they_are_of(header: store.Header) -> None:
+    found = atlas.status(header.path)
+    assert repr(found) == str(found) and len(repr(found)) <= LONGEST
+    shown = repr(atlas.open(header.path).atlas)
+    assert re.fullmatch(r"<atlas of two-mass: \d+ omega x \d+ b cells; .*>", shown), shown
+
+
+def test_options_show_what_differs_from_their_defaults() -> None:
+    assert repr(atlas.RunOptions()) == "RunOptions()"
+    assert repr(atlas.RunOptions(workers=2)) == "RunOptions(workers=2)"

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.cli.options import (
     asked_cell,
     at_option,
@@ -15,6 +17,7 @@ from atlas.cli.options import (
     input_errors,
     json_option,
     look_options,
+    maybe_store_argument,
     opened,
     picture_option,
     read_number,
@@ -72,7 +75,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
         "atlas portrait plane.zarr --at omega=3 --at b=0.2 -o cell.png",
     )
 )
-@click.argument("store", required=False)
+@maybe_store_argument
 @set_option
 @at_option
 @select_option
@@ -113,7 +116,7 @@ def portrait(
 
 
 @click.command(epilog=examples("atlas systems", "atlas systems two-mass", "atlas systems my-machine.toml"))
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=of_names(completion.systems, files=True))
 @json_option
 def systems(name: str | None, as_json: bool) -> None:
     """The systems that can be solved, or all about one: its NAME, or the path of a .toml file."""
@@ -132,7 +135,7 @@ def systems(name: str | None, as_json: bool) -> None:
 
 
 @click.command(epilog=examples("atlas example omega-b > plane.toml"))
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=of_names(completion.examples))
 def example(name: str | None) -> None:
     """Print the packaged example NAME, a spec to start from, as a TOML file; without NAME list all examples."""
     if name is not None:

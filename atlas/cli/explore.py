@@ -10,6 +10,7 @@ from click.core import ParameterSource
 
 from atlas.cli.options import (
     INTERRUPTED,
+    SPECS,
     check_workers,
     examples,
     input_errors,
@@ -42,7 +43,7 @@ GB = 10**9
         "atlas explore plane.zarr -o plane.html",
     )
 )
-@click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED)
+@click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED, shell_complete=SPECS)
 @select_option
 @click.option("--with", "other", metavar="STORE|SPEC", help="Another one of the same axes, shown beside the first.")
 @click.option(

@@ -7,7 +7,10 @@ from typing import Any
 
 import click
 
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    STORES,
     examples,
     input_errors,
     look_options,
@@ -46,10 +49,20 @@ from atlas.service.options import RunOptions
         ]
     )
 )
-@click.argument("stores", nargs=-1, required=True)
+@click.argument("stores", nargs=-1, required=True, shell_complete=STORES)
 @picture_option
-@click.option("--kind", metavar="KIND", help="One of those below; default: by the axes.")
-@click.option("--variable", metavar="NAME", help="Map this number of each cell, such as max_impact_speed.")
+@click.option(
+    "--kind",
+    metavar="KIND",
+    shell_complete=of_names(completion.kinds),
+    help="One of those below; default: by the axes.",
+)
+@click.option(
+    "--variable",
+    metavar="NAME",
+    shell_complete=of_names(completion.variables),
+    help="Map this number of each cell, such as max_impact_speed.",
+)
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
     "--overlay",
@@ -57,9 +70,16 @@ from atlas.service.options import RunOptions
     multiple=True,
     help="Lines over a map or a sweep; may be given again.",
 )
-@click.option("--curves", metavar="KINDS", help="Exact curves of these kinds alone, such as fold,graze; or all.")
+@click.option(
+    "--curves",
+    metavar="KINDS",
+    shell_complete=of_names(completion.curves),
+    help="Exact curves of these kinds alone, such as fold,graze; or all.",
+)
 @click.option("--names/--no-names", default=True, help="Whether names of points and motions stand on a map.")
-@click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
+@click.option(
+    "--against", metavar="STORE", shell_complete=STORES, help="A second sweep of the same axis, for hysteresis."
+)
 @window_option
 @select_option
 @look_options()

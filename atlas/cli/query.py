@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    at_option,
     examples,
     input_errors,
     json_option,
@@ -45,7 +48,7 @@ _list_option = click.option(
     epilog=examples("atlas query plane.zarr --window omega=2:3", "atlas query plane.zarr --at omega=3 --at b=0.15")
 )
 @store_argument
-@click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
+@at_option
 @window_option
 @select_option
 @json_option
@@ -111,7 +114,7 @@ def basin_measures(store: str, window: tuple[str, ...], select: tuple[str, ...],
     epilog=examples("atlas regions plane.zarr chaotic", "atlas regions plane.zarr period --min-cells 10 -o periods.csv")
 )
 @store_argument
-@click.argument("class_", metavar="CLASS")
+@click.argument("class_", metavar="CLASS", shell_complete=of_names(completion.classes))
 @window_option
 @select_option
 @click.option(
@@ -152,7 +155,7 @@ def regions(
     epilog=examples("atlas extremes plane.zarr largest", "atlas extremes plane.zarr max_impact_speed --by period")
 )
 @store_argument
-@click.argument("variable")
+@click.argument("variable", shell_complete=of_names(completion.variables))
 @click.option("--by", metavar="CLASS", default="regime", show_default=True, help="regime, period or impacts; or all.")
 @window_option
 @select_option

@@ -15,7 +15,7 @@ from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
 from atlas.measures.table import MARGIN, drop_family
 from atlas.service.crew import Crew
-from atlas.service.options import DEFAULTS, RunFields, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import ZipPlace, refuse_packed
@@ -56,6 +56,9 @@ class CurvesSummary:
             "workers": self.workers,
         }
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         told = self.as_dict()
         kinds = ", ".join(f"{kind} {count}" for kind, count in told["kinds"].items())
@@ -78,6 +81,7 @@ class CurvesSummary:
         return "\n".join(lines)
 
 
+@with_fields
 def find_curves(
     store: str | os.PathLike[str],
     settings: CurveSettings | None = None,

@@ -107,6 +107,9 @@ class Plan:
             "note": self.note,
         }
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))
         cost = f"at most {byte_size(self.bytes)}"

@@ -107,6 +107,14 @@ class Spec:
         if self.attractors is not None and self.continuation is not None:
             raise InputError("attractors: an axis with continuation starts each cell from its neighbour; remove one")
 
+    def __repr__(self) -> str:
+        given = [
+            f"{name} = {value:g}"
+            for name, value in self.parameters.items()
+            if value != self.record.parameter(name).default
+        ]
+        return f"<Spec of {self.system}: {'; '.join([' x '.join(self.described), *given])}>"
+
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], folder: Path | None = None) -> "Spec":
         """The spec of a mapping in the form of the TOML file; a system's file is searched for in the folder."""
