@@ -19,7 +19,7 @@ from atlas.spec.system import stored_system
 from tests.pictures import labels
 from tests.test_maps import drawn
 from workers.model.system import System, find_system
-from workers.results import PERIODIC
+from workers.results import CHAOTIC, PENDING, PERIODIC
 
 pytestmark = pytest.mark.slow
 
@@ -164,6 +164,42 @@ def test_where_a_mode_has_no_stiffness_there_is_no_grazing_line() -> None:
 def test_a_grazing_line_of_unequal_stops_is_not_called_an_amplitude() -> None:
     ds = periodic_plane(SINGLE, {"omega": [0.5, 0.8, 1], "b": [0.5, 1, 2]})
     assert labels(render.figure(ds, "impacts", overlay="grazing"))[-1] == "impact-free motion\ngrazes a stop"
+
+
+# Labels and shares
+
+
+def test_an_upright_label_is_no_longer_than_its_axis() -> None:
+    suspension = find_system("soft-suspension")
+    ds = periodic_plane(suspension, {each: np.linspace(low, high, 4) for each, low, high in suspension.axes})
+    ax = render.figure(ds, "period", width="5in", height="2.9in").axes[0]
+    assert ax.yaxis.label.get_text() == "amplitude of the base, in units\nof the travel to a stop $a$"
+    assert ax.yaxis.label.get_window_extent().height <= ax.bbox.height
+
+
+def test_a_parameter_without_a_meaning_is_named_once() -> None:
+    ds = periodic_plane(LOADED, {"A2": [0.0, 1.0], "omega": [0.5, 1.0]})
+    ax = render.figure(ds, "period").axes[0]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$A_{2}$", r"forcing frequency $\omega$")
+
+
+def test_shares_are_stacked_up_to_the_share_that_is_decided() -> None:
+    share = np.array([[0.75, 0.25], [0.5, 0.375], [1.0, np.nan]])
+    regime = np.array([[PERIODIC, CHAOTIC], [PERIODIC, CHAOTIC], [PERIODIC, PENDING]], np.int8)
+    values = {"regime": regime, "share": share, "share_low": share - 0.1, "share_high": share + 0.1, "largest": -share}
+    coords = {p.name: p.default for p in SINGLE.parameters} | {"omega": [1.0, 2.0, 3.0]}
+    attrs = {"spec": json.dumps({"system": "single-mass"})}
+    ds = xr.Dataset({name: (("omega", "attractor"), each) for name, each in values.items()}, coords, attrs)
+    drawn = render.figure(ds, "coexistence")
+    heights = (np.arange(80) + 0.5) / 80
+    shown = [
+        [each.get_paths()[0].contains_points([(at, y) for y in heights]).mean() for each in drawn.axes[1].collections]
+        for at in (1.0, 2.0, 3.0)
+    ]
+    np.testing.assert_array_equal(shown, np.nan_to_num(share))
+    assert drawn.axes[1].collections[1].get_paths()[0].contains_point((2.0, 0.51))
+    assert drawn.axes[1].get_ylim() == (0.0, 1.0)
+    assert labels(drawn)[-1] == "shares: 95 % interval\nwithin ± 0.10"
 
 
 # Mirror images

@@ -96,8 +96,8 @@ def test_a_symbol_that_is_no_mathtext_is_shown_as_the_name(tmp_path: Path, symbo
     header = store.create(tmp_path / "a.zarr", atlas.Spec(given, {"stiff_2": [1.0, 2.0], "r": [0.5, 0.6]}), (2, 2))
     drawn = figure(atlas.open(header.path))
     drawn.canvas.draw()
-    assert drawn.axes[0].get_xlabel() == r"stiff_2 $\mathrm{stiff\_2}$"
-    assert words.state_symbol(header.spec.record, "p") == r"\mathrm{p}"
+    assert drawn.axes[0].get_xlabel() == r"$\mathit{stiff\_2}$"
+    assert words.state_symbol(header.spec.record, "p") == r"\mathit{p}"
 
 
 @pytest.mark.filterwarnings("error")

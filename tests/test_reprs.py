@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import xarray as xr
+from xarray.plot.utils import label_from_attrs
 
 import atlas
 from atlas.accessor import DrawnBranches
@@ -63,3 +64,10 @@ def test_a_status_and_the_accessor_show_what_they_are_of(header: store.Header) -
 def test_options_show_what_differs_from_their_defaults() -> None:
     assert repr(atlas.RunOptions()) == "RunOptions()"
     assert repr(atlas.RunOptions(workers=2)) == "RunOptions(workers=2)"
+
+
+def test_xarray_writes_no_unit_on_the_axis_of_a_pure_number(header: store.Header) -> None:
+    ds = atlas.open(header.path)
+    assert label_from_attrs(ds["omega"]) == "forcing frequency"
+    assert not [name for name in ds.variables if "[1]" in label_from_attrs(ds[name])]
+    assert label_from_attrs(ds["largest"]).endswith("[1/period]")

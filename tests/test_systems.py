@@ -216,7 +216,7 @@ def test_parameters_come_as_omega_then_those_of_the_table_then_tau_then_the_init
 def test_symbols_that_are_not_given_are_made_of_names() -> None:
     given = {"mu_m": {"default": 1.0}, "gain": {"default": 1.0}, "a2": {"default": 1.0}}
     system = System.from_mapping(table(parameters=table()["parameters"] | given))
-    assert [system.parameter(name).symbol for name in given] == [r"\mu_{m}", r"\mathrm{gain}", "a_{2}"]
+    assert [system.parameter(name).symbol for name in given] == [r"\mu_{m}", r"\mathit{gain}", "a_{2}"]
     assert (system.parameter("p").symbol, system.parameter("u").symbol) == ("p(0)", r"\dot p(0)")
 
 
