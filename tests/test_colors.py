@@ -128,7 +128,7 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs(
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> None:
-    """So every exponent has a grey of its own, none below zero that of one above, and none is white as if without data."""
+    """So every exponent has a grey of its own, none below zero that of one above; none is white, as if without data."""
     lightness = [lab(scales.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
     assert np.all(np.diff(lightness) < -0.4)
     assert 90.0 < lightness[0] < 95.0 and lightness[-1] < 12.0

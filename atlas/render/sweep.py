@@ -249,20 +249,21 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
 
 
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
-    """The shares of all attractors on top of each other; what is left to 1 are undecided initial states."""
+    """The shares of all attractors on top of each other, parted by white lines; the rest up to 1 is undecided."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
-        heights: dict[str, Array] = {}
+        bands: list[tuple[str, Array]] = []
         for k in range(ds.sizes[ATTRACTOR]):
             here = ds.isel({ATTRACTOR: k})
             share = np.nan_to_num(here["share"].values)
-            for cells, color in _groups(here, known):
-                heights[color] = heights.get(color, 0.0) + np.where(cells, share, 0.0)
+            bands += [(color, np.where(cells, share, 0.0)) for cells, color in _groups(here, known)]
         ink = [] if known is None else [str(color) for color in classes.branch_colors(known, ink=True)]
+        order = [*ink, *(color for color, _ in bands)]
         foot, ends = np.zeros(x.values.size), np.repeat(x.edges, 2)[1:-1]
-        for color in sorted(heights, key=[*ink, *heights].index):
-            top = foot + heights[color]
+        for color, height in sorted(bands, key=lambda band: order.index(band[0])):
+            top = foot + height
             ax.fill_between(ends, np.repeat(foot, 2), np.repeat(top, 2), color=color, linewidth=0, rasterized=True)
+            ax.stairs(np.where(height > 0.0, foot, np.nan), x.edges, baseline=None, color="white", linewidth=0.5)
             foot = top
         ax.set(ylabel="share of the\ninitial states", ylim=(0.0, 1.0))
 
