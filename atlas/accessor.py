@@ -25,7 +25,9 @@ from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window, axis_names
 from atlas.render import check_path, figure, portrait
-from atlas.render.options import Look, MapLook, Sheet, takes
+from atlas.render.options import Look, MapLook, Sheet, split_look, takes
+from atlas.spec.spec import given_values
+from atlas.spec.system import stored_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -81,14 +83,19 @@ class AtlasAccessor:
     def __init__(self, ds: xr.Dataset) -> None:
         self._whole, self._ds = ds, leading(ds)
 
-    def at(self, **point: float) -> dict[str, Any]:
+    def __repr__(self) -> str:
+        cells = " x ".join(f"{self._ds.sizes[name]} {name}" for name in axis_names(self._ds))
+        name = stored_name(self._ds.attrs) or "an unknown system"
+        return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its questions>"
+
+    def at(self, given: Mapping[str, float] | None = None, /, **point: float) -> dict[str, Any]:
         """The cell nearest to a point, ``at(omega=3, b=0.15)``: all its results, and its distance on each axis.
 
         Of an atlas of all attractors ``coexisting`` lists them.
 
         See ``queries.at``.
         """
-        return query.at(self._whole, point)
+        return query.at(self._whole, given_values(given, point))
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
         """The atlas with the results of all other regimes taken out, ``where_regime("chaotic")``.
@@ -115,10 +122,10 @@ class AtlasAccessor:
     def regions(
         self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
     ) -> "pd.DataFrame":
-        """Connected regions of equal regime, period or impacts, ``regions("period", 3)``, the largest first.
+        """Connected regions of equal regime, period or impacts, ``regions("period", 3)`` or ``regions("chaotic")``.
 
-        A row each: its centre, its cell and its box in columns such as ``centre_omega``, ``cell_omega``, ``omega_from``
-        and ``omega_to``. See ``connected.regions``.
+        A row each, the largest first: its centre, its cell and its box in columns such as ``centre_omega``,
+        ``cell_omega``, ``omega_from`` and ``omega_to``. See ``connected.regions``.
         """
         return _table(map(connected.flat, connected.regions(self._ds, by, value, window, min_cells)))
 
@@ -128,7 +135,7 @@ class AtlasAccessor:
         """The label of the region that each cell belongs to, 0 for none. See ``connected.labels``."""
         return connected.labels(self._ds, by, value, window, min_cells)
 
-    def basins(self, window: Window | None = None) -> dict[str, Any]:
+    def basin_measures(self, window: Window | None = None) -> dict[str, Any]:
         """Of a plane of initial states: its attractors, their shares, entropy and dimension. See ``basins.basins``."""
         return basins(self._ds, window)
 
@@ -143,20 +150,23 @@ class AtlasAccessor:
         return query.per_unit_time(self._ds)
 
     def curves(self, kind: str | None = None) -> "pd.DataFrame":
-        """The curves that ``atlas curves`` found in this plane, of one kind or all, ``curves("fold")``: a row a point.
+        """The curves that ``atlas find-curves`` found here, of one kind or all, ``curves("fold")``: a row a point.
 
         See ``atlas.curves.asking.frame``.
         """
         return asking.frame(asking.curves_of(self._ds), kind)
 
-    def distance_to(self, kind: str | None = None, **point: float) -> "pd.DataFrame":
-        """How far an operating point is from events of its orbit, ``distance_to("neimark_sacker", omega=3, b=0.15)``.
+    def distance_to(
+        self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float
+    ) -> "pd.DataFrame":
+        """How far an operating point is from events of its orbit, ``distance_to(omega=3, b=0.15, kind="fold")``.
 
-        Along each axis either way the first event, the nearest first. See ``atlas.curves.distance.distance_to``.
+        Along each axis either way the first event, of one kind or any, the nearest first. See
+        ``atlas.curves.distance.distance_to``.
         """
         from atlas.curves.distance import distance_to  # with it Numba
 
-        return _table(distance_to(self._ds, kind, point))
+        return _table(distance_to(self._ds, kind, given_values(given, point)))
 
     def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
         """This atlas held against another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
@@ -166,13 +176,23 @@ class AtlasAccessor:
         return DrawnComparison.of(self._ds, leading(other), window)
 
     def branch(
-        self, along: str, window: tuple[float, float], switch_branches: bool = False, budget: int = MOST, **point: float
+        self,
+        given: Mapping[str, float] | None = None,
+        /,
+        *,
+        along: str,
+        window: tuple[float, float],
+        switch_branches: bool = False,
+        budget: int = MOST,
+        **point: float,
     ) -> DrawnBranches:
-        """The branch of the orbit of the cell nearest to a point, ``branch("omega", (2, 4), omega=3, b=0.15)``.
+        """The branch of the orbit of the cell nearest to a point.
 
-        It starts from the orbit as it is stored. See ``atlas.branch``.
+        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the orbit as it is stored. See
+        ``atlas.branch``.
         """
-        return DrawnBranches.of(tree_from(seed_of_cell(self._ds, point), along, window, switch_branches, budget))
+        seed = seed_of_cell(self._ds, given_values(given, point))
+        return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget))
 
     @takes(Look)
     def beside(
@@ -190,7 +210,7 @@ class AtlasAccessor:
         """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.
 
         ``plot("period", width="85mm", overlay="grazing")``. ``kind`` is one of ``atlas.render.KINDS``, by default the
-        first that fits the axes: ``atlas render --help`` says what each shows. ``window`` gives for any axis the
+        first that fits the axes: ``atlas plot --help`` says what each shows. ``window`` gives for any axis the
         (low, high) ends of the part to draw. Options have the command's names.
         """
         return figure(self._whole, kind, window=window, **options)
@@ -235,19 +255,21 @@ class AtlasAccessor:
         return write_page(self._whole, path)
 
     @takes(Sheet, others=True)
-    def portrait(self, path: str | Path | None = None, **point: Any) -> "Figure":
+    def portrait(
+        self, given: Mapping[str, float] | None = None, /, *, path: str | Path | None = None, **point: Any
+    ) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
 
         Of an atlas of all attractors it is that of the attractor with the largest share, or of the one selected.
         A matplotlib Figure, shown by a notebook, also written to ``path`` if given:
         ``portrait(omega=3, b=0.15, width="85mm")``. See ``atlas.portrait``.
         """
-        look: Any = {name: point.pop(name) for name in Sheet.__annotations__ if name in point}
-        for name in point:
+        look, named = split_look(point)
+        for name in named:
             if name not in self._ds.coords:
                 possible = ", ".join([*axis_names(self._ds), "path", *Sheet.__annotations__])
                 raise InputError(f"unknown option {name!r}; possible: {possible}")
         if path is not None:
             check_path(path)
-        cell = solved_cell(self._ds, point)
+        cell = solved_cell(self._ds, given_values(given, named))
         return portrait(cell.parameters, system=cell.system, settings=cell.settings, path=path, **look)

@@ -22,7 +22,7 @@ from atlas.service.plan import Plan, make_plan
 from atlas.service.probe import probed
 from atlas.service.run import run
 from atlas.service.status import Status, read_status
-from atlas.spec.spec import Spec
+from atlas.spec.spec import Spec, given_values
 from atlas.store.store import read_header
 from atlas.task.retry import Retry
 from workers import Settings
@@ -102,6 +102,7 @@ def status(store: str | os.PathLike[str]) -> Status:
 
 def branch(
     given: Mapping[str, Any] | None = None,
+    /,
     *,
     along: str,
     window: tuple[float, float],
@@ -109,13 +110,14 @@ def branch(
     settings: Settings | None = None,
     switch_branches: bool = False,
     budget: int = MOST,
+    **named: Any,
 ) -> "DrawnBranches":
     """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events; and more.
 
-    ``given`` are the parameters that differ from the defaults; the cell is solved first. The orbit, as the solution of
-    equations for its impacts, is followed by pseudo-arclength through the (low, high) ``window`` of the parameter
-    ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to 1e-10 or
-    better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. With
+    ``omega=4.0`` or a mapping gives parameters other than the defaults; the cell is solved first. The orbit, as the
+    solution of equations for its impacts, is followed by pseudo-arclength through the (low, high) ``window`` of the
+    parameter ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to
+    1e-10 or better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. With
     ``switch_branches`` the branches from symmetry breakings and period doublings are followed too, and the branches
     from those, ``budget`` branches in all; ``untried`` of the result lists the events that remain.
     The result has the pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and draws
@@ -123,11 +125,11 @@ def branch(
     Raises InputError for bad parameters, and where the cell is not periodic or its orbit rests on a stop.
 
     >>> import atlas
-    >>> found = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15))
+    >>> found = atlas.branch(omega=4.0, b=0.1, along="b", window=(0.05, 0.15))
     >>> [(kind, round(b, 4)) for kind, b in zip(found.events["kind"], found.events["b"])]
     [('symmetry_breaking', 0.087)]
     """
     from atlas.accessor import DrawnBranches
 
-    seed = seed_of_point(given or {}, system, settings)
+    seed = seed_of_point(given_values(given, named), system, settings)
     return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget))

@@ -3,12 +3,14 @@
 import re
 import unicodedata
 from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
 SIGNS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
     "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
     "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω", "Gamma": "Γ", "Delta": "Δ", "Lambda": "Λ", "Omega": "Ω",
-    "infty": "∞", "mathrm": "",
+    "infty": "∞", "mathrm": "", "mathit": "",
 }  # fmt: skip
 _BELOW = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
 _UNDERSCORE = "\0"
@@ -25,6 +27,14 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s"
     return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def short_repr(value: Any) -> str:
+    """A dataclass as a call with the fields that differ from their defaults."""
+    changed = [
+        f"{each.name}={given!r}" for each in fields(value) if (given := getattr(value, each.name)) != each.default
+    ]
+    return f"{type(value).__name__}({', '.join(changed)})"
 
 
 def plural(count: int, noun: str, many: str = "") -> str:

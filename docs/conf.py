@@ -24,7 +24,7 @@ author = "impact-atlas contributors"
 copyright = author
 version = release = installed("impact-atlas")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "docstrings", "formulas"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "cells", "docstrings", "formulas"]
 exclude_patterns = ["_ext"]
 highlight_language = "text"
 nitpicky = False
@@ -44,6 +44,8 @@ nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_code_prompt_show = "Show the file or the commands"
+nb_code_prompt_hide = "Hide them"
 
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"

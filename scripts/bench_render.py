@@ -118,9 +118,9 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         picture = str(Path(folder) / "map.png")
         questions = {
-            "chaos map of the whole plane": ("render", store, "-o", picture),
-            "period map of the whole plane": ("render", store, "-o", picture, "--kind", "period"),
-            "chaos map of a window of 500 × 444 cells": ("render", store, "-o", picture, *WINDOW),
+            "chaos map of the whole plane": ("plot", store, "-o", picture),
+            "period map of the whole plane": ("plot", store, "-o", picture, "--kind", "period"),
+            "chaos map of a window of 500 × 444 cells": ("plot", store, "-o", picture, *WINDOW),
             "fractions of the whole plane": ("query", store),
             "fractions of the window": ("query", store, *WINDOW),
             "status": ("status", store),

@@ -75,7 +75,7 @@ def use(python: Path, folder: Path) -> None:
     coarse = re.sub(r"(?m)^num = (\d+)", lambda found: f"num = {int(found[1]) // COARSER}", text)
     (folder / "coarse.toml").write_text(coarse, encoding="utf-8")
     run(*atlas, "run", "coarse.toml", "-o", "coarse.zarr", folder=folder)
-    run(*atlas, "render", "coarse.zarr", "-o", "map.png", folder=folder)
+    run(*atlas, "plot", "coarse.zarr", "-o", "map.png", folder=folder)
     print(run(*atlas, "query", "coarse.zarr", folder=folder))
     run(*atlas, "cite", "coarse.zarr", folder=folder)
     run(*atlas, "explore", "coarse.zarr", "-o", "page.html", folder=folder)

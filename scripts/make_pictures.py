@@ -24,11 +24,11 @@ FOLDER = ROOT / "demo" / f"pictures-{SOLVER_VERSION}"
 BESIDE = {
     "chaos-map.png": [
         "atlas run omega-b-fine -o omega-b-fine.zarr",
-        "atlas render omega-b-fine.zarr -o chaos-map.png --overlay grazing",
+        "atlas plot omega-b-fine.zarr -o chaos-map.png --overlay grazing",
     ],
     "explorer.png": [
         "atlas run omega-b -o plane.zarr",
-        "atlas curves plane.zarr",
+        "atlas find-curves plane.zarr",
         "python -m scripts.explorer_picture plane.zarr explorer.png",
     ],
 }
@@ -58,7 +58,7 @@ def commands(picture: str, page: Path) -> list[str]:
         raise SystemExit(f"{page.name}: no command beside {picture}")
     store = next((re.escape(word) for word in shlex.split(own[0]) if word.endswith(".zarr")), None)
     made = [line for line in lines if store and re.search(rf"^atlas .* -o {store}$", line)][:1]
-    keeps = rf"atlas (curves|label|measure) {store}(?: --margin)?"
+    keeps = rf"atlas (find-curves|label-attractors|measure-attractors) {store}(?: --margin)?"
     kept = [line for line in lines if store and re.fullmatch(keeps, line)]
     return [*made, *kept, own[0]]
 

@@ -52,8 +52,8 @@ class Look(NamedTuple):
 
 LOOKS = {
     "adaptive": Look("this solver, with its tolerance", "#0072b2", "o", (9.0, 6.0)),
-    "fixed": Look("this solver, fixed schedule, with its periods", "#c46a00", "s", (-9.0, 3.0)),
-    "heyoka": Look("heyoka, the same schedules", "#00785a", "^", (9.0, -9.0)),
+    "fixed": Look("this solver, fixed schedule, with its periods", "#c46a00", "s", (-8.0, -12.0)),
+    "heyoka": Look("heyoka, the same schedules", "#00785a", "^", (8.0, 5.0)),
     "DOP853": Look("scipy DOP853, one marker a cell", "#b5528c", "D", (0.0, 0.0)),
 }
 LEAST = 1e-17
@@ -71,55 +71,59 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
     import matplotlib
 
     from atlas.render.provenance import computed_here, metadata
+    from atlas.render.style import house
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib import pyplot, rc_context
     from matplotlib.patheffects import withStroke
 
-    figure, axes = pyplot.subplots(1, 2, figsize=(10.0, 5.0), sharey=True, layout="constrained")
-    for panel, kind in zip(axes, TARGET, strict=True):
-        for method, look in LOOKS.items():
-            chosen = [i for i, p in enumerate(points) if p.method == method and cells[p.cell].kind == kind]
-            chosen = [i for i in chosen if math.isfinite(errors[i])]
-            if method == "DOP853":
-                times = [1e3 * points[i].seconds for i in chosen]
+    with rc_context(house(1.1)):
+        figure, axes = pyplot.subplots(1, 2, figsize=(10.0, 5.0), sharey=True, layout="constrained")
+        for panel, kind in zip(axes, TARGET, strict=True):
+            for method, look in LOOKS.items():
+                chosen = [i for i, p in enumerate(points) if p.method == method and cells[p.cell].kind == kind]
+                chosen = [i for i in chosen if math.isfinite(errors[i])]
+                if method == "DOP853":
+                    times = [1e3 * points[i].seconds for i in chosen]
+                    panel.plot(
+                        np.maximum(errors[chosen], LEAST), times, look.marker, color=look.color, ms=5, label=look.name
+                    )
+                    continue
+                rows = curves.get(method, {}).get(kind, [])
+                if not rows:
+                    continue
+                at = np.array([[max(row["error"], LEAST), 1e3 * row["median_seconds"]] for row in rows])
+                panel.plot(*at.T, "-", color=look.color, lw=1.2, zorder=2)
+                for row, place in zip(rows, at, strict=True):
+                    own = [i for i in chosen if points[i].setting == row["setting"]]
+                    ends = [
+                        np.percentile(values, SPREAD)
+                        for values in (np.maximum(errors[own], LEAST), np.array([1e3 * points[i].seconds for i in own]))
+                    ]
+                    panel.plot(ends[0], [place[1]] * 2, color=look.color, lw=2.5, alpha=0.35, solid_capstyle="butt")
+                    panel.plot([place[0]] * 2, ends[1], color=look.color, lw=2.5, alpha=0.35, solid_capstyle="butt")
                 panel.plot(
-                    np.maximum(errors[chosen], LEAST), times, look.marker, color=look.color, ms=5, label=look.name
+                    *at.T, look.marker, color=look.color, ms=6.5, mec="white", mew=0.7, zorder=3, label=look.name
                 )
-                continue
-            rows = curves.get(method, {}).get(kind, [])
-            if not rows:
-                continue
-            at = np.array([[max(row["error"], LEAST), 1e3 * row["median_seconds"]] for row in rows])
-            panel.plot(*at.T, "-", color=look.color, lw=1.2, zorder=2)
-            for row, place in zip(rows, at, strict=True):
-                own = [i for i in chosen if points[i].setting == row["setting"]]
-                ends = [
-                    np.percentile(values, SPREAD)
-                    for values in (np.maximum(errors[own], LEAST), np.array([1e3 * points[i].seconds for i in own]))
-                ]
-                panel.plot(ends[0], [place[1]] * 2, color=look.color, lw=2.5, alpha=0.35, solid_capstyle="butt")
-                panel.plot([place[0]] * 2, ends[1], color=look.color, lw=2.5, alpha=0.35, solid_capstyle="butt")
-            panel.plot(*at.T, look.marker, color=look.color, ms=6.5, mec="white", mew=0.7, zorder=3, label=look.name)
-            for place, text in labels(at, [row["setting"] for row in rows]):
-                side = "left" if look.beside[0] > 0.0 else "right"
-                panel.annotate(
-                    text, tuple(place), xytext=look.beside, textcoords="offset points", ha=side, fontsize=8.5,
-                    color=look.color, zorder=4, path_effects=[withStroke(linewidth=2.0, foreground="white")],
-                )  # fmt: skip
-        panel.set_xscale("log")
-        panel.set_yscale("log")
-        panel.margins(0.08)
-        panel.set_xlabel("true error of the largest exponent [per forcing period]")
-        panel.set_title(f"{kind} cells; bars: the middle 68 % of them")
-        panel.grid(alpha=0.3)
-    axes[0].set_ylabel("milliseconds per cell, one core")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    settings = {method: sorted({point.setting for point in points if point.method == method}) for method in LOOKS}
-    spec = {"system": "two-mass", "cells": [cell.params for cell in cells], "settings": settings}
-    kind = Path(path).suffix.removeprefix(".")
-    figure.savefig(path, dpi=200, metadata=metadata(computed_here("two-mass, time against error", spec), kind))
-    pyplot.close(figure)
+                for place, text in labels(at, [row["setting"] for row in rows]):
+                    side = "left" if look.beside[0] > 0.0 else "right"
+                    panel.annotate(
+                        text, tuple(place), xytext=look.beside, textcoords="offset points", ha=side, fontsize=8.5,
+                        color=look.color, zorder=4, path_effects=[withStroke(linewidth=2.0, foreground="white")],
+                    )  # fmt: skip
+            panel.set_xscale("log")
+            panel.set_yscale("log")
+            panel.margins(0.08)
+            panel.set_xlabel("true error of the largest exponent [per forcing period]")
+            panel.set_title(f"{kind} cells; bars: the middle 68 % of them")
+            panel.grid(alpha=0.3)
+        axes[0].set_ylabel("milliseconds per cell, one core")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+        settings = {method: sorted({point.setting for point in points if point.method == method}) for method in LOOKS}
+        spec = {"system": "two-mass", "cells": [cell.params for cell in cells], "settings": settings}
+        kind = Path(path).suffix.removeprefix(".")
+        figure.savefig(path, dpi=200, metadata=metadata(computed_here("two-mass, time against error", spec), kind))
+        pyplot.close(figure)
 
 
 def labels(at: Array, settings: list[float]) -> list[tuple[Array, str]]:
@@ -130,7 +134,7 @@ def labels(at: Array, settings: list[float]) -> list[tuple[Array, str]]:
     """
     found: list[tuple[Array, str]] = []
     for place, setting in zip(at, settings, strict=True):
-        if found and np.all(np.abs(np.log10(place / found[-1][0])) < [0.4, 0.06]):
+        if found and np.all(np.abs(np.log10(place / found[-1][0])) < [0.5, 0.12]):
             found[-1] = found[-1][0], f"{found[-1][1]}, {setting:g}"
         else:
             found.append((place, f"{setting:g}"))

@@ -19,7 +19,7 @@ from atlas.accessor import AtlasAccessor, DrawnBranches, DrawnComparison
 from atlas.cell.orbit import cell_orbit
 from atlas.cli.compare import compare
 from atlas.cli.main import main
-from atlas.cli.pictures import render
+from atlas.cli.pictures import plot
 from atlas.errors import InputError
 from atlas.query import queries as query
 from tests.test_query import plane
@@ -146,7 +146,7 @@ def options_of(command: click.Command, *without: str) -> set[str]:
 @pytest.mark.parametrize(
     ("method", "options"),
     [
-        (AtlasAccessor.plot, options_of(render, "stores", "select")),  # of which xarray picks the plane
+        (AtlasAccessor.plot, options_of(plot, "stores", "select")),  # of which xarray picks the plane
         (AtlasAccessor.portrait, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
         (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "keep", "port"}),
         (DrawnComparison.plot, options_of(compare, "store", "other", "window", "as_json", "first", "second")),

@@ -280,3 +280,9 @@ def test_a_part_of_an_atlas_gives_none(finished: Path) -> None:
 def test_a_store_is_copied_with_its_axes(finished: Path, tmp_path: Path) -> None:
     shutil.copytree(finished, tmp_path / "copy.zarr")
     assert store.read_header(tmp_path / "copy.zarr").spec == store.read_header(finished).spec
+
+
+@pytest.mark.parametrize("given", [(1, 4, 40), (1.0, 4.0)])
+def test_a_tuple_that_may_be_meant_as_ends_is_no_axis(given: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match=r"axes.omega: found the tuple .*must be a list of values, or a table with st"):
+        atlas.Spec("two-mass", {"omega": given})

@@ -181,7 +181,7 @@ def test_the_table_has_shares_mirror_images_and_section_points(solved: Path) -> 
 
 
 def test_a_plane_of_initial_states_says_how_mixed_it_is(solved: Path) -> None:
-    found = atlas.open(solved).atlas.basins()
+    found = atlas.open(solved).atlas.basin_measures()
     assert sum(each["share"] for each in found["attractors"]) + found["unknown"] == pytest.approx(1.0)
     assert 0.0 < found["entropy"] <= math.log(len(found["attractors"]))
     assert found["attractors"][0]["regime"] == "periodic"
@@ -191,7 +191,7 @@ def test_the_command_computes_draws_and_asks(solved: Path, tmp_path: Path) -> No
     asked = CliRunner().invoke(main, ["basin-measures", str(solved), "--json"])
     assert json.loads(asked.stdout)["starts"] == 63
     assert "share_low" in CliRunner().invoke(main, ["basin-measures", str(solved)]).stdout
-    drawn = CliRunner().invoke(main, ["render", str(solved), "-o", str(tmp_path / "basins.png")])
+    drawn = CliRunner().invoke(main, ["plot", str(solved), "-o", str(tmp_path / "basins.png")])
     assert drawn.exit_code == 0, drawn.output
 
 
@@ -205,13 +205,13 @@ def test_basins_over_parameters_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_labels_of_branches_are_refused_where_labels_are_those_of_basins(solved: Path) -> None:
-    with pytest.raises(InputError, match="not labelled; label them with atlas label"):
+    with pytest.raises(InputError, match="not labelled; label them with atlas label-attractors"):
         render.figure(atlas.open(solved), "labels")
 
 
 def test_what_is_no_atlas_of_basins_has_none(solved_plane: Path) -> None:
     with pytest.raises(InputError, match="not an atlas of basins"):
-        atlas.open(solved_plane).atlas.basins()
+        atlas.open(solved_plane).atlas.basin_measures()
     with pytest.raises(InputError, match="both axes must be initial states, and the spec have"):
         render.figure(atlas.open(solved_plane), "basins")
 

@@ -181,7 +181,7 @@ def test_a_cell_of_a_store_is_followed_from_its_stored_state(finished: Path) -> 
     ds = atlas.open(finished)
     cell = ds.atlas.at(omega=4.0, b=0.2)
     assert (cell["regime"], cell["period"]) == ("periodic", 1)
-    found = ds.atlas.branch("b", (0.15, 0.25), omega=4.0, b=0.2)
+    found = ds.atlas.branch(omega=4.0, b=0.2, along="b", window=(0.15, 0.25))
     near = found.points.iloc[(found.points.b - cell["b"]).abs().argmin()]
     assert near[["impacts_upper", "impacts_lower"]].tolist() == [cell["impacts_upper"], cell["impacts_lower"]]
     shown = call("branch", finished, "--at", "omega=4", "--at", "b=0.2", "--along", "b", "--from", 0.15, "--to", 0.25)

@@ -63,7 +63,7 @@ def test_help_comes_without_the_heavy_imports() -> None:
 
 
 def test_a_map_is_drawn_without_numba(folder: Path, tmp_path: Path) -> None:
-    asked = ["render", str(folder / "out.zarr"), "-o", str(tmp_path / "map.png")]
+    asked = ["plot", str(folder / "out.zarr"), "-o", str(tmp_path / "map.png")]
     code = (
         f"import sys; from atlas.cli.main import main; main({asked}, standalone_mode=False)\n"
         "print('numba' in sys.modules)"
@@ -72,9 +72,7 @@ def test_a_map_is_drawn_without_numba(folder: Path, tmp_path: Path) -> None:
     assert shown.stdout.splitlines()[-1] == "False"
 
 
-@pytest.mark.parametrize(
-    "command", ["plan", "run", "submit", "cancel", "status", "query", "render", "point", "systems"]
-)
+@pytest.mark.parametrize("command", ["plan", "run", "submit", "cancel", "status", "query", "plot", "point", "systems"])
 def test_every_command_has_help(command: str) -> None:
     assert call(command, "--help").exit_code == 0
     assert command in call("--help").stdout
@@ -138,13 +136,13 @@ def test_the_shares_of_whole_tiles_come_from_their_records_and_of_cut_tiles_from
 
 
 def test_render_takes_a_window_and_reports_how_many_chunks_it_read(folder: Path, tmp_path: Path) -> None:
-    shown = call("render", folder / "out.zarr", "-o", tmp_path / "a.png", "--window", "omega=2:2.5")
+    shown = call("plot", folder / "out.zarr", "-o", tmp_path / "a.png", "--window", "omega=2:2.5")
     assert shown.exit_code == 0
     assert "8 chunks read from the store, at full resolution" in shown.stderr
 
 
 def test_render_writes_the_picture_and_names_it(folder: Path) -> None:
-    shown = call("render", folder / "out.zarr", "-o", folder / "map.png")
+    shown = call("plot", folder / "out.zarr", "-o", folder / "map.png")
     assert (shown.exit_code, shown.stdout.strip()) == (0, str(folder / "map.png"))
     assert (folder / "map.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -274,7 +272,7 @@ def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, addre
         (("query", "OUT", "--window", "omega=2:3", "--at", "b=1"), "give one of the two"),
         (("export", "OUT", "-o", "window.txt"), "window.txt: the suffix chooses the format, found '.txt'"),
         (("status", "NONE"), "no such store"),
-        (("statsu", "OUT"), "No such command 'statsu'"),
+        (("statsu", "OUT"), "unknown command 'statsu'; did you mean 'status'?"),
         (("--jason",), "No such option '--jason'"),
         (("plan", "tiny", "--workers", "few"), "Invalid value for '--workers': 'few' is not a valid integer"),
         (("plan",), "Missing argument 'SPEC' (see atlas plan --help)"),
@@ -293,10 +291,10 @@ def test_a_bad_question_is_one_line_and_exit_code_2(folder: Path, args: tuple[st
 
 
 def test_a_picture_that_cannot_be_made_is_refused(folder: Path) -> None:
-    shown = call("render", folder / "out.zarr", "-o", folder / "map.xyz")
+    shown = call("plot", folder / "out.zarr", "-o", folder / "map.xyz")
     assert shown.exit_code == 2
     assert "suffix" in shown.stderr.splitlines()[-1]
-    shown = call("render", folder / "out.zarr", "-o", folder / "no" / "map.png")
+    shown = call("plot", folder / "out.zarr", "-o", folder / "no" / "map.png")
     assert shown.exit_code == 2
     assert "map.png: cannot be written" in shown.stderr.splitlines()[-1]
 

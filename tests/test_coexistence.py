@@ -210,9 +210,9 @@ def test_the_command_lists_attractors_at_a_point_and_picks_one_by_its_place(solv
     shown = CliRunner().invoke(main, ["query", str(solved), "--at", "omega=4", "--at", "R=0.7"])
     assert "share_low" in shown.stdout and shown.exit_code == 0
     picture = str(tmp_path / "second.png")
-    drawn = CliRunner().invoke(main, ["render", str(solved), "--select", "attractor=1", "-o", picture])
+    drawn = CliRunner().invoke(main, ["plot", str(solved), "--select", "attractor=1", "-o", picture])
     assert drawn.exit_code == 0, drawn.output
-    wrong = CliRunner().invoke(main, ["render", str(solved), "--select", "attractor=3", "-o", picture])
+    wrong = CliRunner().invoke(main, ["plot", str(solved), "--select", "attractor=3", "-o", picture])
     assert wrong.exit_code == 2 and "attractor: found 3, must be a whole number, 0 to 2" in wrong.output
 
 

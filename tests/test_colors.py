@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from atlas.render import classes, orbit, scales, style, sweep
-from atlas.render.kinds import TABLE
+from atlas.render.kinds import STABLE, TABLE
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
@@ -128,10 +128,10 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs(
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> None:
-    """So every exponent has a grey of its own, and none below zero that of one above."""
+    """So every exponent has a grey of its own, none below zero that of one above; none is white, as if without data."""
     lightness = [lab(scales.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
     assert np.all(np.diff(lightness) < -0.4)
-    assert lightness[0] > 95.0 and lightness[-1] < 12.0
+    assert 90.0 < lightness[0] < 95.0 and lightness[-1] < 12.0
 
 
 SCALES = {name: scales.colormap_of(kind.scale.colors) for name, kind in TABLE.items() if kind.scale.colors}
@@ -195,3 +195,10 @@ def test_one_period_at_most_is_blue_or_nearly_black_to_the_eye() -> None:
     hues = [np.degrees(np.arctan2(b, a)) % 360 for L, a, b in colors if np.hypot(a, b) > 12]
     assert sum(240 < hue < 300 for hue in hues) == 1
     assert min(L for L, _, _ in colors) > 20
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_no_exponent_is_as_pale_as_cells_without_data(sight: str) -> None:
+    """A cell that is not solved yet is left white."""
+    ends = [lab(color, EVERY_SIGHT[sight]) for color in (STABLE[0], "white")]
+    assert np.linalg.norm(ends[0] - ends[1]) >= 8.0

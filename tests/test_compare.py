@@ -198,7 +198,7 @@ def test_atlases_without_exponents_are_compared_by_their_regimes() -> None:
 
 def test_a_comparison_of_sweeps_is_drawn_otherwise() -> None:
     sweep = pictures.line()
-    with pytest.raises(InputError, match="sweeps: atlas render --against"):
+    with pytest.raises(InputError, match="sweeps: atlas plot --against"):
         together.difference(Comparison.of(sweep, sweep))
 
 
@@ -244,7 +244,7 @@ def test_maps_are_laid_out_in_rows_of_three_at_most(count: int, shape: tuple[int
 def test_the_command_draws_several_stores_named_where_nothing_differs(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.svg"
     stores = [folder / "a.zarr", folder / "b.zarr", folder / "c.zarr"]
-    assert call("render", *stores, "-o", out, "--kind", "period").exit_code == 0
+    assert call("plot", *stores, "-o", out, "--kind", "period").exit_code == 0
     assert out.read_text().startswith("<?xml")
 
 
@@ -259,7 +259,7 @@ def test_the_command_draws_several_stores_named_where_nothing_differs(folder: Pa
 def test_what_cannot_be_drawn_side_by_side_is_refused_in_one_line(
     folder: Path, tmp_path: Path, args: tuple[str, ...], message: str
 ) -> None:
-    shown = call("render", folder / "a.zarr", folder / "b.zarr", "-o", tmp_path / "a.png", *args)
+    shown = call("plot", folder / "a.zarr", folder / "b.zarr", "-o", tmp_path / "a.png", *args)
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert shown.stderr.splitlines()[-1] == f"Error: {message}"
     assert list(tmp_path.iterdir()) == []

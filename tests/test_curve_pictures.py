@@ -207,9 +207,9 @@ def test_curves_of_other_axes_are_refused() -> None:
 
 def test_an_atlas_without_curves_says_which_command_finds_them(finished: Path) -> None:
     ds = atlas.open(finished)
-    with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; atlas curves"):
+    with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; atlas find-curves"):
         render.figure(ds, overlay="curves")
-    with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; atlas curves"):
+    with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; atlas find-curves"):
         render.figure(ds, "regions")
 
 
@@ -287,3 +287,15 @@ def test_a_region_too_narrow_for_its_name_has_it_beside_at_the_end_of_an_arrow()
     assert isinstance(name, Annotation)
     assert 3.0 < name.xy[0] < 3.06
     assert not 3.0 < name.get_position()[0] < 3.06
+
+
+def test_many_marks_are_smaller_than_few_and_bury_no_map() -> None:
+    points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
+
+    def size(count: int) -> float:
+        marked = tuple(Corner("cusp", 1.0 + 4.0 * (k + 0.5) / count, 0.3, 5) for k in range(count))
+        figure = drawn(Curves(("omega", "b"), (curve("fold", points, corners=marked),)))
+        return float(corners(figure.axes[0])[0].get_markersize())
+
+    few, some, many = size(3), size(24), size(60)
+    assert size(12) == few and some == pytest.approx(few / np.sqrt(2.0)) and many == pytest.approx(0.6 * few)

@@ -205,7 +205,7 @@ def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tupl
     """Along b the event lies where the curve of that kind has the cell's f2: on b = const |Y(f2)|."""
     path, summary = searched
     at = {"b": 0.29, "f2": -0.1}
-    found = atlas.open(path).atlas.distance_to("symmetry_breaking", **at).to_dict("records")
+    found = atlas.open(path).atlas.distance_to(at, kind="symmetry_breaking").to_dict("records")
     along = next(entry for entry in found if entry["axis"] == "b")
     assert along["distance"] == pytest.approx(along["value"] - at["b"], abs=1e-15)
     curve = summary.found.of_kind("symmetry_breaking")[0]
@@ -241,7 +241,7 @@ def test_a_plane_of_chaos_has_no_curves(tmp_path: Path, client: Client) -> None:
 def test_curves_of_the_closed_forms_are_these(make: Any, tmp_path: Path) -> None:
     """Through the whole command: the ball's fold and doubling, the symmetry breaking of the pair."""
     atlas.run(make(), tmp_path / "out.zarr", options=RunOptions(workers=1))
-    made = CliRunner().invoke(main, ["curves", str(tmp_path / "out.zarr"), "--workers", "1"])
+    made = CliRunner().invoke(main, ["find-curves", str(tmp_path / "out.zarr"), "--workers", "1"])
     assert made.exit_code == 0, made.output
     found = read_curves(read_header(tmp_path / "out.zarr"))
     assert found is not None
@@ -288,7 +288,7 @@ def test_worker_processes_find_the_same_to_the_bit(fresh: Path, searched: tuple[
 def test_after_a_kill_the_same_command_finds_the_same_to_the_bit(
     fresh: Path, searched: tuple[Path, CurvesSummary], tmp_path: Path
 ) -> None:
-    command = [*ATLAS, "curves", str(fresh), "--workers", "2"]
+    command = [*ATLAS, "find-curves", str(fresh), "--workers", "2"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with (tmp_path / "log").open("w") as log:
         running = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
@@ -308,7 +308,7 @@ class TestBadInput:
     """One line, exit code 2, nothing written."""
 
     def refused(self, *words: str) -> str:
-        made = CliRunner().invoke(main, ["curves", *words])
+        made = CliRunner().invoke(main, ["find-curves", *words])
         assert made.exit_code == 2, made.output
         assert made.stdout == ""
         (line,) = made.stderr.strip().splitlines()

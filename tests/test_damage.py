@@ -246,7 +246,7 @@ def test_the_message_survives_the_way_between_processes(whole: store.Header) -> 
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
-@pytest.mark.parametrize("command", [["export", "--out", "cells.csv"], ["render", "--out", "map.png"]])
+@pytest.mark.parametrize("command", [["export", "--out", "cells.csv"], ["plot", "--out", "map.png"]])
 def test_a_command_that_meets_damage_says_one_line_and_nothing_else(
     whole: store.Header, tmp_path: Path, command: list[str]
 ) -> None:

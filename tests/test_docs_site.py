@@ -69,6 +69,13 @@ def test_every_page_of_docs_is_in_the_site(site: Path) -> None:
     assert not [path for path in sources if not (site / path).exists()]
 
 
+def test_no_page_shows_the_magic_of_a_cell(site: Path) -> None:
+    """What a reader copies is the file, or the commands."""
+    shown = {path: re.sub(r"<[^>]*>", "", path.read_text()) for path in site.rglob("*.html")}
+    assert not [path for path, text in shown.items() if "%%writefile" in text or "%%sh" in text]
+    assert '<span class="caption-text">plane.toml</span>' in (site / "tutorials/first-plane.html").read_text()
+
+
 def test_links_inside_the_site_lead_somewhere(pages: dict[Path, Page]) -> None:
     missing = []
     for path, page in pages.items():

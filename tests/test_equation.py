@@ -66,3 +66,22 @@ def test_the_command_shows_it(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, ["systems", str(tmp_path / "own.toml")])
     assert shown.exit_code == 0
     assert [f"    {line}" for line in GEARS.splitlines()] == shown.stdout.splitlines()[2:5]
+
+
+@pytest.mark.parametrize(
+    ("belt", "line"),
+    [(0.0, "friction rub: 0.1 against v"), (0.5, "friction rub: 0.1 against v = v - 0.5")],
+)
+def test_a_sliding_velocity_that_is_the_masss_own_is_named_once(belt: float, line: str) -> None:
+    rub = {"name": "rub", "row": [1.0], "kinetic": 0.1, "belt": belt}
+    made = System.from_mapping(
+        {
+            "name": "rubbed",
+            "coordinates": ["x"],
+            "mass": [[1.0]],
+            "stiffness": [[1.0]],
+            "force": [1.0],
+            "friction": [rub],
+        }
+    )
+    assert line in equation_of(made).splitlines()

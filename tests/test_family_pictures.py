@@ -19,7 +19,7 @@ from atlas.spec.system import stored_system
 from tests.pictures import labels
 from tests.test_maps import drawn
 from workers.model.system import System, find_system
-from workers.results import PERIODIC
+from workers.results import CHAOTIC, PENDING, PERIODIC
 
 pytestmark = pytest.mark.slow
 
@@ -118,6 +118,42 @@ def test_of_several_harmonics_the_largest_deflection_counts() -> None:
     assert ratio(LOADED, omega=0.5, A2=0.7) == pytest.approx(np.log(np.abs(values).max()), abs=1e-8)
 
 
+@pytest.mark.parametrize("beta", [1.0, 29.0])
+def test_a_soft_stop_is_grazed_where_the_response_reaches_it(beta: float) -> None:
+    soft = find_system("soft-impact")
+    fixed = {p.name: p.default for p in soft.parameters if p.name not in ("omega", "a")} | {"beta": beta}
+    found = grazing.grazing_ratio(soft, fixed, ("omega", np.array([0.6, 0.9, 1.1])), ("a", np.array([0.2, 0.7])))
+    omega = np.array([0.6, 0.9, 1.1])
+    reach = np.array([[0.2], [0.7]]) * omega**2 / np.abs(1.0 - omega**2 + 2j * 0.01 * omega)
+    assert found == pytest.approx(np.log(reach / 1.26), abs=1e-12)
+
+
+def test_of_several_contacts_the_nearest_is_grazed() -> None:
+    """Truth: the response of both masses from their matrices."""
+    two, omega = find_system("two-stops"), 0.9
+    fixed = {p.name: p.default for p in two.parameters if p.name not in ("omega", "b2")}
+    K = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    first, second = np.abs(np.linalg.solve(K - omega**2 * np.eye(2) + 0.1j * omega * K, [0.5, 0.5]))
+    b2 = np.array([0.2, 0.5, 2.0, 9.0])
+    found = grazing.grazing_ratio(two, fixed, ("omega", np.array([omega])), ("b2", b2))[:, 0]
+    assert found == pytest.approx(np.log(np.maximum(first / 0.5, second / b2)), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["soft-impact", "two-stops"])
+def test_the_grazing_line_of_a_machine_with_modes_is_drawn(name: str) -> None:
+    system = find_system(name)
+    axes = {each: np.linspace(low, high, 5) for each, low, high in system.axes}
+    drawn = render.figure(periodic_plane(system, axes), "period", overlay="grazing")
+    assert labels(drawn)[-1] == "impact-free motion\ngrazes a stop"
+
+
+def test_where_motion_without_impact_is_not_linear_the_way_on_is_named() -> None:
+    mass = find_system("stick-slip")
+    ds = periodic_plane(mass, {each: np.linspace(low, high, 4) for each, low, high in mass.axes})
+    with pytest.raises(InputError, match=r"has friction, so that .*; atlas find-curves finds the grazes of its orbits"):
+        render.figure(ds, "period", overlay="grazing")
+
+
 def test_where_a_mode_has_no_stiffness_there_is_no_grazing_line() -> None:
     ball = find_system("bouncing-ball")
     ds = periodic_plane(ball, {"omega": [1, 2], "R": [0.2, 0.4]})
@@ -128,6 +164,42 @@ def test_where_a_mode_has_no_stiffness_there_is_no_grazing_line() -> None:
 def test_a_grazing_line_of_unequal_stops_is_not_called_an_amplitude() -> None:
     ds = periodic_plane(SINGLE, {"omega": [0.5, 0.8, 1], "b": [0.5, 1, 2]})
     assert labels(render.figure(ds, "impacts", overlay="grazing"))[-1] == "impact-free motion\ngrazes a stop"
+
+
+# Labels and shares
+
+
+def test_an_upright_label_is_no_longer_than_its_axis() -> None:
+    suspension = find_system("soft-suspension")
+    ds = periodic_plane(suspension, {each: np.linspace(low, high, 4) for each, low, high in suspension.axes})
+    ax = render.figure(ds, "period", width="5in", height="2.9in").axes[0]
+    assert ax.yaxis.label.get_text() == "amplitude of the base, in units\nof the travel to a stop $a$"
+    assert ax.yaxis.label.get_window_extent().height <= ax.bbox.height
+
+
+def test_a_parameter_without_a_meaning_is_named_once() -> None:
+    ds = periodic_plane(LOADED, {"A2": [0.0, 1.0], "omega": [0.5, 1.0]})
+    ax = render.figure(ds, "period").axes[0]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$A_{2}$", r"forcing frequency $\omega$")
+
+
+def test_shares_are_stacked_up_to_the_share_that_is_decided() -> None:
+    share = np.array([[0.75, 0.25], [0.5, 0.375], [1.0, np.nan]])
+    regime = np.array([[PERIODIC, CHAOTIC], [PERIODIC, CHAOTIC], [PERIODIC, PENDING]], np.int8)
+    values = {"regime": regime, "share": share, "share_low": share - 0.1, "share_high": share + 0.1, "largest": -share}
+    coords = {p.name: p.default for p in SINGLE.parameters} | {"omega": [1.0, 2.0, 3.0]}
+    attrs = {"spec": json.dumps({"system": "single-mass"})}
+    ds = xr.Dataset({name: (("omega", "attractor"), each) for name, each in values.items()}, coords, attrs)
+    drawn = render.figure(ds, "coexistence")
+    heights = (np.arange(80) + 0.5) / 80
+    shown = [
+        [each.get_paths()[0].contains_points([(at, y) for y in heights]).mean() for each in drawn.axes[1].collections]
+        for at in (1.0, 2.0, 3.0)
+    ]
+    np.testing.assert_array_equal(shown, np.nan_to_num(share))
+    assert drawn.axes[1].collections[1].get_paths()[0].contains_point((2.0, 0.51))
+    assert drawn.axes[1].get_ylim() == (0.0, 1.0)
+    assert labels(drawn)[-1] == "shares: 95 % interval\nwithin ± 0.10"
 
 
 # Mirror images

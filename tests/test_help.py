@@ -1,19 +1,25 @@
 """Claims about what the command says of itself: whole summaries, an example for each command, kinds with meanings."""
 
+import inspect
 import shlex
 from dataclasses import fields
 from pathlib import Path
 
 import click
 import pytest
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
+import atlas
+from atlas.accessor import AtlasAccessor
 from atlas.cli.main import main
 from atlas.cli.options import SETTING_MEANINGS
 from atlas.render import KINDS, OVERLAYS, SCALAR
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.spec.examples import example_names
 from atlas.spec.spec import Spec
+from atlas.store.store import create
+from tests.synthetic import spec_of
 from tests.test_docs import parse
 from workers import Settings
 
@@ -54,7 +60,7 @@ def test_every_option_of_a_command_says_what_it_does(name: str) -> None:
 def test_every_kind_and_overlay_has_a_meaning_in_the_help() -> None:
     assert sorted(KIND_MEANINGS) == sorted((*KINDS, SCALAR))
     assert sorted(OVERLAY_MEANINGS) == sorted(OVERLAYS)
-    listed = shown("render", "--help")
+    listed = shown("plot", "--help")
     assert all(meaning in listed for meaning in [*KIND_MEANINGS.values(), *OVERLAY_MEANINGS.values()])
 
 
@@ -86,3 +92,67 @@ def test_a_table_is_as_wide_as_it_needs_to_be_where_a_notebook_asks_for_colours(
     listed = shown("systems", "two-mass")
     assert "\x1b" not in listed and "…" not in listed
     assert "clearance: half the gap between the stops" in listed
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("plto", "plot"), ("draw", "plot"), ("show", "plot"), ("render", "plot"), ("info", "status"),
+        ("curves", "find-curves"), ("label", "label-attractors"), ("measure", "measure-attractors"), ("help", "--help"),
+    ],
+)  # fmt: skip
+def test_an_unknown_command_is_answered_with_the_one_that_is_meant(typed: str, meant: str) -> None:
+    result = CliRunner().invoke(main, [typed, "plane.zarr"])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert f"unknown command {typed!r}; did you mean" in result.stderr and f"{meant}'?" in result.stderr
+
+
+IN_PYTHON_ALONE = {
+    "at", "attractors", "beside", "boundary", "curves", "distance_to", "fractions", "labels", "open", "page",
+    "per_unit_time", "reasons", "solve_tile", "trace", "where_regime",
+}  # fmt: skip
+"""Answers that are arrays, and parts of what one command prints: ``atlas query`` has shares, reasons and cells."""
+
+
+def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
+    functions = {name for name in atlas.__all__ if inspect.isfunction(getattr(atlas, name))}
+    methods = {name for name in vars(AtlasAccessor) if not name.startswith("_")}
+    commands = {name.replace("-", "_") for name in main.commands}
+    assert (functions | methods) - IN_PYTHON_ALONE <= commands
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return create(tmp_path_factory.mktemp("completed") / "a.zarr", spec_of(), (19, 45)).path
+
+
+@pytest.mark.parametrize(
+    ("typed", "word", "offered"),
+    [
+        ((), "find", {"find-curves"}),
+        (("point", "--system"), "soft", {"soft-impact", "soft-suspension"}),
+        (("point", "--system", "bouncing-ball", "--set"), "", {"omega=", "R=", "A=", "g=", "tau=", "y=", "v="}),
+        (("point", "--set"), "om", {"omega="}),
+        (("systems",), "two", {"two-mass", "two-stops"}),
+        (("run",), "omega-b", {"omega-b", "omega-b-fine"}),
+        (("plot", "PLANE", "--kind"), "per", {"period"}),
+        (("plot", "PLANE", "--variable"), "lar", {"largest"}),
+        (("plot", "PLANE", "--curves"), "fo", {"fold"}),
+        (("plot", "PLANE", "--window"), "", {"omega=", "b="}),
+        (("query", "PLANE", "--at"), "b", {"b="}),
+        (("extremes", "PLANE"), "lar", {"largest"}),
+        (("regions", "PLANE"), "cha", {"chaotic"}),
+        (("branch", "PLANE", "--along"), "z", {"zeta"}),
+        (("query", "nowhere.zarr", "--at"), "", set()),
+    ],
+)
+def test_the_tab_key_completes(plane: Path, typed: tuple[str, ...], word: str, offered: set[str]) -> None:
+    words = [str(plane) if each == "PLANE" else each for each in typed]
+    found = ShellComplete(main, {}, "atlas", "_ATLAS_COMPLETE").get_completions(words, word)
+    assert {each.value for each in found if each.type == "plain"} == offered
+
+
+def test_the_help_of_a_run_in_python_shows_its_options_and_no_record_of_defaults() -> None:
+    shown = str(inspect.signature(atlas.run))
+    assert "options: atlas.service.options.RunOptions = RunOptions(), *, workers=None" in shown
+    assert "connect" not in shown and "fields" not in shown

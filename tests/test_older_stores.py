@@ -127,7 +127,7 @@ def test_it_answers_queries(older: Path) -> None:
 
 def test_pictures_can_be_drawn_of_it(older: Path) -> None:
     drawn = older.parent / "picture.png"
-    assert call("render", older, "-o", drawn).exit_code == 0
+    assert call("plot", older, "-o", drawn).exit_code == 0
     assert drawn.stat().st_size > 0
 
 

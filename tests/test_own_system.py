@@ -124,14 +124,14 @@ def test_it_is_queried_drawn_and_extended(store: Path, tmp_path: Path, client: C
     assert "clearance" in figure.axes[0].get_ylabel()
     asked = call("query", store, "--at", "omega=2.0", "--at", "d=0.1", "--json")
     assert asked.exit_code == 0, asked.output
-    drawn = call("render", store, "-o", tmp_path / "map.png")
+    drawn = call("plot", store, "-o", tmp_path / "map.png")
     assert drawn.exit_code == 0, drawn.output
     atlas.extend(store, tmp_path / "fine.zarr", refine={"omega": 2}, client=client)
     assert atlas.open(tmp_path / "fine.zarr").omega.size == 7
 
 
 def test_its_portrait_is_drawn_from_the_store_alone(store: Path, tmp_path: Path) -> None:
-    figure = atlas.open(store).atlas.portrait(tmp_path / "cell.png", omega=4.0, d=0.1)
+    figure = atlas.open(store).atlas.portrait(path=tmp_path / "cell.png", omega=4.0, d=0.1)
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert "$p$" in labels and "$q$" in labels
     assert (tmp_path / "cell.png").exists()

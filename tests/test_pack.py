@@ -67,7 +67,7 @@ def test_atlas_opens_it_and_reads_as_few_chunks_as_of_the_store(header: store.He
 
 def test_a_picture_of_it_is_that_of_the_store(header: store.Header, packed: Path, tmp_path: Path) -> None:
     for place, out in ((header.path, "a.png"), (packed, "b.png")):
-        assert call("render", place, "-o", tmp_path / out, "--kind", "period").exit_code == 0
+        assert call("plot", place, "-o", tmp_path / out, "--kind", "period").exit_code == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

@@ -232,7 +232,7 @@ def test_a_portrait_to_another_format_is_refused_before_the_cell_is_even_looked_
 
 
 @pytest.mark.parametrize(
-    "args", [("render", "STORE"), ("render", "STORE", "STORE"), ("compare", "STORE", "STORE")], ids=" ".join
+    "args", [("plot", "STORE"), ("plot", "STORE", "STORE"), ("compare", "STORE", "STORE")], ids=" ".join
 )
 def test_the_command_takes_size_type_and_scale(tmp_path: Path, args: tuple[str, ...]) -> None:
     store, out = complete(tmp_path / "plane.zarr").path, tmp_path / "map.png"

@@ -119,11 +119,11 @@ def test_the_render_command_takes_overlays_and_a_second_atlas(tmp_path: Path, cl
     ]
     for store, dash, out, *options in drawn:
         words = [str(tmp_path / each) if each.endswith(".zarr") else each for each in options]
-        result = runner.invoke(main, ["render", str(tmp_path / store), dash, str(tmp_path / out), *words])
+        result = runner.invoke(main, ["plot", str(tmp_path / store), dash, str(tmp_path / out), *words])
         assert result.exit_code == 0, result.output
         assert (tmp_path / out).exists()
     result = runner.invoke(
-        main, ["render", str(tmp_path / "plane.zarr"), "-o", "x.png", "--against", str(tmp_path / "none.zarr")]
+        main, ["plot", str(tmp_path / "plane.zarr"), "-o", "x.png", "--against", str(tmp_path / "none.zarr")]
     )
     assert result.exit_code == 2
     assert "no such store" in result.stderr

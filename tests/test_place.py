@@ -179,7 +179,7 @@ def test_every_command_takes_a_url(bucket: str, tmp_path: Path, client: Client) 
     call("verify", url, "--sample", 2)
     assert "periodic" in call("query", url)
     call("query", url, "--at", "omega=3", "--at", "b=0.3")
-    call("render", url, "-o", tmp_path / "tiny.png")
+    call("plot", url, "-o", tmp_path / "tiny.png")
     assert (tmp_path / "tiny.png").exists()
 
 

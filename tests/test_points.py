@@ -245,7 +245,7 @@ def test_another_table_does_not_resume_a_store(solved: Path) -> None:
 
 
 def test_a_table_is_drawn_as_a_sweep_over_its_rows(solved: Path, tmp_path: Path) -> None:
-    answered("render", solved, "-o", tmp_path / "out.png")
+    answered("plot", solved, "-o", tmp_path / "out.png")
     assert (tmp_path / "out.png").stat().st_size > 1000
 
 

@@ -219,7 +219,7 @@ def test_a_store_from_before_there_were_reasons_is_sound_and_reports_its_shares(
     assert read_status(read_header(older)).reasons == {}
     assert json.loads(call("query", older, "--json").stdout)["invalid"] == pytest.approx(0.4)
     assert call("query", older, "--at", "omega=3", "--at", "b=0.1").exit_code == 0
-    assert call("render", older, "-o", older.parent / "map.png").exit_code == 0
+    assert call("plot", older, "-o", older.parent / "map.png").exit_code == 0
 
 
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")

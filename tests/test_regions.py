@@ -344,3 +344,17 @@ def test_python_gives_regions_and_extremes_as_data_frames(header: store.Header) 
     assert found["cells"].tolist() == [each["cells"] for each in regions(ds, "period")]
     assert found["centre_omega"].tolist() == [each["centre"]["omega"] for each in regions(ds, "period")]
     assert ends["extreme"].tolist() == ["smallest", "largest"]
+
+
+def test_a_regime_alone_names_its_regions(header: store.Header) -> None:
+    ds = atlas.open(header.path)
+    meant = ds.atlas.regions("regime", "chaotic")
+    assert len(meant) and ds.atlas.regions("chaotic").equals(meant)
+    assert ds.atlas.labels("chaotic").equals(ds.atlas.labels("regime", "chaotic"))
+    short, whole = (call("regions", header.path, each, "--json").stdout for each in ("chaotic", "regime=chaotic"))
+    assert json.loads(short)["regions"] and short == whole
+
+
+def test_a_class_that_is_none_is_answered_with_the_nearest(header: store.Header) -> None:
+    shown = call("regions", header.path, "chaotc")
+    assert (shown.exit_code, shown.stderr) == (2, "Error: unknown class of cells 'chaotc'; did you mean 'chaotic'?\n")

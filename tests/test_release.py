@@ -260,12 +260,12 @@ def test_a_source_that_is_no_article_is_a_note_that_bibtex_can_read() -> None:
 
 def test_the_demo_types_the_commands_that_it_shows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     typed: list[tuple[str, dict[str, Any]]] = []
-    for name in ("run", "render", "query"):
+    for name in ("run", "plot", "query"):
         monkeypatch.setattr(main.commands[name], "callback", lambda name=name, **given: typed.append((name, given)))
     folder = tmp_path / "my demo"
     done = CliRunner().invoke(main, ["demo", str(folder)])
     assert done.exit_code == 0, done.output
-    assert [name for name, _ in typed] == ["run", "render", "query"]
+    assert [name for name, _ in typed] == ["run", "plot", "query"]
     assert str(typed[0][1]["out"]) == str(folder / "omega-b.zarr")
     assert f"$ atlas run omega-b -o {folder}" in done.output
 

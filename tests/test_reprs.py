@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import xarray as xr
+from xarray.plot.utils import label_from_attrs
 
 import atlas
 from atlas.accessor import DrawnBranches
@@ -42,3 +43,31 @@ def test_branches_show_what_they_are_of_in_one_line() -> None:
     found = DrawnBranches(find_system("two-mass"), {"b": 0.15}, "omega", (2.0, 4.0), traced)
     reach = "two-mass along omega from 2 to 4"
     assert repr(found) == f"<DrawnBranches of {reach}: 2 branches, 75 points, 1 event>"
+
+
+LONGEST = 400
+"""Characters."""
+
+
+def test_a_spec_shows_its_axes_and_what_differs_from_the_defaults() -> None:
+    spec = atlas.Spec("two-mass", {"omega": {"start": 2, "stop": 4, "num": 500}}, {"b": 0.2, "R": 0.8})
+    assert repr(spec) == "<Spec of two-mass: omega 2..4 (500 values); b = 0.2>"
+
+
+def test_a_status_and_the_accessor_show_what_they_are_of(header: store.Header) -> None:
+    found = atlas.status(header.path)
+    assert repr(found) == str(found) and len(repr(found)) <= LONGEST
+    shown = repr(atlas.open(header.path).atlas)
+    assert re.fullmatch(r"<atlas of two-mass: \d+ omega x \d+ b cells; .*>", shown), shown
+
+
+def test_options_show_what_differs_from_their_defaults() -> None:
+    assert repr(atlas.RunOptions()) == "RunOptions()"
+    assert repr(atlas.RunOptions(workers=2)) == "RunOptions(workers=2)"
+
+
+def test_xarray_writes_no_unit_on_the_axis_of_a_pure_number(header: store.Header) -> None:
+    ds = atlas.open(header.path)
+    assert label_from_attrs(ds["omega"]) == "forcing frequency"
+    assert not [name for name in ds.variables if "[1]" in label_from_attrs(ds[name])]
+    assert label_from_attrs(ds["largest"]).endswith("[1/period]")

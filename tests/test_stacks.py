@@ -135,8 +135,10 @@ def test_csv_of_a_stack_has_a_row_for_every_cell_x_fastest(solved: Path, tmp_pat
 def test_a_plane_is_selected_on_the_command_line(solved: Path, tmp_path: Path) -> None:
     answered("export", solved, "--select", "R=0.7", "-o", tmp_path / "out.csv")
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 31
-    text = answered("query", solved, "--select", "R=0.72", code=2)
-    assert "R has no value 0.72; the nearest is 0.7" in text
+    assert "R = 0.72 lies outside" not in answered("query", solved, "--select", "R=0.72")
+    assert "R = 1.2 lies outside the grid; valid: 0.55 to 0.85" in answered(
+        "query", solved, "--select", "R=1.2", code=2
+    )
 
 
 def test_two_stacks_are_compared_cell_by_cell(solved: Path) -> None:
@@ -212,14 +214,14 @@ def test_the_planes_of_a_stack_are_drawn_on_one_scale_under_their_values(solved:
 
 
 def test_one_plane_of_a_stack_is_drawn_as_a_plane(solved: Path, tmp_path: Path) -> None:
-    answered("render", solved, "--select", "R=0.8", "--kind", "cost", "-o", tmp_path / "one.png")
-    answered("render", solved, "-o", tmp_path / "all.png", "--window", "R=0.65:0.85")
+    answered("plot", solved, "--select", "R=0.8", "--kind", "cost", "-o", tmp_path / "one.png")
+    answered("plot", solved, "-o", tmp_path / "all.png", "--window", "R=0.65:0.85")
     assert len(render.figure(atlas.open(solved), window={"R": (0.8, 0.8)}).axes) == 2  # map and scale
 
 
 def test_too_many_planes_for_one_picture_are_refused(tmp_path: Path) -> None:
     header = store.create(tmp_path / "out.zarr", stack_of(R=np.linspace(0.1, 0.9, 13).tolist()), (1, 3, 4))
-    text = answered("render", header.path, "-o", tmp_path / "out.png", code=2)
+    text = answered("plot", header.path, "-o", tmp_path / "out.png", code=2)
     assert "a stack of 13 planes: at most 12 are drawn together; pick one by --select R=0.1" in text
     assert not (tmp_path / "out.png").exists()
 

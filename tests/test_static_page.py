@@ -246,7 +246,7 @@ def test_a_label_of_a_picture_is_set_in_unicode() -> None:
     assert text_of(r"largest exponent $\lambda_1$ [per forcing period]") == "largest exponent λ₁ [per forcing period]"
     assert text_of(r"$-\infty$: rest") == "−∞: rest"
     assert text_of(r"$n$-$p$-$q$") == "n-p-q"
-    assert text_of(r"clearance $\mathrm{my\_gap}$") == "clearance my_gap"
+    assert text_of(r"clearance $\mathit{my\_gap}$") == "clearance my_gap"
 
 
 def test_curves_are_those_of_the_store_where_their_orbit_is_otherwise_stable() -> None:

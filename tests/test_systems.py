@@ -216,7 +216,7 @@ def test_parameters_come_as_omega_then_those_of_the_table_then_tau_then_the_init
 def test_symbols_that_are_not_given_are_made_of_names() -> None:
     given = {"mu_m": {"default": 1.0}, "gain": {"default": 1.0}, "a2": {"default": 1.0}}
     system = System.from_mapping(table(parameters=table()["parameters"] | given))
-    assert [system.parameter(name).symbol for name in given] == [r"\mu_{m}", r"\mathrm{gain}", "a_{2}"]
+    assert [system.parameter(name).symbol for name in given] == [r"\mu_{m}", r"\mathit{gain}", "a_{2}"]
     assert (system.parameter("p").symbol, system.parameter("u").symbol) == ("p(0)", r"\dot p(0)")
 
 
@@ -365,7 +365,8 @@ WRONG = [
     ({"let": {"sin": 1.0}}, "system.let.sin: 'sin' has another meaning already"),
     ({"let": []}, "system.let: found [], must be a table"),
     ({"parameters": []}, "system.parameters: found [], must be a table"),
-    (with_parameter("g", 1.0), "system.parameters.g: found 1.0, must be a table"),
+    (with_parameter("g", "1"), "system.parameters.g: found '1', must be a table"),
+    (with_parameter("g", True), "system.parameters.g.default: found True, must be a number"),
     (with_parameter("g", {}), "system.parameters.g: default missing; give a number"),
     (with_parameter("g", {"default": "k"}), "system.parameters.g.default: found 'k', must be a number"),
     (with_parameter("g", {"defualt": 1.0}), "unknown key in system.parameters.g 'defualt'; did you mean 'default'?"),
@@ -428,3 +429,22 @@ def test_free_motions_that_the_gap_sees_are_machines() -> None:
         system = find_system(name)
         check_at_defaults(system.definition, system.parameters)
     System.from_mapping(table(stiffness=[[0.0, 0.0], [0.0, "k"]]))
+
+
+def test_a_parameter_may_be_its_default_alone() -> None:
+    short, long = (System.from_mapping(table(**with_parameter("m", given))) for given in (1.5, {"default": 1.5}))
+    assert short.parameter("m").default == 1.5
+    assert short.table() == long.table()
+
+
+def test_a_parameter_that_no_entry_uses_is_told() -> None:
+    unused = System.from_mapping(table(**with_parameter("idle", 1.0)))
+    assert unused.unused == ("idle",)
+    by_names = table(**with_parameter("idle", 1.0)) | {"let": {"half": "idle / 2"}}
+    assert System.from_mapping(by_names).unused == ("idle",)
+    assert System.from_mapping(by_names | {"load": ["half", 0.0]}).unused == ()
+
+
+@pytest.mark.parametrize("name", system_names())
+def test_every_parameter_of_a_packaged_system_is_used(name: str) -> None:
+    assert find_system(name).unused == ()

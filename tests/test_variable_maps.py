@@ -147,7 +147,7 @@ def test_the_command_draws_a_variable_of_an_older_store_or_says_why_not_and_writ
     with zipfile.ZipFile(DATA / "stores-solver-4.zip") as packed:
         packed.extractall(tmp_path)
     store, out = str(tmp_path / "plane.zarr"), tmp_path / "speed.png"
-    call = ["render", store, "-o", str(out), "--variable"]
+    call = ["plot", store, "-o", str(out), "--variable"]
     missing = CliRunner().invoke(main, [*call, "max_impact_speed"])
     assert missing.exit_code == 2
     assert "min_impact_speed" in missing.output

@@ -176,15 +176,15 @@ def test_an_attractor_that_is_no_place_is_refused(tmp_path: Path, value: str) ->
 
 @pytest.mark.parametrize("options", [["--dpi", "1.5"], ["--font-size", "0.01"]])
 def test_letters_without_a_dot_are_refused(plane: Path, tmp_path: Path, options: list[str]) -> None:
-    assert_one_line(call("render", plane, "-o", tmp_path / "a.png", *options), 2, "dpi: found", "dots")
+    assert_one_line(call("plot", plane, "-o", tmp_path / "a.png", *options), 2, "dpi: found", "dots")
     assert not list(tmp_path.glob("*.png"))
 
 
 def test_least_letters_are_drawn(plane: Path, tmp_path: Path) -> None:
-    assert call("render", plane, "-o", tmp_path / "a.png", "--dpi", 29).exit_code == 0
+    assert call("plot", plane, "-o", tmp_path / "a.png", "--dpi", 29).exit_code == 0
 
 
 @pytest.mark.parametrize("out", ["nowhere/curves.csv", "folder.csv"])
 def test_a_path_for_curves_that_cannot_be_written_is_refused_at_once(plane: Path, tmp_path: Path, out: str) -> None:
     (tmp_path / "folder.csv").mkdir()
-    assert_one_line(call("curves", plane, "-o", tmp_path / out), 2, f"{tmp_path / out}: cannot be written")
+    assert_one_line(call("find-curves", plane, "-o", tmp_path / out), 2, f"{tmp_path / out}: cannot be written")

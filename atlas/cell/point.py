@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from atlas.spec.spec import checked_parameters
+from atlas.spec.spec import checked_parameters, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
@@ -13,25 +13,27 @@ from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
 def point(
     given: Mapping[str, Any] | None = None,
+    /,
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
+    **named: Any,
 ) -> dict[str, Any]:
     """Results of one cell by name (``regime`` by its name), with ``system``, ``parameters`` and ``solve`` in full.
 
-    ``given`` are the parameters that differ from the defaults; ``system`` is a name, the path of a .toml file, or a
-    System. ``reason`` is there where the cell could not be solved.
+    ``omega=4.0`` or a mapping gives parameters other than the defaults; ``system`` is a name, the path of a .toml
+    file, or a System. ``reason`` is there where the cell could not be solved.
     Raises InputError for a parameter that does not exist or is out of range.
 
     >>> import atlas
-    >>> cell = atlas.point({"omega": 4.0, "b": 0.15})
+    >>> cell = atlas.point(omega=4.0, b=0.15)
     >>> cell["regime"], cell["period"], cell["impacts_upper"], cell["impacts_lower"], round(cell["largest"], 6)
     ('periodic', 1, 1, 1, -0.206173)
     """
     from workers.tile import solve_tile
 
     record, settings = checked_system(system), settings or Settings()
-    parameters = checked_parameters(record, given or {})
+    parameters = checked_parameters(record, given_values(given, named))
     arrays = solve_tile(record, parameters, settings)
     names = {regime.code: regime.name for regime in REGIMES}
     found = {variable.name: arrays[variable.name].tolist() for variable in record.variables(settings)}

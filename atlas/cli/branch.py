@@ -10,6 +10,8 @@ import click
 from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_cell, seed_of_point, system_of
 from atlas.branches.table import Branches, orbit_name
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.cli.options import (
     asked_cell,
     at_option,
@@ -18,6 +20,8 @@ from atlas.cli.options import (
     input_errors,
     json_option,
     look_options,
+    maybe_store_argument,
+    opened,
     read_number,
     read_pairs,
     select_option,
@@ -29,8 +33,6 @@ from atlas.cli.output import print_table, to_json
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
 from atlas.query.export import write_rows, written_whole
-from atlas.query.open import open_atlas
-from atlas.query.window import select as selected
 from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.task.compile import ORBITS, kernels_for
@@ -51,8 +53,14 @@ TABLES = ("csv", "json")
         "atlas branch plane.zarr --at omega=3.5 --at b=0.15 --along b --from 0.1 --to 0.5 -o branch.png",
     )
 )
-@click.argument("store", required=False)
-@click.option("--along", required=True, metavar="NAME", help="The parameter that the orbit is followed in.")
+@maybe_store_argument
+@click.option(
+    "--along",
+    required=True,
+    metavar="NAME",
+    shell_complete=of_names(completion.names_along),
+    help="The parameter that the orbit is followed in.",
+)
 @click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Its lower end.")
 @click.option("--to", "high", type=float, required=True, metavar="VALUE", help="Its upper end.")
 @set_option
@@ -144,7 +152,7 @@ def _seed(
         prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)
-    ds = selected(open_atlas(store), read_pairs("--select", select, read_number))
+    ds = opened(store, read_pairs("--select", select, read_number))
     prepare_kernels(show, *kernels_for(system_of(ds), ORBITS))
     return seed_of_cell(ds, at)
 

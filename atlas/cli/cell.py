@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.cli.options import (
     asked_cell,
     at_option,
@@ -15,6 +17,8 @@ from atlas.cli.options import (
     input_errors,
     json_option,
     look_options,
+    maybe_store_argument,
+    opened,
     picture_option,
     read_number,
     read_pairs,
@@ -30,7 +34,7 @@ from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
-from atlas.spec.system import checked_system
+from atlas.spec.system import checked_system, unused_lines
 from atlas.task.compile import ATTRACTORS, kernels_for
 from workers.attractors.starts import Starts
 from workers.model.system import System, find_system, system_names
@@ -71,7 +75,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
         "atlas portrait plane.zarr --at omega=3 --at b=0.2 -o cell.png",
     )
 )
-@click.argument("store", required=False)
+@maybe_store_argument
 @set_option
 @at_option
 @select_option
@@ -93,8 +97,6 @@ def portrait(
     The cell is one of STORE, by --at, solved anew with its settings, or is given by --set.
     """
     from atlas.query.cell import SolvedCell, solved_cell
-    from atlas.query.open import open_atlas
-    from atlas.query.window import select as select_plane
     from atlas.render import LOOK, check_path
     from atlas.render import portrait as draw_portrait
 
@@ -105,7 +107,7 @@ def portrait(
         if store is None:
             cell = SolvedCell(*asked_cell(given, system, options))
         else:
-            ds = select_plane(open_atlas(store), read_pairs("--select", select, read_number))
+            ds = opened(store, read_pairs("--select", select, read_number))
             cell = solved_cell(ds, read_pairs("--at", point, read_number))
         prepare_kernels(show, *kernels_for(cell.system))
         show(Progress("solving and drawing"))
@@ -114,7 +116,7 @@ def portrait(
 
 
 @click.command(epilog=examples("atlas systems", "atlas systems two-mass", "atlas systems my-machine.toml"))
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=of_names(completion.systems, files=True))
 @json_option
 def systems(name: str | None, as_json: bool) -> None:
     """The systems that can be solved, or all about one: its NAME, or the path of a .toml file."""
@@ -133,7 +135,7 @@ def systems(name: str | None, as_json: bool) -> None:
 
 
 @click.command(epilog=examples("atlas example omega-b > plane.toml"))
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=of_names(completion.examples))
 def example(name: str | None) -> None:
     """Print the packaged example NAME, a spec to start from, as a TOML file; without NAME list all examples."""
     if name is not None:
@@ -157,6 +159,8 @@ def _print_system(record: System) -> None:
     if record.own_variables:
         click.echo()
         print_table("", ["result", "meaning", "unit"], [(v.name, v.long_name, v.units) for v in record.own_variables])
+    for line in unused_lines(record):
+        click.echo(f"\n{line}")
     if record.source:
         click.echo(f"\nsource: {record.source}")
     if record.axes:

@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
+    STORES,
     examples,
     input_errors,
     json_option,
@@ -13,6 +14,7 @@ from atlas.cli.options import (
     read_bounds,
     read_pairs,
     say,
+    store_argument,
     window_option,
 )
 from atlas.cli.output import print_table, to_json
@@ -23,8 +25,8 @@ from atlas.text import plural
 
 
 @click.command(epilog=examples("atlas compare plane.zarr other.zarr -o difference.png"))
-@click.argument("store")
-@click.argument("other")
+@store_argument
+@click.argument("other", shell_complete=STORES)
 @window_option
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), help="Draw both maps of it; the suffix chooses the format."

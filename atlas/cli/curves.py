@@ -34,7 +34,7 @@ def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., N
     )
 
 
-@click.command(epilog=examples("atlas curves plane.zarr", "atlas curves plane.zarr -o curves.csv"))
+@click.command(epilog=examples("atlas find-curves plane.zarr", "atlas find-curves plane.zarr -o curves.csv"))
 @store_argument
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Also write them to this file, .csv or .json.")
 @_budget("seeds", "Places beside edges where events are looked for, at most.")
@@ -45,7 +45,7 @@ def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., N
 @workers_option
 @json_option
 @click.pass_context
-def curves(
+def find_curves(
     ctx: click.Context,
     /,
     store: str,
@@ -60,7 +60,7 @@ def curves(
     They are kept in STORE; where it has them already nothing is computed. Prints which share of the borders between
     regions they explain. The same command resumes a search that was stopped.
     """
-    from atlas.service.curves import find_curves  # with it Numba
+    from atlas.service import curves  # with it Numba
 
     check_workers(scheduler, workers)
     if out is not None:
@@ -68,7 +68,7 @@ def curves(
     try:
         with interruptible(), reporter(sys.stderr) as show:
             options = RunOptions(workers, scheduler, on_progress=show, timing=timing_of(ctx))
-            summary = find_curves(store, CurveSettings(**budget), options=options)
+            summary = curves.find_curves(store, CurveSettings(**budget), options=options)
     except KeyboardInterrupt:
         say("interrupted: what is found is kept; the same command resumes")
         ctx.exit(INTERRUPTED)

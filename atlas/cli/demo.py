@@ -18,7 +18,7 @@ def demo(ctx: click.Context, folder: Path) -> None:
     About a minute and a half on two processors, most of it to compile the kernels once. Interrupted, it resumes.
     """
     store, picture = str(folder / f"{EXAMPLE}.zarr"), str(folder / f"{EXAMPLE}.png")
-    for words in (["run", EXAMPLE, "-o", store], ["render", store, "-o", picture], ["query", store]):
+    for words in (["run", EXAMPLE, "-o", store], ["plot", store, "-o", picture], ["query", store]):
         say(f"$ atlas {' '.join(words)}")
         assert ctx.parent is not None
         group = ctx.parent.command

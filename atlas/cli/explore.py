@@ -10,10 +10,12 @@ from click.core import ParameterSource
 
 from atlas.cli.options import (
     INTERRUPTED,
+    SPECS,
     check_workers,
     examples,
     input_errors,
     interruptible,
+    opened,
     read_bounds,
     read_number,
     read_pairs,
@@ -41,7 +43,7 @@ GB = 10**9
         "atlas explore plane.zarr -o plane.html",
     )
 )
-@click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED)
+@click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED, shell_complete=SPECS)
 @select_option
 @click.option("--with", "other", metavar="STORE|SPEC", help="Another one of the same axes, shown beside the first.")
 @click.option(
@@ -150,8 +152,6 @@ def write(
             name = "/".join([each.opts[-1], *each.secondary_opts])
             raise InputError(f"{name} is for the explorer in the browser; with -o go --select and --window")
     from atlas.explore.static.page import check_path, write_page
-    from atlas.query.open import open_atlas
-    from atlas.query.window import select as selected
     from atlas.query.window import within
     from atlas.spec.examples import example_names
     from atlas.text import byte_size
@@ -161,7 +161,7 @@ def write(
         raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
     with input_errors():
         check_path(out)
-        ds = within(selected(open_atlas(subject), chosen), window)
+        ds = within(opened(subject, chosen), window)
         say("reading and painting")
         written = write_page(ds, out)
     say(byte_size(written.stat().st_size))

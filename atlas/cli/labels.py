@@ -10,17 +10,17 @@ from atlas.cli.progress import reporter
 from atlas.service.options import RunOptions
 
 
-@click.command(epilog=examples("atlas label coexistence.zarr"))
+@click.command(epilog=examples("atlas label-attractors coexistence.zarr"))
 @store_argument
 @json_option
 @click.pass_context
-def label(ctx: click.Context, store: str, as_json: bool) -> None:
+def label_attractors(ctx: click.Context, store: str, as_json: bool) -> None:
     """Label the attractors of STORE, a finished atlas of all attractors: one label a branch, from cell to cell.
 
     Each orbit is followed to the neighbouring cells. Labels are kept in STORE; where it has them nothing is computed.
     """
-    from atlas.service.labels import label_attractors  # with it Numba
+    from atlas.service import labels  # with it Numba
 
     with interruptible(), reporter(sys.stderr) as show:
-        summary = label_attractors(store, RunOptions(on_progress=show, timing=timing_of(ctx)))
+        summary = labels.label_attractors(store, RunOptions(on_progress=show, timing=timing_of(ctx)))
     click.echo(to_json(summary.as_dict()) if as_json else str(summary))

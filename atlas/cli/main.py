@@ -12,17 +12,25 @@ from typing import Any
 import click
 
 from atlas.cli.options import INTERRUPTED, examples
-from atlas.errors import InputError, RunError, one_line
+from atlas.errors import InputError, RunError, one_line, shown
+from workers.model.parameter import unknown_name
 
 _HOMES = {
     "demo": "demo", "example": "cell", "plan": "run", "run": "run", "submit": "run", "cancel": "run", "retry": "run",
     "extend": "run", "basins": "run", "status": "store", "verify": "store", "pack": "store", "cite": "store",
     "query": "query", "regions": "query", "extremes": "query", "basin-measures": "query", "export": "query",
-    "compare": "compare", "curves": "curves", "label": "labels", "measure": "measures", "render": "pictures",
-    "figures": "pictures", "point": "cell", "stability": "stability", "saddles": "saddles", "portrait": "cell",
-    "branch": "branch", "explore": "explore", "systems": "cell",
+    "compare": "compare", "find-curves": "curves", "label-attractors": "labels", "measure-attractors": "measures",
+    "plot": "pictures", "figures": "pictures", "point": "cell", "stability": "stability", "saddles": "saddles",
+    "portrait": "cell", "branch": "branch", "explore": "explore", "systems": "cell",
 }  # fmt: skip
 """The commands in the order of their use, each with its module."""
+_MEANT = {
+    "draw": "plot", "show": "plot", "render": "plot", "map": "plot", "info": "status", "ask": "query", "at": "query",
+    "fractions": "query", "curves": "find-curves", "label": "label-attractors", "labels": "label-attractors",
+    "measure": "measure-attractors", "attractors": "point", "solve": "run", "compute": "run", "new": "example",
+    "examples": "example", "check": "verify", "repair": "verify", "help": "--help",
+}  # fmt: skip
+"""Words for a command that a newcomer may try first."""
 
 
 class _Commands(Mapping[str, click.Command]):
@@ -84,6 +92,15 @@ class _Group(click.Group):
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            if args[0] in _MEANT:
+                raise InputError(f"unknown command {shown(args[0])}; did you mean 'atlas {_MEANT[args[0]]}'?")
+            raise InputError(unknown_name("command", args[0], self.commands))
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands in the order of their use, with summaries that are never cut."""
         whole = 1000  # characters
@@ -99,7 +116,7 @@ class _Group(click.Group):
     epilog=examples(
         "atlas example omega-b > plane.toml",
         "atlas run plane.toml -o plane.zarr",
-        "atlas render plane.zarr -o chaos.png",
+        "atlas plot plane.zarr -o chaos.png",
     ),
 )
 @click.version_option(package_name="impact-atlas", prog_name="atlas")

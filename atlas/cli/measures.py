@@ -27,9 +27,9 @@ from atlas.service.options import RunOptions
 
 @click.command(
     epilog=examples(
-        "atlas measure plane.zarr --margin",
-        "atlas measure plane.zarr --margin --scale omega=0.05 --scale b=0.01",
-        "atlas measure coexistence.zarr --norm v1=0.5 --norm v2=0.5",
+        "atlas measure-attractors plane.zarr --margin",
+        "atlas measure-attractors plane.zarr --margin --scale omega=0.05 --scale b=0.01",
+        "atlas measure-attractors coexistence.zarr --norm v1=0.5 --norm v2=0.5",
     )
 )
 @store_argument
@@ -43,7 +43,7 @@ from atlas.service.options import RunOptions
 @workers_option
 @json_option
 @click.pass_context
-def measure(
+def measure_attractors(
     ctx: click.Context,
     /,
     store: str,
@@ -57,10 +57,10 @@ def measure(
 ) -> None:
     """Measure how stable the attractors of STORE, a finished atlas, are: return time, reactivity, amplification.
 
-    The measures are kept in STORE, for atlas render; what it has already is not computed again. The same command
+    The measures are kept in STORE, for atlas plot; what it has already is not computed again. The same command
     resumes one that was stopped.
     """
-    from atlas.service.measures import measure_attractors  # with it Numba
+    from atlas.service import measures  # with it Numba
 
     check_workers(scheduler, workers)
     weights, units = read_pairs("--norm", norm, read_number), read_pairs("--scale", scale, read_number)
@@ -69,7 +69,7 @@ def measure(
     try:
         with interruptible(), reporter(sys.stderr) as show:
             options = RunOptions(workers, scheduler, on_progress=show, timing=timing_of(ctx))
-            summary = measure_attractors(
+            summary = measures.measure_attractors(
                 store, shocks=shocks, margin=margin, norm=weights, scale=units or None, options=options
             )
     except KeyboardInterrupt:

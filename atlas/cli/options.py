@@ -1,5 +1,6 @@
 """What several commands share: options, how their texts are read, and how errors of a question are reported."""
 
+import math
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -7,11 +8,13 @@ from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from types import FrameType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.errors import ChunkError, InputError, NetworkError, shown
 from atlas.service.options import MOST_WORKERS
 from atlas.service.timing import TIMING, Timing
@@ -22,6 +25,10 @@ from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import DEFAULT, System
 from workers.settings import EXPONENTS, METHODS
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+STORES, SPECS = of_names(completion.nothing, files=True), of_names(completion.examples, files=True)
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 _T = TypeVar("_T")
@@ -46,17 +53,36 @@ workers_option = click.option(
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 window_option = click.option(
-    "--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis; may be given for each."
+    "--window",
+    metavar="NAME=LOW:HIGH",
+    multiple=True,
+    shell_complete=of_names(completion.axes),
+    help="Only this part of an axis; may be given for each.",
 )
 select_option = click.option(
-    "--select", metavar="NAME=VALUE", multiple=True, help="One value of an axis, such as one plane of a stack."
+    "--select",
+    metavar="NAME=VALUE",
+    multiple=True,
+    shell_complete=of_names(completion.axes),
+    help="The plane of a stack, or the line, nearest to it.",
 )
-store_argument = click.argument("store")  # a path or a URL
+store_argument = click.argument("store", shell_complete=STORES)  # a path or a URL
+maybe_store_argument = click.argument("store", required=False, shell_complete=STORES)
+spec_argument = click.argument("spec", shell_complete=SPECS)
 set_option = click.option(
-    "--set", "given", metavar="NAME=VALUE", multiple=True, help="A parameter that differs from its default."
+    "--set",
+    "given",
+    metavar="NAME=VALUE",
+    multiple=True,
+    shell_complete=of_names(completion.parameters),
+    help="A parameter that differs from its default.",
 )
 system_option = click.option(
-    "--system", default=DEFAULT, show_default=True, help="A name, see: atlas systems; or the path of a .toml file."
+    "--system",
+    default=DEFAULT,
+    show_default=True,
+    shell_complete=of_names(completion.systems, files=True),
+    help="A name, see: atlas systems; or the path of a .toml file.",
 )
 norm_option = click.option(
     "--norm",
@@ -135,7 +161,10 @@ def _as_it_stands(title: str, lines: Iterable[str]) -> str:
 def at_option(command: Callable[..., None]) -> Callable[..., None]:
     """The option --at of a command on one cell, of a STORE or not."""
     words = "With STORE: its cell nearest to a point; one value for each axis."
-    return click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help=words)(command)
+    complete = of_names(completion.axes)
+    return click.option("--at", "point", metavar="NAME=VALUE", multiple=True, shell_complete=complete, help=words)(
+        command
+    )
 
 
 def check_cell_options(store: str | None) -> None:
@@ -160,6 +189,18 @@ def asked_cell(
     record = checked_system(system)
     checked_parameters(record, pairs)
     return record, pairs, settings
+
+
+def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
+    """The atlas of a STORE at these values of some of its axes; a value between two cells is told."""
+    from atlas.query.open import open_atlas
+    from atlas.query.window import select
+
+    ds = select(open_atlas(store), place)
+    for name, value in place.items():
+        if name in ds.coords and not math.isclose(found := float(ds[name]), value, rel_tol=1e-9):
+            say(f"{name} = {found:.10g}, the nearest to {value:.10g}")
+    return ds
 
 
 def say(text: str) -> None:

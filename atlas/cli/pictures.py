@@ -7,11 +7,15 @@ from typing import Any
 
 import click
 
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    STORES,
     examples,
     input_errors,
     look_options,
     meanings,
+    opened,
     picture_option,
     read_bounds,
     read_number,
@@ -24,8 +28,6 @@ from atlas.cli.options import (
 from atlas.cli.paper import figures as draw_figures
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
-from atlas.query.open import open_atlas
-from atlas.query.window import select as selected
 from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
@@ -39,18 +41,28 @@ from atlas.service.options import RunOptions
             meanings("Overlays:", OVERLAY_MEANINGS),
             meanings("Curves:", {", ".join(CURVES[:4]): "", ", ".join(CURVES[4:]): ""}),
             examples(
-                "atlas render plane.zarr -o chaos.png --overlay grazing",
-                "atlas render plane.zarr -o period.pdf --kind period --window omega=2:3 --width 85mm",
-                "atlas render plane.zarr -o speed.png --variable max_impact_speed",
-                "atlas render up.zarr --against down.zarr -o hysteresis.png",
+                "atlas plot plane.zarr -o chaos.png --overlay grazing",
+                "atlas plot plane.zarr -o period.pdf --kind period --window omega=2:3 --width 85mm",
+                "atlas plot plane.zarr -o speed.png --variable max_impact_speed",
+                "atlas plot up.zarr --against down.zarr -o hysteresis.png",
             ),
         ]
     )
 )
-@click.argument("stores", nargs=-1, required=True)
+@click.argument("stores", nargs=-1, required=True, shell_complete=STORES)
 @picture_option
-@click.option("--kind", metavar="KIND", help="One of those below; default: by the axes.")
-@click.option("--variable", metavar="NAME", help="Map this number of each cell, such as max_impact_speed.")
+@click.option(
+    "--kind",
+    metavar="KIND",
+    shell_complete=of_names(completion.kinds),
+    help="One of those below; default: by the axes.",
+)
+@click.option(
+    "--variable",
+    metavar="NAME",
+    shell_complete=of_names(completion.variables),
+    help="Map this number of each cell, such as max_impact_speed.",
+)
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
     "--overlay",
@@ -58,13 +70,20 @@ from atlas.service.options import RunOptions
     multiple=True,
     help="Lines over a map or a sweep; may be given again.",
 )
-@click.option("--curves", metavar="KINDS", help="Exact curves of these kinds alone, such as fold,graze; default: all.")
+@click.option(
+    "--curves",
+    metavar="KINDS",
+    shell_complete=of_names(completion.curves),
+    help="Exact curves of these kinds alone, such as fold,graze; or all.",
+)
 @click.option("--names/--no-names", default=True, help="Whether names of points and motions stand on a map.")
-@click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
+@click.option(
+    "--against", metavar="STORE", shell_complete=STORES, help="A second sweep of the same axis, for hysteresis."
+)
 @window_option
 @select_option
 @look_options()
-def render(
+def plot(
     stores: tuple[str, ...],
     out: Path,
     kind: str | None,
@@ -91,8 +110,8 @@ def render(
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
-        atlases = [selected(open_atlas(store), at) for store in stores]
-        other = None if against is None else selected(open_atlas(against), at)
+        atlases = [opened(store, at) for store in stores]
+        other = None if against is None else opened(against, at)
         say("drawing")
         if len(atlases) > 1:
             stems = [os.path.basename(store.rstrip("/" + os.sep)) for store in stores]

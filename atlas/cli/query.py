@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from atlas.cli import completion
+from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    at_option,
     examples,
     input_errors,
     json_option,
+    opened,
     read_bounds,
     read_number,
     read_pairs,
@@ -23,8 +27,7 @@ from atlas.cli.options import (
 from atlas.cli.output import print_attractors, print_table, text, to_json
 from atlas.errors import InputError
 from atlas.query.attractors import leading
-from atlas.query.open import open_atlas
-from atlas.query.window import select as selected
+from atlas.query.classes import asked_class
 from atlas.service.progress import reason_lines
 from atlas.text import plural
 
@@ -45,7 +48,7 @@ _list_option = click.option(
     epilog=examples("atlas query plane.zarr --window omega=2:3", "atlas query plane.zarr --at omega=3 --at b=0.15")
 )
 @store_argument
-@click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
+@at_option
 @window_option
 @select_option
 @json_option
@@ -108,12 +111,10 @@ def basin_measures(store: str, window: tuple[str, ...], select: tuple[str, ...],
 
 
 @click.command(
-    epilog=examples(
-        "atlas regions plane.zarr period=3", "atlas regions plane.zarr period --min-cells 10 -o periods.csv"
-    )
+    epilog=examples("atlas regions plane.zarr chaotic", "atlas regions plane.zarr period --min-cells 10 -o periods.csv")
 )
 @store_argument
-@click.argument("class_", metavar="CLASS")
+@click.argument("class_", metavar="CLASS", shell_complete=of_names(completion.classes))
 @window_option
 @select_option
 @click.option(
@@ -132,13 +133,14 @@ def regions(
 ) -> None:
     """Connected regions of STORE whose cells have one CLASS: their size, area, centre and bounds.
 
-    CLASS is period=3, impacts=3-2-2 or regime=chaotic; or period, impacts or regime alone, for all their values.
+    CLASS is period=3, impacts=3-2-2 or a regime, such as chaotic; or period, impacts or regime alone, for all values.
     """
     by, equals, value = class_.partition("=")
-    if by not in _PATTERN:
+    if equals and by not in _PATTERN:
         hint = "" if ":" not in value else f"; --window {class_} limits an axis"
         raise InputError(f"{class_}: must be {', '.join(_PATTERN)}, or one of them =VALUE{hint}")
     meant = read_whole("period", value) if equals and by == "period" else value if equals else None
+    by, meant = asked_class(by, meant)
     _check_csv(out)
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query import connected
@@ -153,7 +155,7 @@ def regions(
     epilog=examples("atlas extremes plane.zarr largest", "atlas extremes plane.zarr max_impact_speed --by period")
 )
 @store_argument
-@click.argument("variable")
+@click.argument("variable", shell_complete=of_names(completion.variables))
 @click.option("--by", metavar="CLASS", default="regime", show_default=True, help="regime, period or impacts; or all.")
 @window_option
 @select_option
@@ -193,7 +195,7 @@ def _asked(
     bounds = read_pairs("--window", window, read_bounds)
     plane = read_pairs("--select", select, read_number)
     with input_errors(), reads.counted() as cost:
-        yield selected(open_atlas(store), plane), bounds
+        yield opened(store, plane), bounds
     if counted:
         say(f"{plural(cost.chunks, 'chunk')} read from the store")
 

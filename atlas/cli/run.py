@@ -11,6 +11,7 @@ import click
 from atlas.cli import progress
 from atlas.cli.options import (
     INTERRUPTED,
+    SPECS,
     check_workers,
     examples,
     interruptible,
@@ -18,6 +19,7 @@ from atlas.cli.options import (
     read_factors,
     say,
     scheduler_option,
+    spec_argument,
     store_argument,
     timing_of,
     workers_option,
@@ -50,7 +52,7 @@ points_option = click.option(
 
 
 @click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
-@click.argument("spec")
+@spec_argument
 @click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
 @click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one a processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
@@ -90,7 +92,7 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @click.command(epilog=examples("atlas run plane.toml -o plane.zarr"))
-@click.argument("spec")
+@spec_argument
 @_out_option
 @_tls_options
 @points_option
@@ -166,7 +168,7 @@ def retry(
 
 
 @click.command(epilog=examples("atlas basins basins.toml -o basins.zarr"))
-@click.argument("spec")
+@spec_argument
 @click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
 @scheduler_option
 @workers_option
@@ -174,7 +176,7 @@ def retry(
 def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None) -> None:
     """Basins of attraction of SPEC, whose axes are components of the initial state, into a store.
 
-    Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas render and
+    Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas plot and
     atlas basin-measures.
     """
     check_workers(scheduler, workers)
@@ -193,7 +195,7 @@ def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, worke
 
 
 @click.command(epilog=examples("atlas submit plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786"))
-@click.argument("spec")
+@spec_argument
 @_out_option
 @_tls_options
 @points_option
@@ -234,7 +236,7 @@ def cancel(ctx: click.Context, store: str) -> None:
     )
 )
 @store_argument
-@click.argument("spec", required=False)
+@click.argument("spec", required=False, shell_complete=SPECS)
 @click.option("--refine", metavar="N or NAME=N", multiple=True, help="Make all axes, or one, so many times finer.")
 @click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
 @scheduler_option

@@ -58,7 +58,7 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
     source = ds.encoding.get("source")
     header = read_header(source) if LABEL.name in ds and isinstance(source, str) else None
     if header is None or group_attributes(header, LABELS) is None:  # the labels of basins are its results
-        raise InputError("the attractors of this atlas are not labelled; label them with atlas label")
+        raise InputError("the attractors of this atlas are not labelled; label them with atlas label-attractors")
     return open_table(header, LABELS).drop_vars(LABEL.name).load()
 
 

@@ -20,7 +20,16 @@ STICKS = "sticks"
 """The pattern of all motions that rest on a stop: their impacts are infinitely many."""
 
 _NAMES = {regime.code: regime.name for regime in REGIMES}
+_REGIMES = {name: code for code, name in _NAMES.items() if code != PENDING}
 _STUCK = (0, -1, -1)
+
+
+def asked_class(by: str, value: object = None) -> tuple[str, object]:
+    """What cells are classified by, and the one class meant, None for all; a regime may be named alone."""
+    if value is None and by in _REGIMES:
+        return REGIME.name, by
+    check_names("class of cells", [by], (*BY, *_REGIMES))
+    return by, value
 
 
 class Classes:
@@ -96,9 +105,8 @@ def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[n
 def _key_of(by: str, value: object) -> tuple[int, ...]:
     """What a user calls a class, as a key."""
     if by == REGIME.name:
-        codes = {name: code for code, name in _NAMES.items() if code != PENDING}
-        check_names("regime", [value], codes)
-        return (codes[str(value)],)
+        check_names("regime", [value], _REGIMES)
+        return (_REGIMES[str(value)],)
     parts: Sequence[object] = [value]
     if by == "impacts":
         if value == STICKS:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from atlas.errors import InputError, shown
-from atlas.query.classes import Classes
+from atlas.query.classes import Classes, asked_class
 from atlas.query.walk import walk
 from atlas.query.window import Window, axis_names, axis_values, cell_edges, refuse_table, within
 from workers.results import PENDING, REGIME
@@ -42,7 +42,8 @@ def regions(
     cut          where it may go on: ``lowest omega`` or ``highest b``, an edge of the plane or of ``window`` that it
                  touches, and ``pending cells``; empty where it is whole
 
-    ``value`` takes one class, such as 3 for period 3; smaller regions than ``min_cells`` are left out.
+    ``value`` takes one class, such as 3 for period 3; ``regions(ds, "chaotic")`` names a regime alone. Smaller regions
+    than ``min_cells`` are left out.
     Raises InputError for an unknown axis or class, and for a ``window`` without a cell.
     Reads the variables that tell the class, of tiles that have such cells. Takes about 15 bytes of memory a cell
     and 2 kB a region.
@@ -67,6 +68,7 @@ def labels(
     import xarray
 
     found, part = _find(ds, by, value, window, min_cells), within(ds, window)
+    by = found.by
     dims = part[REGIME.name].dims
     coords = {name: part[name] for name in dims} | {n: part[n] for n in part.coords if part[n].ndim == 0}
     attrs = {"long_name": f"label of the region of equal {by}", "units": "1"}
@@ -139,6 +141,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
     if isinstance(min_cells, bool) or not isinstance(min_cells, int) or min_cells < 1:
         raise InputError(f"min_cells: found {shown(min_cells)}, must be a whole number of cells, 1 or more")
     refuse_table(ds, "regions")
+    by, value = asked_class(by, value)
     classes, part = Classes(ds, by, value), within(ds, window)
     sides = tuple(_side(ds, part, name) for name in reversed(axis_names(ds)))
     shape = tuple(side.points.size for side in sides)

@@ -1,5 +1,6 @@
 """Where the impact-free motion would graze: its extremes over a period against the distances to the stops."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,8 @@ from scipy import ndimage
 from atlas.errors import InputError
 from atlas.query import machine
 from atlas.query.plane import Axis
-from atlas.spec.system import refuse_modes
+from workers.model.elements import STOP, Contact
+from workers.model.expression import Expression
 from workers.model.oscillator import Mode, Oscillator
 from workers.model.system import System
 
@@ -35,12 +37,13 @@ _NEGLIGIBLE = 1e-15
 def grazing_lines(ds: "xr.Dataset", x: Axis, y: Axis) -> list[Array]:
     """The lines (N, 2) of a plane along which the impact-free motion would just touch a stop, x first.
 
-    InputError where the system is unknown or has modes, and where a mode has no stiffness in any corner of the plane.
+    InputError where the system is unknown or its impact-free motion is no linear one, and where a mode has no stiffness
+    in any corner of the plane.
     """
     system = machine.known_system(ds, "overlay 'grazing'")
-    refuse_modes(system, "grazing lines")
+    alone = with_one_stop(system)[0]
     same, ends = machine.fixed(ds, system), machine.corners({x.name: x.values, y.name: y.values})
-    if all(np.all(drifts(osc) | ~there) for _, osc, there in machine.oscillators(system, same, ends)):
+    if all(np.all(drifts(osc) | ~there) for _, osc, there in machine.oscillators(alone, same, ends)):
         raise InputError(
             f"overlay 'grazing': there is no such line, since a mode of {system.name} has no stiffness and its "
             "impact-free motion may drift anywhere"
@@ -52,11 +55,11 @@ def grazing_lines(ds: "xr.Dataset", x: Axis, y: Axis) -> list[Array]:
 
 
 def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array], y: tuple[str, Array]) -> Array:
-    """log of the larger of max Y / b_upper and max -Y / b_lower over points of two parameters, (y, x).
+    """log of the largest of max Y / b_upper and max -Y / b_lower of all contacts over points of two parameters, (y, x).
 
-    Y is the impact-free motion about its rest position, b the distances from there to the stops. Zero on the grazing
-    line; infinite where the rest position lies beyond a stop; NaN where there is no such motion, or where it may drift,
-    since a mode has no stiffness.
+    Y is the impact-free motion of the contact's gap coordinate about its rest position, b the distances from there to
+    the stops. Zero on the grazing line; infinite where the rest position lies beyond a stop; NaN where there is no such
+    motion, or where it may drift, since a mode has no stiffness.
     """
     xs, ys = np.meshgrid(x[1], y[1])
     points = {x[0]: xs.ravel(), y[0]: ys.ravel()}
@@ -65,6 +68,28 @@ def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array],
 
 def _ratios(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
     """The ratio of ``grazing_ratio`` at points (N,) of some parameters."""
+    return np.maximum.reduce([_ratios_of_one(each, fixed, points) for each in with_one_stop(system)])
+
+
+def with_one_stop(system: System) -> tuple[System, ...]:
+    """For each contact the machine that has it alone, as a rigid one: what a contact is made of changes no motion that
+    does not reach it. InputError where friction or phases make motions without impact other than linear.
+    """
+    own = system.definition
+    if own.friction or own.phases:
+        what = "friction" if own.friction else "phases of the forcing period"
+        raise InputError(
+            f"overlay 'grazing': {system.name} has {what}, so that its motion without impacts is no linear response; "
+            "atlas find-curves finds the grazes of its orbits"
+        )
+    if not system.has_modes:
+        return (system,)
+    rigid = [Contact(STOP, each.gap, Expression("1.0"), each.upper, each.lower) for each in own.contacts]
+    return tuple(replace(system, definition=replace(own, contacts=(each,), measures=())) for each in rigid)
+
+
+def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
+    """The same of a machine with one rigid contact."""
     found = np.full(len(next(iter(points.values()))), np.nan)
     for part, osc, there in machine.oscillators(system, fixed, points):
         highest, lowest = extremes(osc.gap)

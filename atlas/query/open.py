@@ -21,7 +21,8 @@ def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
     ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too, and
-    where they are measured their measures. Reading a chunk of a finished tile that is missing or damaged raises
+    where they are measured their measures. Pure numbers have no units. Reading a chunk of a finished tile that is
+    missing or damaged raises
     ChunkError.
     """
     import xarray
@@ -38,6 +39,9 @@ def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.
         opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
     if STABILITY in header.groups and group_attributes(header, STABILITY) is not None:
         opened = opened.assign(open_table(header, STABILITY).data_vars)
+    for variable in opened.variables.values():  # xarray would write [1] on every axis
+        if variable.attrs.get("units") == "1":
+            del variable.attrs["units"]
     opened.encoding["source"] = str(header.place)  # by which a view finds the overviews
     return opened
 

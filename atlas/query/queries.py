@@ -26,6 +26,7 @@ from atlas.query.window import (
     inside,
     is_log,
     known_axis,
+    nearest,
     within,
 )
 from atlas.spec.cells import is_uniform
@@ -90,7 +91,7 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     missing = [name for name in names if name not in point]
     if missing:
         raise InputError(f"the point lacks {', '.join(missing)}; it needs a value for each axis: {', '.join(names)}")
-    index = {name: _nearest(ds, name, float(point[name])) for name in names}
+    index = {name: nearest(ds, name, float(point[name])) for name in names}
     whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
     cell = ds[whole].isel(index).load()
     found: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}
@@ -237,11 +238,3 @@ def _areas_of_cells(
     for height, row in zip(heights, codes.reshape(heights.size, -1), strict=True):
         area += height * np.bincount(row - first, weights=widths[names[0]], minlength=area.size)
     return {code: float(area[code - first]) for code in _NAMES}
-
-
-def _nearest(ds: "xr.Dataset", name: str, value: float) -> int:
-    values = axis_values(ds, name)
-    edges = cell_edges(ds, name)
-    if not edges[0] <= value <= edges[-1]:
-        raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
-    return int(np.argmin(np.abs(values - value)))

@@ -50,10 +50,10 @@ def refuse_table(ds: "xr.Dataset", what: str) -> None:
 
 
 def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
-    """The part of an atlas at one value of some of its axes: a plane of a stack, a line of a plane.
+    """The part of an atlas nearest to one value of some of its axes: a plane of a stack, a line of a plane.
 
     With ``attractor`` that one of each cell, by its place: 0 has the largest share.
-    Raises InputError, which names the nearest, unless an axis has that value (to 1 part in 10^9).
+    Raises InputError for a value outside the grid, as in ``queries.at``.
     """
     places = {}
     if ATTRACTOR in point:
@@ -62,11 +62,7 @@ def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
         if name == ATTRACTOR:
             continue
         known_axis(ds, name)
-        values = axis_values(ds, name)
-        near = int(np.argmin(np.abs(values - value)))
-        if not np.isclose(values[near], value, rtol=1e-9, atol=0.0):
-            raise InputError(f"{name} has no value {value:g}; the nearest is {values[near]:.10g}")
-        places[name] = near
+        places[name] = nearest(ds, name, value)
     if places and len(places) == len(axis_names(ds)):
         raise InputError(f"one value of every axis ({', '.join(axis_names(ds))}) is one cell: ask for it by --at")
     return ds.isel(places)
@@ -123,6 +119,14 @@ def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
     widths = np.empty_like(values)
     widths[np.argsort(values)] = np.diff(cell_edges(ds, name))
     return widths
+
+
+def nearest(ds: "xr.Dataset", name: str, value: float) -> int:
+    """The place of the cell nearest to a value of an axis; InputError more than half a cell beyond the ends."""
+    values, edges = axis_values(ds, name), cell_edges(ds, name)
+    if not edges[0] <= value <= edges[-1]:
+        raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
+    return int(np.argmin(np.abs(values - value)))
 
 
 def inside(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp]]:

@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 from atlas.cell.orbit import CellOrbit, cell_orbit
-from atlas.errors import InputError
+from atlas.errors import InputError, check_names
 from atlas.query.attractors import leading
 from atlas.query.compare import Comparison
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE, check_overlays, chosen_kind
-from atlas.render.options import Look, MapLook, Sheet, Wanted, takes
+from atlas.render.options import MapLook, Sheet, Wanted, split_look, takes
 from atlas.render.provenance import check_path, provenance_of, save
-from atlas.spec.spec import MOST_AXES
+from atlas.spec.spec import MOST_AXES, given_values
+from atlas.spec.system import checked_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import FAILED, INVALID, LARGEST, PENDING, REGIMES, UNDETERMINED
@@ -77,33 +78,37 @@ def render(
     return Path(path)
 
 
-@takes(Sheet)
+@takes(Sheet, others=True)
 def portrait(
     given: Mapping[str, Any] | None = None,
+    /,
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
     path: str | Path | None = None,
-    **look: "Unpack[Look]",
+    **named: Any,
 ) -> "Figure":
     """The portrait of one cell as a matplotlib Figure, which a notebook shows; written to ``path`` too (.png, .svg or
     .pdf) if given.
 
     Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
-    exponents as they converge, with their exact values where the motion is periodic. ``given`` are the parameters
-    that differ from the defaults, initial state included: with several attractors it decides which is shown. ``look``
-    is size, type and resolution.
+    exponents as they converge, with their exact values where the motion is periodic. ``omega=4.0`` or
+    a mapping gives the parameters that differ from the defaults, initial state included: with several attractors it
+    decides which is shown.
     Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
 
     >>> import atlas
-    >>> figure = atlas.portrait({"omega": 4.0, "b": 0.1}, path="cell.png", width="85mm")
+    >>> figure = atlas.portrait(omega=4.0, b=0.1, path="cell.png", width="85mm")
     """
     from atlas.render.page import page
 
     if path is not None:
         check_path(path)
+    record = checked_system(system)
+    check_names("parameter or option", named, [*(each.name for each in record.parameters), *Sheet.__annotations__])
+    look, values = split_look(named)
     page(**look).refuse_ends("a portrait")  # before the cell is solved
-    drawn: Figure = figure(cell_orbit(given or {}, system, settings), path=path, **look)
+    drawn: Figure = figure(cell_orbit(given_values(given, values), record, settings), path=path, **look)
     return drawn
 
 

@@ -10,6 +10,8 @@ from matplotlib.transforms import Bbox
 
 TITLE = "title"
 """The mark, as a group's name, of texts whose parts may move to the next line."""
+_LEAST = 3.0
+"""Length of an upright label in its own widths from which on it may be broken: a small plot has no room for lines."""
 OWN_TITLE = "own title"
 """The same of titles that have no more room than their plot is wide, since others stand beside it."""
 
@@ -49,7 +51,7 @@ def _fit_title(drawn: Figure, text: Text) -> bool:
 
 
 def _fit_labels(drawn: Figure) -> bool:
-    """Break labels that leave the figure, and those of neighbouring plots that run into each other."""
+    """Break labels that leave the figure or are longer than an upright axis, and those of neighbours that meet."""
     levels = [ax.xaxis.label.get_window_extent() for ax in drawn.axes if ax.get_xlabel()]
     uprights = [ax.yaxis.label.get_window_extent() for ax in drawn.axes if ax.get_ylabel()]
     changed = False
@@ -57,7 +59,10 @@ def _fit_labels(drawn: Figure) -> bool:
         across, up = (text.get_window_extent() for text in (ax.xaxis.label, ax.yaxis.label))
         too_long = {
             ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width or _meets(across, levels),
-            ax.yaxis.label: up.y0 < 0.0 or up.y1 > drawn.bbox.height or _meets(up, uprights),
+            ax.yaxis.label: up.y0 < 0.0
+            or up.y1 > drawn.bbox.height
+            or up.height > max(ax.bbox.height, _LEAST * up.width)
+            or _meets(up, uprights),
         }
         for text in [each for each, long in too_long.items() if long and each.get_text()]:
             before = text.get_text()

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
     from atlas.render.options import Wanted
 
-STABLE = ("#f8fbfe", "#dfecf6", "#c3dbee", "#a5cae5", "#86b6db", "#64a1d2")
+STABLE = ("#dcebf5", "#c9dff0", "#b3d2ea", "#9bc3e3", "#81b3db", "#64a1d2")
 CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
 """Colours of exponents below and above zero, from the least to the largest.
 
-They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too.
+They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too. None
+is as pale as cells without data, which are white.
 """
 
 
@@ -91,7 +92,7 @@ _VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
 _PALE_BLUE = ("#eef3f0", "#c4dcd9", "#93bfc4", "#5f9cad", "#356f8c", "#173f5f")
 _DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
 """Colours from safe to unsafe, and from unsafe to safe: what is near an edge is dark."""
-_MEASURE = "measure its attractors by atlas measure"
+_MEASURE = "measure its attractors by atlas measure-attractors"
 _MOTIONS = ("impacts_upper", "impacts_lower", "period")
 
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked.
@@ -124,8 +125,8 @@ TABLE = {
              "scales.number",
              Scale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
         Kind(LABELS, 2, (LABEL.name,),
-             "which branch the attractor shown is on, in colours that persist from cell to cell, by atlas label",
-             "classes.labels", lacking="label its attractors by atlas label"),
+             "which branch the attractor shown is on, in colours that persist, by atlas label-attractors",
+             "classes.labels", lacking="label its attractors by atlas label-attractors"),
         Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
              "classes.basins", lacking="both axes must be initial states, and the spec have [attractors]"),
         Kind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
@@ -171,7 +172,7 @@ OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
     "boundaries": "borders between regimes",
     "isolines": "lines of equal exponent",
-    "curves": "the exact bifurcations and grazes that atlas curves has found in the store",
+    "curves": "the exact bifurcations and grazes that atlas find-curves has found in the store",
     "saddles": "on basins of one mass: the unstable orbits between them, with the boundaries as stable manifolds",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
@@ -256,9 +257,9 @@ def _check_scalar(ds: "xr.Dataset", wanted: "Wanted") -> None:
 
 
 def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    """The kinds of curves that are asked for, given as a list or with commas between; None for all."""
-    if curves is None:
-        return None
+    """The kinds of curves that are asked for, given as a list or with commas between, or "all"; None where none are."""
+    if curves is None or curves == "all":
+        return None if curves is None else CURVES
     wanted = tuple(curves.split(",") if isinstance(curves, str) else curves)
     for each in wanted:
         if each not in CURVES:

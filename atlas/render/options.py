@@ -1,7 +1,7 @@
 """The options of pictures, with the names that the commands give them, as keyword arguments of functions."""
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -61,6 +61,12 @@ class _OfAtlas(TypedDict, total=False):
 
 class MapLook(_OfAtlas, Look, total=False):
     """The options of a picture of one atlas."""
+
+
+def split_look(named: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """The options of a picture among these arguments, and the others."""
+    look = {name: value for name, value in named.items() if name in Sheet.__annotations__}
+    return look, {name: value for name, value in named.items() if name not in look}
 
 
 @dataclass(frozen=True)

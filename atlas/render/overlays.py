@@ -49,6 +49,8 @@ _BESIDE = 6.0
 """Distance in points within which two curves crowd each other."""
 _MARK, _END = 4.6, 2.6
 """Size in points of the mark of a point of codimension two, and of an end."""
+_FEW, _SMALLEST = 12, 0.6
+"""Marks from which on more of them are drawn smaller, for the map to be seen; their least size in those of few."""
 _SAME = 1.0
 """Distance in points below which two marks of one kind are one."""
 
@@ -152,7 +154,9 @@ def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, flo
         entries.append(Line2D([], [], linewidth=_WIDTHS[False], path_effects=halo, **shown))
     if view.wanted.curves is None or "codimension_two" in view.wanted.curves:
         corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})
-        looks = {kind: style.corner_look(kind, _MARK * scale) for kind, _, _ in corners}
+        corners = [each for each in corners if ax.viewLim.contains(*each[1:])]
+        size_of_all = _MARK * scale * float(np.clip(np.sqrt(_FEW / max(len(corners), 1)), _SMALLEST, 1.0))
+        looks = {kind: style.corner_look(kind, size_of_all) for kind, _, _ in corners}
         for kind in sorted(looks, key=[*style.CORNERS, *looks].index):
             places = [(x, y) for each, x, y in corners if each == kind]
             entries += _draw_marks(ax, places, size, "corner", 4.2, looks[kind])

@@ -42,10 +42,9 @@ SHADES = {hysteresis.MIRRORED: "#f0eedd", hysteresis.DIFFERENT: "#d6cdea"}
 EXPONENTS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
 """The colour of each exponent, largest first; those of systems with more begin again."""
 INTERVAL = ("share_low", "share_high")
-"""The ends of the interval of a share, which is drawn where an atlas has it."""
-_PALE, _POINT = 0.3, 2.0
-"""How opaque intervals are; the least diameter of a point in points of the page, which is still seen on white."""
-LABELS = {"share": "share of the\ninitial states", LARGEST.name: LARGEST_LABEL}
+"""The ends of the interval of a share, whose width a legend gives where an atlas has it."""
+_POINT = 2.0
+"""The least diameter of a point in points of the page, which is still seen on white."""
 INK = "#1a1a1a"
 """The colour of branches."""
 DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
@@ -128,7 +127,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
         raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
     names = (held([SECTION.name], ds) or held([LARGEST.name], ds)) + ["share"]
-    panels = {name: _panel_of_attractors(name, known) for name in names}
+    panels = {name: _panel_of_attractors(name, known) for name in names[:-1]} | {"share": _panel_of_shares(known)}
     ends = [name for name in INTERVAL if name in ds]
     read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])])
     regime, entries = read[0][REGIME.name].values, list[Artist]()
@@ -137,7 +136,9 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
         entries, regime = [*classes.branch_entries(known, label, ink=True)], regime[label < 0]
     entries += regime_legend(regime)
     if ends:
-        entries.append(Line2D([], [], color="#404040", alpha=_PALE, linewidth=0.7, label="95 % interval"))
+        low, high = (read[0][end].values for end in ends)
+        reach = float(np.nanmax(high - low, initial=0.0)) / 2.0
+        entries.append(Line2D([], [], linestyle="", label=f"shares: 95 % interval\nwithin ± {reach:.2f}"))
     return stack(ds, read, panels, entries, wanted)
 
 
@@ -234,20 +235,37 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
 
 
 def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
-    """Section values or one number of every attractor; those of larger share lie on top."""
+    """Section values or exponents of every attractor; those of larger share lie on top."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             here = ds.isel({ATTRACTOR: k})
             values, size = _values(here, x, name), point_size(x, (0.6 if name == SECTION.name else 1.0) * _POINT, page)
             for cells, color in _groups(here, known):
-                if name == "share" and INTERVAL[0] in here:
-                    shown = np.isfinite(values) & cells
-                    low, high = (here[end].values[shown] for end in INTERVAL)
-                    look: dict[str, Any] = {"color": color, "linewidth": 0.7, "alpha": _PALE, "rasterized": True}
-                    ax.vlines(x.values[shown], low, high, zorder=2, **look)
                 draw_points(ax, x, values, color, size, "o", cells=cells)
-        ax.set_ylabel(LABELS.get(name, ""))
+        ax.set_ylabel(LARGEST_LABEL)
+
+    return draw
+
+
+def _panel_of_shares(known: xr.Dataset | None) -> Panel:
+    """The shares of all attractors on top of each other, parted by white lines; the rest up to 1 is undecided."""
+
+    def draw(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
+        bands: list[tuple[str, Array]] = []
+        for k in range(ds.sizes[ATTRACTOR]):
+            here = ds.isel({ATTRACTOR: k})
+            share = np.nan_to_num(here["share"].values)
+            bands += [(color, np.where(cells, share, 0.0)) for cells, color in _groups(here, known)]
+        ink = [] if known is None else [str(color) for color in classes.branch_colors(known, ink=True)]
+        order = [*ink, *(color for color, _ in bands)]
+        foot, ends = np.zeros(x.values.size), np.repeat(x.edges, 2)[1:-1]
+        for color, height in sorted(bands, key=lambda band: order.index(band[0])):
+            top = foot + height
+            ax.fill_between(ends, np.repeat(foot, 2), np.repeat(top, 2), color=color, linewidth=0, rasterized=True)
+            ax.stairs(np.where(height > 0.0, foot, np.nan), x.edges, baseline=None, color="white", linewidth=0.5)
+            foot = top
+        ax.set(ylabel="share of the\ninitial states", ylim=(0.0, 1.0))
 
     return draw
 

@@ -45,7 +45,7 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
     """
     count = len(axis_names(compared.one))
     if count != 2:
-        hint = "sweeps: atlas render --against" if count == 1 else "pick a plane with .sel"
+        hint = "sweeps: atlas plot --against" if count == 1 else "pick a plane with .sel"
         raise InputError(f"a comparison is drawn as a map, {found_axes(compared.one)}; {hint}")
     if not compared.has_exponents:
         page.refuse_ends("a comparison without exponents draws classes")

@@ -23,12 +23,12 @@ def name_of(code: int) -> str:
 
 @lru_cache(maxsize=1024)
 def shown_symbol(symbol: str, name: str) -> str:
-    r"""A symbol as mathtext, without the dollars; the name upright if it is empty or no mathtext, as ``\frac{``."""
+    r"""A symbol as mathtext, without the dollars; the name if it is empty or no mathtext, as ``\frac{``."""
     try:
         parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
     except ValueError:
         parsed = False
-    return symbol if parsed else rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
+    return symbol if parsed else rf"\mathit{{{name.replace('_', chr(92) + '_')}}}"
 
 
 def symbol(ds: xr.Dataset, name: str) -> str:
@@ -37,9 +37,12 @@ def symbol(ds: xr.Dataset, name: str) -> str:
 
 
 def axis_label(name: str, meaning: Meaning) -> str:
-    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none."""
-    symbol = shown_symbol(meaning.symbol, name)
-    return f"{meaning.words.split(':')[0]} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
+    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none.
+
+    A parameter without a meaning has its name in the place of one, which its symbol says already.
+    """
+    symbol, said = shown_symbol(meaning.symbol, name), meaning.words.split(":")[0]
+    return f"{said if said != name else ''} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
 
 
 def variable_label(ds: xr.Dataset, name: str) -> str:

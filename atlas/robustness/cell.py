@@ -8,7 +8,7 @@ import numpy as np
 from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters
+from atlas.spec.spec import checked_parameters, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.attractors.starts import Starts, unseen_share, wilson
@@ -24,18 +24,21 @@ _NAMES = {regime.code: regime.name for regime in REGIMES}
 
 def stability(
     given: Mapping[str, Any] | None = None,
+    /,
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
     starts: int = Starts.count,
     norm: Mapping[str, float] | None = None,
     shocks: bool = False,
+    **named: Any,
 ) -> dict[str, Any]:
     """How stable each attractor of one cell is: basin stability, return time, reactivity, amplification.
 
-    ``given`` are the parameters that differ from the defaults. The attractors are those that ``atlas.attractors`` finds
-    from as many ``starts``; ``share`` is the basin stability, with its 95 % interval. ``norm`` has weights w > 0 of
-    components of the state, ``|dz|`` = sqrt(sum (w dz)^2); the others have 1 if displacements, 1/omega if velocities.
+    ``omega=4.0`` or a mapping gives parameters other than the defaults. The attractors are those that
+    ``atlas.attractors`` finds from as many ``starts``; ``share`` is the basin stability, with its 95 % interval.
+    ``norm`` has weights w > 0 of components of the state, ``|dz|`` = sqrt(sum (w dz)^2); the others have 1 if
+    displacements, 1/omega if velocities.
     Each of ``coexisting`` has ``return_time`` in forcing periods, -1 / largest exponent; ``reactivity``, the largest
     log growth of a small deviation over one forcing period; ``amplification``, its largest growth over any number of
     periods, and ``amplified_after``, that number. What is not known is NaN, or -1, and ``reason`` says why; chaos and
@@ -48,7 +51,7 @@ def stability(
     Raises InputError for a parameter or a component that does not exist, and for a value out of range.
 
     >>> import atlas
-    >>> found = atlas.stability({"omega": 4.0, "b": 0.1}, starts=8)
+    >>> found = atlas.stability(omega=4.0, b=0.1, starts=8)
     >>> [(each["period"], round(each["return_time"], 3)) for each in found["coexisting"]]
     [(1, 4.245), (3, 4.276)]
     """
@@ -57,7 +60,7 @@ def stability(
     record, settings = checked_system(system), settings or Settings()
     if settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
-    parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
+    parameters, weights = checked_parameters(record, given_values(given, named)), checked_weights(norm, record)
     search = cell_attractors(starts, record, settings)
     table = Table(record, parameters, settings, search)
     w = weights_of(weights, record, float(table.oscillators.period[0]))

@@ -8,7 +8,7 @@ import numpy as np
 from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters
+from atlas.spec.spec import checked_parameters, given_values
 from atlas.spec.system import checked_system, refuse_drift
 from workers import Settings
 from workers.attractors.starts import Starts
@@ -30,6 +30,7 @@ TIMES = 20.0
 
 def saddles(
     given: Mapping[str, Any] | None = None,
+    /,
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
@@ -37,10 +38,11 @@ def saddles(
     norm: Mapping[str, float] | None = None,
     manifolds: bool = False,
     box: Box | None = None,
+    **named: Any,
 ) -> dict[str, Any]:
     """The unstable orbits between the basins of one cell's attractors, exact, with the boundary's direction there.
 
-    ``given``, ``starts`` and ``norm`` as in ``atlas.stability``; attractors have the places that ``atlas.attractors``
+    Parameters, ``starts`` and ``norm`` as in ``atlas.stability``; attractors have the places that ``atlas.attractors``
     gives them. Each of ``saddles`` has its ``period``; ``between``, the two attractors whose basins meet at it;
     ``multipliers`` as [real, imaginary], one of them outside the unit circle; ``states``, its section states; the
     ``normal`` of the boundary at each, a unit vector in the norm's coordinates w z; for one mass ``slopes``, dv/dx
@@ -55,7 +57,7 @@ def saddles(
     [(1, [0, 1])]
     """
     record, settings = checked_system(system), settings or Settings()
-    parameters, weights = checked_parameters(record, given or {}), checked_weights(norm, record)
+    parameters, weights = checked_parameters(record, given_values(given, named)), checked_weights(norm, record)
     search = cell_attractors(starts, record, settings)
     return saddles_between(record, parameters, settings, search, weights, manifolds, box)
 

@@ -15,7 +15,7 @@ from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
 from atlas.measures.table import MARGIN, drop_family
 from atlas.service.crew import Crew
-from atlas.service.options import DEFAULTS, RunFields, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import ZipPlace, refuse_packed
@@ -41,7 +41,7 @@ class CurvesSummary:
     tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas curves --json`` prints."""
+        """What ``atlas find-curves --json`` prints."""
         report, kinds = self.found.report, [curve.kind for curve in self.found]
         edges: Mapping[str, Any] = report["edges"]
         return {
@@ -55,6 +55,9 @@ class CurvesSummary:
             "processor_seconds": self.processor_seconds,
             "workers": self.workers,
         }
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         told = self.as_dict()
@@ -78,6 +81,7 @@ class CurvesSummary:
         return "\n".join(lines)
 
 
+@with_fields
 def find_curves(
     store: str | os.PathLike[str],
     settings: CurveSettings | None = None,

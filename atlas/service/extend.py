@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from atlas.errors import InputError
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.service.summary import Summary
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
+@with_fields
 def extend(
     store: str | os.PathLike[str],
     into: str | os.PathLike[str],

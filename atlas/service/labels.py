@@ -7,7 +7,7 @@ from typing import Any, Unpack
 
 from atlas.labels.table import Count, labels_of, stored_count, write_labels
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import claimed_place
 from atlas.spec.system import refuse_drift
@@ -27,8 +27,11 @@ class LabelSummary:
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas label --json`` prints."""
+        """What ``atlas label-attractors --json`` prints."""
         return {"store": self.store, **asdict(self.count), "seconds": self.seconds}
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         count = self.count
@@ -45,6 +48,7 @@ class LabelSummary:
         return "\n".join(lines)
 
 
+@with_fields
 def label_attractors(
     store: str | os.PathLike[str], options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]
 ) -> LabelSummary:

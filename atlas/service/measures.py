@@ -36,7 +36,7 @@ from atlas.measures.table import (
 )
 from atlas.robustness.norm import checked_weights
 from atlas.service.crew import Crew
-from atlas.service.options import DEFAULTS, RunFields, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
@@ -66,10 +66,13 @@ class MeasureSummary:
     tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas measure --json`` prints."""
+        """What ``atlas measure-attractors --json`` prints."""
         times = {"seconds": self.seconds, "processor_seconds": self.processor_seconds, "tasks": self.tasks}
         given = {name: {k: v for k, v in each.items() if k != "content"} for name, each in self.requests.items()}
         return {"store": self.store, "measures": dict(self.measures), **given, **times}
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]
@@ -82,6 +85,7 @@ class MeasureSummary:
         return "\n".join(lines)
 
 
+@with_fields
 def measure_attractors(
     store: str | os.PathLike[str],
     *,

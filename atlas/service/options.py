@@ -1,8 +1,9 @@
 """The options of a run beyond its spec and its store: where it computes, what it reports, how long it waits."""
 
+import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypedDict, Unpack
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypedDict, TypeVar, Unpack
 
 from atlas.errors import InputError, shown
 from atlas.service.cluster import Tls
@@ -10,7 +11,9 @@ from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.outage import LONG
 from atlas.task.retry import Retry
+from atlas.text import short_repr
 
+F = TypeVar("F", bound=Callable[..., Any])
 MOST_WORKERS = 1024
 """Processes of a local cluster: more than a machine has processors, and few enough to start."""
 
@@ -40,6 +43,8 @@ class RunOptions:
     patience: float = LONG
     timing: Timing = TIMING
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
             found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
@@ -47,14 +52,26 @@ class RunOptions:
         if not self.patience >= 0:
             raise InputError(f"patience: found {shown(self.patience)}, must be 0 s or more")
 
-    def updated(self, **fields: Unpack["RunFields"]) -> "RunOptions":
+    def updated(self, **changed: Unpack["RunFields"]) -> "RunOptions":
         """The options with these fields in place of their own; TypeError for a name that is no field."""
-        return replace(self, **fields) if fields else self
+        return replace(self, **changed) if changed else self
 
     def report(self, progress: Progress) -> None:
         """Hand a snapshot to ``on_progress``, where there is one."""
         if self.on_progress is not None:
             self.on_progress(progress)
+
+
+def with_fields(function: F) -> F:
+    """The function with the fields of ``RunOptions`` in its signature, as ``help`` shows them, for its ``**fields``."""
+    signature = inspect.signature(function)
+    own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+    named = [
+        inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default)
+        for each in fields(RunOptions)
+    ]
+    function.__signature__ = signature.replace(parameters=[*own, *named])  # type: ignore[attr-defined]
+    return function
 
 
 class RunFields(TypedDict, total=False):

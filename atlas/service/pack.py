@@ -37,6 +37,9 @@ class Packed:
         """Whether every tile is finished."""
         return self.tiles_done == self.tiles
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"
         if self.complete:

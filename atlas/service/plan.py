@@ -13,6 +13,7 @@ from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import Levels
 from atlas.platform import processors
 from atlas.spec.spec import MOST_AXES, Spec
+from atlas.spec.system import unused_lines
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
 from atlas.text import byte_size, duration, plural
@@ -70,7 +71,8 @@ class Plan:
     @property
     def note(self) -> str:
         """What else the user may have meant, empty for most specs."""
-        return NO_BASINS if self.spec.of_states and self.spec.attractors is None else ""
+        said = [NO_BASINS] if self.spec.of_states and self.spec.attractors is None else []
+        return "; ".join([*said, *unused_lines(self.spec.record)])
 
     @property
     def seconds(self) -> float | None:
@@ -104,6 +106,9 @@ class Plan:
             "cells_probed": self.probe.cells if self.probe else 0,
             "note": self.note,
         }
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))

@@ -16,7 +16,7 @@ from atlas.service.cluster import connected, count_threads, leave_if_bootstrappi
 from atlas.service.dispatch import Workers, Workforce, tile_labour, workforce
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.plan import make_plan, refuse_shortage
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
+@with_fields
 def run(
     spec: Spec,
     store: str | os.PathLike[str] | Place,

@@ -66,6 +66,9 @@ class Status:
     def _reported(self, name: str) -> float:
         return self.run.number(name) if self.run else 0
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         axes = " x ".join(self.header.spec.described)
         lines = [

@@ -69,6 +69,9 @@ class Summary:
         """Share of the workers' time spent solving: the rest is writing, queues and waiting for the last tile."""
         return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         done = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
         if self.retried:

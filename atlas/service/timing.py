@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from atlas.errors import InputError, shown
+from atlas.text import short_repr
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class Timing:
     silent: float = 5.0
     stalled: float = 30.0
     dead: float = 20.0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for name, seconds in vars(self).items():

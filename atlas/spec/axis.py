@@ -133,7 +133,7 @@ def admitted(parameter: Parameter, value: object) -> float:
 
 
 def read_axis(parameter: Parameter, given: object) -> Axis:
-    """An Axis from ``{start, stop, num}``, ``{values}`` or a sequence of values.
+    """An Axis from ``{start, stop, num}``, ``{values}``, or a list or an array of values.
 
     A table may also have a scale and a continuation.
     """
@@ -142,6 +142,10 @@ def read_axis(parameter: Parameter, given: object) -> Axis:
         return given
     if isinstance(given, Axis):
         given = {"values": given.values, "scale": given.scale, "continuation": given.continuation}
+    if isinstance(given, tuple):  # which may be meant as start, stop and num
+        raise InputError(
+            f"{where}: found the tuple {shown(given)}, must be a list of values, or a table with start, stop and num"
+        )
     if isinstance(given, np.ndarray) or (isinstance(given, Sequence) and not isinstance(given, str)):
         given = {"values": given}
     if not isinstance(given, Mapping):

@@ -35,7 +35,7 @@ def equation_of(system: System) -> str:
         v += "" if friction.belt.constant == 0.0 else f" - {_factor(friction.belt)}"
         level = _sum([(friction.kinetic, ""), (friction.slope, "|v|")])
         static = "" if friction.static is None else f", {_number(friction.static)} at rest"
-        lines.append(f"friction {friction.name}: {level} against v = {v}{static}")
+        lines.append(f"friction {friction.name}: {level} against {v if v == 'v' else f'v = {v}'}{static}")
     for phase in machine.phases:
         others = [key for key in ("stiffness", "damping") if getattr(phase, key) is not None]
         changed = [f"other {name}" for name in (*others, *(name for name, _ in (*phase.contacts, *phase.friction)))]

@@ -33,7 +33,7 @@ class Spec:
     """What to compute: a system, its fixed parameters (defaults filled in), its cells, and how to solve.
 
     ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes what the
-    TOML file has in its tables; an axis may also be a sequence of values. The first axis is x, the last dimension
+    TOML file has in its tables; an axis may also be a list or array of values. The first axis is x, the last dimension
     of every array. An axis with ``continuation`` is swept: each cell starts from its neighbour's attractor, and a
     whole line of cells is in one tile. ``tile`` is its (y, x) shape, or None for the default; it changes no number.
     ``system`` is the name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``;
@@ -106,6 +106,14 @@ class Spec:
         _check_whole_lines(self)
         if self.attractors is not None and self.continuation is not None:
             raise InputError("attractors: an axis with continuation starts each cell from its neighbour; remove one")
+
+    def __repr__(self) -> str:
+        given = [
+            f"{name} = {value:g}"
+            for name, value in self.parameters.items()
+            if value != self.record.parameter(name).default
+        ]
+        return f"<Spec of {self.system}: {'; '.join([' x '.join(self.described), *given])}>"
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], folder: Path | None = None) -> "Spec":
@@ -261,6 +269,16 @@ class Spec:
             along[i] = -1
             params[axis.name] = np.array(axis.values[part], dtype="float64").reshape(along)
         return params
+
+
+def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by name that a call gives as a mapping, as keywords or in part as each, like xarray's ``sel``."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(f"found {shown(given)}, must be values by name, such as omega=3 or {{'omega': 3}}")
+    for name in named:
+        if name in (given or {}):
+            raise InputError(f"{name}: given twice")
+    return {**(given or {}), **named}
 
 
 def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:

@@ -73,9 +73,9 @@ def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
     return "sticks" if min(map(min, counts)) < 0 else "/".join(f"{p}-{q}" for p, q in counts)
 
 
-def refuse_modes(record: System, what: str) -> None:
-    """InputError, in one line, that ``what`` does not exist for machines with modes, if this is one."""
-    _refused(record.refuse_modes, what)
+def unused_lines(record: System) -> list[str]:
+    """A line about the parameters that change nothing; none where all are used."""
+    return [f"no entry of {record.name} uses {', '.join(record.unused)}"] if record.unused else []
 
 
 def refuse_drift(record: System, what: str) -> None:

@@ -38,11 +38,8 @@ def save(figure: Figure, path: Path, title: str, spec: Mapping[str, Any]) -> Non
     _write(figure, path, computed_here(title, spec))
 
 
-def plane_with_bounds(path: Path, example: str, bounds: Bounds, legend: tuple[float, float]) -> None:
-    """Draw the periods of a packaged plane, and over it x at each y of some bounds, by label: line style, function.
-
-    The legend's centre is at that place of the axes.
-    """
+def plane_with_bounds(path: Path, example: str, bounds: Bounds) -> None:
+    """Draw the periods of a packaged plane, and over it x at each y of some bounds, by label: line style, function."""
     with TemporaryDirectory() as folder:
         store = Path(folder) / f"{example}.zarr"
         atlas.run(atlas.Spec.from_toml(example), store)
@@ -55,7 +52,8 @@ def plane_with_bounds(path: Path, example: str, bounds: Bounds, legend: tuple[fl
             ax.plot([bound(each) for each in y], y, style, color="black", lw=1.5, label=label, scalex=False)
         name = ax.xaxis.label
         font = {"family": name.get_fontfamily(), "size": 0.9 * name.get_fontsize()}
-        ax.legend(loc="center", bbox_to_anchor=legend, framealpha=0.9, prop=font)
+        figure.set_figheight(figure.get_figheight() + 0.3)
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=len(bounds), prop=font)
         _write(figure, path, provenance_of(ds))
 
 

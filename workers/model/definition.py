@@ -148,6 +148,16 @@ class Definition:
             named[name] = expression(named)
         return named
 
+    @property
+    def used(self) -> set[str]:
+        """The names that its motion, or a measure, takes; those of ``let`` whose own name is among them included."""
+        found = set().union(
+            *(_names(getattr(self, each.name)) for each in dataclasses.fields(self) if each.name != "let")
+        )
+        for name, expression in reversed(self.let):
+            found |= expression.names if name in found else set()
+        return found
+
     def depending(self, names: Collection[str]) -> frozenset[str]:
         """The fields of machines that depend on parameters of these names."""
         changing = set(names)
@@ -210,9 +220,13 @@ def symmetrised(matrices: Array) -> Array:
 
 def _names(entries: Any) -> set[str]:
     """The names that these expressions use."""
-    if isinstance(entries, tuple):
-        return set().union(*map(_names, entries))
-    return entries.names if isinstance(entries, Expression) else set()
+    if isinstance(entries, Expression):
+        return entries.names
+    if isinstance(entries, Mapping):
+        entries = tuple(entries.values())
+    elif dataclasses.is_dataclass(entries):
+        entries = tuple(getattr(entries, each.name) for each in dataclasses.fields(entries))
+    return set().union(*map(_names, entries)) if isinstance(entries, tuple) else set()
 
 
 def _written(entries: Any) -> Any:

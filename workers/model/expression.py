@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from workers.model.oscillator import Array
-from workers.model.parameter import OMEGA, unknown_name
+from workers.model.parameter import OMEGA, near_name, unknown_name
 
 LONGEST = 500
 """Characters of an expression."""
@@ -39,6 +39,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
 """Each with the least and the largest number of arguments."""
 RESERVED = (PI, *FUNCTIONS)
 """Names that no parameter may have."""
+_TIME = ("t", "time")
 
 _BINARY: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
@@ -215,6 +216,14 @@ def _check_order(tokens: list[str]) -> None:
             raise ExpressionError(f"nested more than {DEEPEST} deep")
 
 
+def _unknown(name: str, known: list[str]) -> str:
+    """One line for an unknown name: the nearest known one, or what an entry may be."""
+    if name not in _TIME and near_name(name, known):
+        return unknown_name("name", name, known)
+    force = "; a force is an amplitude, which sin(omega t + tau) multiplies by itself" if name in _TIME else ""
+    return f"unknown name {name!r}; an entry knows neither time nor state, only {', '.join(known)}{force}"
+
+
 def _check_names(tree: ast.expr, known: Collection[str]) -> None:
     """ExpressionError at the first name that is unknown, or has a wrong number of arguments."""
     nodes = list(ast.walk(tree))
@@ -224,7 +233,7 @@ def _check_names(tree: ast.expr, known: Collection[str]) -> None:
         name, count = node.id[1:], arguments.get(node)
         if count is None:
             if name not in (PI, *known):
-                raise ExpressionError(unknown_name("name", name, [*known, PI]))
+                raise ExpressionError(_unknown(name, [*known, PI]))
             continue
         if name not in FUNCTIONS:
             raise ExpressionError(unknown_name("function", name, FUNCTIONS))

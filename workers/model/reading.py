@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,8 @@ _PARAMETER_KEYS: dict[str, Any] = {
 def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tuple[str, ...]) -> tuple[Parameter, ...]:
     """All parameters in order: omega, the table's, tau, then the initial values of coordinates and velocities.
 
-    Omega, tau and the initial values exist by themselves: the table may change their default, range and words.
+    Omega, tau and the initial values exist by themselves: the table may change their default, range and words. A
+    number alone is a default.
     """
     given = read_table("system.parameters", table)
     if len(given) > MANY:
@@ -78,7 +80,7 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
 
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
     where = f"system.parameters.{name}"
-    table = read_table(where, given, _PARAMETER_KEYS)
+    table = read_table(where, {"default": given} if isinstance(given, Real) else given, _PARAMETER_KEYS)
     check_name(where, name)
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
@@ -203,11 +205,11 @@ def _read_harmonics(table: Mapping[str, Any], known: Collection[str], n: int) ->
 
 
 def symbol_of(name: str) -> str:
-    r"""A name as mathtext: ``\mu_{m}`` of mu_m, ``x_{1}`` of x1, words upright."""
+    r"""A name as mathtext: ``\mu_{m}`` of mu_m, ``x_{1}`` of x1, words in italics too."""
     base, underscore, rest = name.partition("_")
     stem = base.rstrip("0123456789")
     below = base[len(stem) :] + ("," if base != stem and underscore else "") + rest.replace("_", ",")
-    sign = f"\\{stem}" if stem in _GREEK else stem if len(stem) == 1 else rf"\mathrm{{{stem}}}"
+    sign = f"\\{stem}" if stem in _GREEK else stem if len(stem) == 1 else rf"\mathit{{{stem}}}"
     return sign + (f"_{{{below}}}" if below else "")
 
 

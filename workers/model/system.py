@@ -18,7 +18,7 @@ from workers.model.hybrid import build_hybrid
 from workers.model.measures import element_variables, measure_variables, refuse_ambiguous
 from workers.model.names import NAMES
 from workers.model.oscillator import Array, Machines, one_of
-from workers.model.parameter import Parameter, unknown_name
+from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
@@ -94,6 +94,12 @@ class System:
         return len(self.states) - bool(self.definition.drift)
 
     @property
+    def unused(self) -> tuple[str, ...]:
+        """Names of its own parameters that no entry uses: they change nothing."""
+        without = {OMEGA, TAU, *self.states, *self.definition.used}
+        return tuple(parameter.name for parameter in self.parameters if parameter.name not in without)
+
+    @property
     def has_modes(self) -> bool:
         """Whether its law changes otherwise than by one contact with a restitution: see model/hybrid.py."""
         own = self.definition
@@ -114,13 +120,6 @@ class System:
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
         """The results of a cell, see ``results.result_variables``, and the results that only this system has."""
         return result_variables(settings, attractors, basins, self.own_variables)
-
-    def refuse_modes(self, what: str) -> None:
-        """DefinitionError, in one line, that ``what`` does not exist for machines with modes, if this is one."""
-        if self.has_modes:
-            raise DefinitionError(
-                f"system {self.name!r}: {what} are there for machines with one rigid contact alone, which this is not"
-            )
 
     def refuse_drift(self, what: str) -> None:
         """DefinitionError, in one line, that ``what`` does not exist for a drifting coordinate, if this has one."""

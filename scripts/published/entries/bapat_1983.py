@@ -64,7 +64,7 @@ def statements() -> list[Statement]:
 def draw(path: Path) -> None:
     """A plane of clearance and R, with the closed forms."""
     bounds = {"symmetry breaking": ("-", breaking), "fold": ("--", longest)}
-    plane_with_bounds(path, "bapat-1983", bounds, legend=(0.4, 0.55))
+    plane_with_bounds(path, "bapat-1983", bounds)
 
 
 ENTRY = Entry(

@@ -99,7 +99,7 @@ def draw(path: Path) -> None:
     """A plane of accelerations and R, with the closed forms for n = 1."""
     laws = {"birth": ("-", least), "doubling": ("--", doubling), "doubling, Holmes": (":", doubling_of_holmes)}
     bounds = {label: (style, partial(law, n=1)) for label, (style, law) in laws.items()}
-    plane_with_bounds(path, "holmes-1982", bounds, legend=(0.195, 0.11))
+    plane_with_bounds(path, "holmes-1982", bounds)
 
 
 ENTRY = Entry(

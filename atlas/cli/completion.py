@@ -1,0 +1,114 @@
+"""What a shell offers when the tab key completes a word: systems, kinds, variables, parameters, axes, classes, files.
+
+``eval "$(_ATLAS_COMPLETE=bash_source atlas)"`` switches it on; zsh_source and fish_source are for these shells. What
+cannot be known, such as the axes of a store that does not open, is not offered and raises nothing.
+"""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.shell_completion import CompletionItem
+
+if TYPE_CHECKING:
+    from atlas.spec.spec import Spec
+
+Completed = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def of_names(names: Callable[[click.Context], Iterable[str]], files: bool = False) -> Completed:
+    """Completes to those of some names that begin as the word does, and to files."""
+
+    def complete(ctx: click.Context, parameter: click.Parameter, word: str) -> list[CompletionItem]:
+        try:
+            found = [CompletionItem(name) for name in names(ctx) if name.startswith(word)]
+        except Exception:  # while one types, anything may be wrong with what is there already
+            found = []
+        return [*found, CompletionItem(word, type="file")] if files else found
+
+    return complete
+
+
+def systems(ctx: click.Context) -> Iterable[str]:
+    """The packaged systems."""
+    from workers.model.system import system_names
+
+    return system_names()
+
+
+def examples(ctx: click.Context) -> Iterable[str]:
+    """The packaged examples."""
+    from atlas.spec.examples import example_names
+
+    return example_names()
+
+
+def parameters(ctx: click.Context) -> Iterable[str]:
+    """The parameters of the system that the command line names, each with the sign before its value."""
+    from atlas.spec.system import checked_system
+    from workers.model.system import DEFAULT
+
+    return [f"{each.name}=" for each in checked_system(ctx.params.get("system") or DEFAULT).parameters]
+
+
+def axes(ctx: click.Context) -> Iterable[str]:
+    """The axes of the store that the command line names, likewise."""
+    return [f"{axis.name}=" for axis in _spec(ctx).axes]
+
+
+def names_along(ctx: click.Context) -> Iterable[str]:
+    """The parameters of the store's system, or of the one that is named."""
+    if _store(ctx) is None:
+        return [name.removesuffix("=") for name in parameters(ctx)]
+    return [each.name for each in _spec(ctx).record.parameters]
+
+
+def variables(ctx: click.Context) -> Iterable[str]:
+    """The results of the store's cells."""
+    return [each.name for each in _spec(ctx).variables]
+
+
+def kinds(ctx: click.Context) -> Iterable[str]:
+    """The kinds of pictures."""
+    from atlas.render.kinds import KIND_MEANINGS
+
+    return KIND_MEANINGS
+
+
+def curves(ctx: click.Context) -> Iterable[str]:
+    """The kinds of curves."""
+    from atlas.render.kinds import CURVES
+
+    return ["all", *CURVES]
+
+
+def classes(ctx: click.Context) -> Iterable[str]:
+    """What cells are classified by, and the regimes."""
+    from atlas.query.classes import BY
+    from workers.results import REGIMES
+
+    return [*BY, *(regime.name for regime in REGIMES)]
+
+
+def nothing(ctx: click.Context) -> Iterable[str]:
+    """No name: files alone."""
+    return ()
+
+
+def _store(ctx: click.Context) -> str | None:
+    """The first store on the command line."""
+    given = ctx.params.get("store") or ctx.params.get("stores") or ctx.params.get("subject")
+    # Behind an option that still lacks its value click has not yet told arguments from each other.
+    return ctx.args[0] if ctx.args else given[0] if isinstance(given, tuple) else given
+
+
+def _spec(ctx: click.Context) -> "Spec":
+    """The spec of that store."""
+    from atlas.spec.spec import Spec
+    from atlas.store.store import read_header
+
+    store = str(_store(ctx))
+    if Path(store).suffix == ".toml":
+        return Spec.from_toml(store)
+    return read_header(store).spec
