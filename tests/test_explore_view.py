@@ -222,7 +222,6 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
         ({"without": [b"stars"]}, "without: found 'stars'; possible: fold"),
         ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', which begins and ends at one point"),
         ({"vmin": [b"nan"]}, "vmin: found 'nan', must be a finite number"),
-        ({"pin": [b"omega=nan,b=0.3;"]}, "pin: found 'nan', must be a finite number"),
     ],
 )
 def test_an_address_that_asks_for_what_there_is_not_is_refused(

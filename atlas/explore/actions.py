@@ -10,7 +10,6 @@ from atlas.cell.orbit import CellOrbit, cell_orbit
 from atlas.explore.chosen import Chosen, Ends, Range
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
-from atlas.explore.pins import pins_text
 from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
@@ -66,7 +65,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     """Write the spec of a window with so many cells across into a folder, beside what is there already.
 
     Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
-    does. Pins follow as comments. OSError where it cannot be written.
+    does. OSError where it cannot be written.
     """
     shape = (x[1] - x[0], y[1] - y[0]), (chosen.x[1] - chosen.x[0], chosen.y[1] - chosen.y[0])
     up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))
@@ -76,7 +75,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     }
     parameters, settings = dict(chosen.plane.parameters), subject.spec.settings
     spec = Spec(subject.system, axes, parameters, settings, attractors=subject.attractors)
-    text = spec_toml(spec) + pins_text(chosen.pins)
+    text = spec_toml(spec)
     for number in range(1, 1000):
         file = folder / f"{Path(subject.name).stem}-{number}.toml"
         try:

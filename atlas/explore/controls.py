@@ -57,13 +57,13 @@ class Controls:
         self._wire()
         self.show(store.now)
 
-    def columns(self, cuts: list[Button], beside: Any) -> list[Any]:
-        """The controls, from the top, with the buttons that cut and the controls of the second plane."""
+    def columns(self, cuts: list[Button]) -> list[Any]:
+        """The controls, from the top, with the buttons that cut."""
         states = self._sliders(states=True)
         return [
             self.kind, self.variable, self.log, row(self.vmin, self.vmax, sizing_mode="stretch_width"), self.rescale,
             heading("lines over it"), self.overlays, self.curves.widget,
-            heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"), beside,
+            heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"),
             heading("axes"), *self.axes,
             heading("parameters"), *self._sliders(states=False), self.keep,
             heading("save the picture"), row(*self.files.values(), sizing_mode="stretch_width"),

@@ -34,7 +34,6 @@ class Explorer:
     """Looks, solves and keeps for the pages of one subject; ``connect`` leads to the cluster.
 
     known      what is known of the subject
-    other      the explorer of another atlas, which pages may show beside this one
     failures   when tiles could not be solved, in seconds of ``time.monotonic``
     """
 
@@ -45,7 +44,6 @@ class Explorer:
         keep: bool = True,
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
-        other: Subject | None = None,
     ) -> None:
         self.subject, self.failures = subject, dict[tuple[Plane, TileKey], float]()
         self._keeping = keep, most_bytes
@@ -61,15 +59,12 @@ class Explorer:
             self.patches = connect
         else:
             self.patches = Patches(connect, timing)
-        self.other = None if other is None else Explorer(other, self.patches, keep, most_bytes)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
         for keeper in (*self._ending, *(each.keeper for each in (*self._others.values(), self))):
             keeper.stop()
-        if self.other is not None:
-            self.other.stop()
 
     def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
         """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.

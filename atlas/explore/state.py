@@ -66,8 +66,8 @@ class Store:
             self.set(chosen=chosen, rests=rests, trouble="", box=old.box if stays else None, ends=ends)
 
     def escape(self) -> None:
-        """Follow an orbit no further, or else close the cut, or else the second plane."""
-        chosen = self.now.chosen
-        open_ones = (name for name in ("follow", "cut") if getattr(chosen, name) is not None)
-        fields: dict[str, Any] = {next(open_ones, "beside"): None}
-        self.choose(**fields)
+        """Follow an orbit no further, or else close the cut."""
+        if self.now.chosen.follow is not None:
+            self.choose(follow=None)
+        else:
+            self.choose(cut=None)

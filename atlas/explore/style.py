@@ -14,10 +14,6 @@ STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
 
 CUTTING = "cutting"
 """The class of the middle of a page that shows a cut."""
-COMPARING = "comparing"
-"""The class of a page that shows two planes."""
-WIDE = "(min-width: 1280px) and (max-width: 1919px)"
-"""The widths of a page on which two planes side by side take the whole width."""
 
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
@@ -27,7 +23,6 @@ body > div:not(.bk-Notifications) {{ height: 100%; }}
   html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
   body > div:not(.bk-Notifications) {{ height: auto; }}
 }}
-@media {WIDE} {{ html.{COMPARING} {{ overflow: hidden auto; }} html.{COMPARING} body {{ overflow: visible; }} }}
 """
 
 WHOLE = f"""
@@ -36,31 +31,16 @@ WHOLE = f"""
           grid-template-columns: minmax(0, 2fr) minmax(0, 3fr); align-items: start; }}
 }}
 @media {SINGLE} {{ :host {{ grid-template-columns: minmax(0, 1fr); }} }}
-:host(.{COMPARING}) {{ --planes: 2; --right-of-cut: 0px; }}
-@media {WIDE} {{
-  :host(.{COMPARING}) {{ display: grid !important; height: auto !important; align-items: start;
-                        grid-template-columns: minmax(0, 2fr) minmax(0, 3fr); }}
-  :host(.{COMPARING}) > div {{ width: auto !important; height: auto !important; overflow: visible !important; }}
-  :host(.{COMPARING}) > div:nth-of-type(2) {{ grid-column: 1 / -1; order: -1;
-                                             height: min(84vh, 46vw) !important; }}
-  :host(.{COMPARING}) > .{CUTTING}.{CUTTING} {{ height: calc(min(84vh, 46vw) + {CUT_HEIGHT}) !important; }}
-}}
 """
-"""Two planes lie side by side on pages of at least 1280 pixels, on narrower ones one below the other."""
 
 MIDDLE = f"""
 @media {STACKED} {{
   :host {{ grid-column: 1 / -1; order: -1; width: auto !important;
-          height: calc(var(--planes, 1) * min(84vh, 75vw)) !important;
+          height: min(84vh, 75vw) !important;
           min-height: 340px; }}
-  :host(.{CUTTING}) {{ height: calc(var(--planes, 1) * min(84vh, 75vw) + {CUT_HEIGHT}) !important; }}
+  :host(.{CUTTING}) {{ height: calc(min(84vh, 75vw) + {CUT_HEIGHT}) !important; }}
 }}
 @media {SINGLE} {{ :host, :host(.{CUTTING}) {{ height: auto !important; }} }}
-"""
-
-PLANES = f"""
-@media {STACKED} {{ :host {{ flex-direction: column !important; }} }}
-@media {SINGLE} {{ :host {{ height: auto !important; flex: none !important; }} }}
 """
 
 PANE = f"""
@@ -123,7 +103,7 @@ PANEL = f"""
 
 CUT = f"""
 :host {{ flex: none !important; height: {CUT_HEIGHT} !important; box-sizing: border-box;
-        padding-right: var(--right-of-cut, {KEY_WIDTH + RIGHT_MARGIN - TOOLBAR}px); }}
+        padding-right: {KEY_WIDTH + RIGHT_MARGIN - TOOLBAR}px; }}
 @media {SINGLE} {{ :host {{ width: 100% !important; height: auto !important; padding-right: 0; }} }}
 """
 """Its diagrams end where the plane does: beside that stand the key of the map and, here, the toolbar."""

@@ -90,17 +90,6 @@ def cell_line(cell: Cell, subject: Subject) -> str:
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
-def cell_reading(cell: Cell, subject: Subject, names: Iterable[str]) -> str:
-    """Where a cell lies, its regime, and which of these variables it has with which value, as HTML."""
-    found, parts = cell.results, [cell_line(cell, subject)]
-    regime = next(each.code for each in REGIMES if each.name == found[REGIME.name])
-    for name in names:
-        if name != REGIME.name and regime in regimes_with(name) and not math.isnan(found.get(name, math.nan)):
-            value = with_error(found[name], found[ERROR.name]) if name == LARGEST.name else _value(found[name])
-            parts.append(f"{name_of(name)} {html.escape(value)}")
-    return ", &ensp;".join(parts)
-
-
 NAMES = {
     LARGEST.name: "largest exponent", "impacts_upper": "impacts above", "impacts_lower": "impacts below",
     "impacts_per_period": "impacts per period", "sticks": "rests on a stop", "stuck_fraction": "share of time at rest",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from atlas.query.window import axis_names, is_log
 from atlas.render.drawing import check_units
-from atlas.render.kinds import CURVES, Kind, check_overlays, chosen_kind
+from atlas.render.kinds import CURVES, check_overlays, chosen_kind
 from atlas.render.maps import Colors, draw_painted, read
 from atlas.render.numbered import PixelScale, cell_numbers, numbered
 from atlas.render.options import MapLook, Wanted
@@ -58,7 +58,7 @@ class Screen:
 
 def screen(
     ds: xr.Dataset,
-    kind: str | Kind,
+    kind: str,
     size: tuple[int, int],
     key_width: int,
     *,
@@ -68,8 +68,7 @@ def screen(
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
     Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
-    hold that number, see ``numbered``. Other options and errors as in ``figure``; ``kind`` may also be one that is in
-    no table, such as ``change_of`` makes.
+    hold that number, see ``numbered``. Other options and errors as in ``figure``.
     """
     width, height = size
     whole, settings = width + key_width, house(SCALE)
@@ -78,10 +77,9 @@ def screen(
         canvas = FigureCanvasAgg(drawn)
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
-        named = kind.name if isinstance(kind, Kind) else kind
         options |= {"ax": ax, "title": False}
-        wanted = Wanted.of(named, pixels=size, **options)
-        fitting = kind if isinstance(kind, Kind) else chosen_kind(ds, wanted)
+        wanted = Wanted.of(kind, pixels=size, **options)
+        fitting = chosen_kind(ds, wanted)
         check_overlays(ds, wanted.overlays)
         check_units(ds)
         painted = None
