@@ -154,8 +154,25 @@ def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
     names = names[: MOST_OTHERS + 1]
     others = [explorer.turned((name, "b")) for name in names]
     assert explorer.turned(("R", "b")) is shown
+    assert len(explorer._others) == MOST_OTHERS
     assert explorer.turned((names[-1], "b")) is others[-1]
     assert explorer.turned((names[0], "b")) is not others[0]
+    assert waited(lambda: all(each.ended for each in explorer._ending))
+    explorer.turned((names[1], "b"))
+    assert len(explorer._ending) <= 1  # the one that has just been forgotten
+
+
+def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they_are_forgotten(
+    explorer: Explorer,
+) -> None:
+    turned = explorer.turned(("b", "omega"))
+    key, arrays = TileKey(0, 0, 0, 0), {"regime": np.zeros((4, 4), np.int8)}
+    for each in (explorer, turned):
+        each.known.tiles.put(each.subject.plane, key, arrays)
+    memory = explorer.known.tiles.memory
+    assert turned.known.tiles.memory is memory and memory.bytes == 32
+    turned.known.tiles.clear()
+    assert memory.bytes == 16 and explorer.known.tiles.get(explorer.subject.plane, key) is not None
 
 
 def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:

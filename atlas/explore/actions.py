@@ -14,7 +14,6 @@ from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
 from atlas.render import figure, render
-from atlas.render.screen import drawing
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
 from atlas.spec.spec import Spec
@@ -32,8 +31,7 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
     look = replace(chosen, overlays=chosen.drawn(subject)).look(ends)
     name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:
-        with drawing:
-            path = render(ds, Path(folder) / name, chosen.kind, **look)
+        path = render(ds, Path(folder) / name, chosen.kind, **look)
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 
@@ -46,8 +44,7 @@ def orbit_of(subject: Subject, cell: Cell) -> CellOrbit:
 def portrait_image(orbit: CellOrbit) -> str:
     """The portrait of a motion as the address of an image."""
     data = BytesIO()
-    with drawing:
-        figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
+    figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
     return data_address("image/png", data.getvalue())
 
 

@@ -16,8 +16,7 @@ from atlas.explore.known import Known
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Job, Patches, Task
 from atlas.explore.subject import Plane, Subject
-from atlas.explore.tiles import MOST_BYTES as MOST_TILES
-from atlas.explore.tiles import Arrays, Tiles
+from atlas.explore.tiles import Arrays, Memory
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.timing import TIMING, Timing
 
@@ -28,10 +27,14 @@ AGAIN = 60.0
 """Seconds after which a tile that was given up may be tried again."""
 MOST_OTHERS = 4
 """Other axes and layers whose cells are remembered; of more, those that no page shows are forgotten."""
+MOST_FAILURES = 4096
+"""Tiles of which it is remembered that they could not be solved."""
 
 
 class Explorer:
-    """Looks, solves and keeps for the pages of one subject; ``connect`` leads to the cluster.
+    """Looks, solves and keeps for the pages of one subject.
+
+    ``connect`` leads to the cluster, or is the explorer whose cluster and memory this one shares.
 
     known      what is known of the subject
     failures   when tiles could not be solved, in seconds of ``time.monotonic``
@@ -40,7 +43,7 @@ class Explorer:
     def __init__(
         self,
         subject: Subject,
-        connect: "Callable[[], AbstractContextManager[Client]] | Patches",
+        connect: "Callable[[], AbstractContextManager[Client]] | Explorer",
         keep: bool = True,
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
@@ -53,12 +56,9 @@ class Explorer:
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
         self._ending: list[Keeper] = []
         self.keeper = Keeper(subject, most_bytes, keep)
-        self.known = Known(subject, self.keeper)
-        if isinstance(connect, Patches):  # one of several: all of them together must fit in memory
-            self.known.tiles = Tiles(MOST_TILES // MOST_OTHERS)
-            self.patches = connect
-        else:
-            self.patches = Patches(connect, timing)
+        shared = connect if isinstance(connect, Explorer) else None
+        self.known = Known(subject, self.keeper, Memory() if shared is None else shared.known.tiles.memory)
+        self.patches = Patches(connect, timing) if not isinstance(connect, Explorer) else connect.patches
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
@@ -75,14 +75,16 @@ class Explorer:
             return self
         subject, layer = self.subject.turned(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
+            found = self._others.pop((axes, layer), None) or Explorer(subject, self, *self._keeping)
+            self._others[axes, layer] = found  # the last ones used come last
             idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
+            self._ending = [keeper for keeper in self._ending if not keeper.ended]
             for key in idle[: max(0, len(self._others) - MOST_OTHERS)]:
-                keeper = self._others.pop(key).keeper
-                keeper.end()  # its last tiles are written while the page goes on
-                self._ending.append(keeper)
-            if (axes, layer) not in self._others:
-                self._others[axes, layer] = Explorer(subject, self.patches, *self._keeping)
-            return self._others[axes, layer]
+                gone = self._others.pop(key)
+                gone.keeper.end()  # its last tiles are written while the page goes on
+                gone.known.tiles.clear()
+                self._ending.append(gone.keeper)
+            return found
 
     def listen(self, who: Hashable, told: Callable[[Plane, TileKey], None] | None) -> None:
         """Have a page told, in another thread, of every tile that is solved; None for a page that is gone."""
@@ -132,6 +134,14 @@ class Explorer:
         self.patches.want(who, wanted)
         return len(wanted)
 
+    def note_failure(self, plane: Plane, key: TileKey) -> None:
+        """Note that a tile could not be solved; of too many the oldest notes go."""
+        with self._lock:
+            self.failures.pop((plane, key), None)
+            self.failures[plane, key] = time.monotonic()
+            while len(self.failures) > MOST_FAILURES:
+                self.failures.pop(next(iter(self.failures)))
+
     def take(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         """Keep a solved tile, and tell the pages."""
         with self._lock:
@@ -142,7 +152,6 @@ class Explorer:
         for told in listeners:
             told(plane, key)
         if kept:
-            self.keeper.room()
             self.keeper.offer(plane, key, arrays)
 
 
@@ -153,6 +162,10 @@ class TileJob(Job):
     explorer: Explorer
     plane: Plane
     key: TileKey
+
+    def ready(self) -> bool:
+        """Cells that are to be kept are solved no faster than they can be written."""
+        return not (self.explorer.keeper.full and self.explorer.keeps(self.plane))
 
     def make(self) -> tuple[Task, Any] | None:
         """The patch of the tile less the cells that the tile above has, and which cells it has, and those others."""
@@ -177,4 +190,4 @@ class TileJob(Job):
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
-        self.explorer.failures[self.plane, self.key] = time.monotonic()
+        self.explorer.note_failure(self.plane, self.key)

@@ -212,10 +212,9 @@ class Page:
     def _heard(self, found: Painted | str) -> None:
         """Take note of a picture of the plane, or of why there is none."""
         if isinstance(found, str):
-            self._store.set(lacking=found, cells=(0, 0))
+            self._store.set(lacking=found, shares=())
             return
-        cells = found.cells, found.left
-        self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, cells=cells)
+        self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, shares=found.shares)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
     def _refused(self, why: str) -> None:
@@ -227,7 +226,7 @@ class Page:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
         left = explorer.patches.left(self._pane.painter)
-        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble], now.cells)
+        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble], now.shares)
         if trouble:
             text = f'<span class="trouble" role="alert">{html.escape(trouble)}</span> &middot; {text}'
         self._line.text = f"<span>{text}</span>"
@@ -235,7 +234,8 @@ class Page:
     def _notes(self) -> list[str]:
         subject, chosen = self._subject, self._store.now.chosen
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
-        if self._explorer.keeper.header is not None and chosen.plane == subject.plane:
+        keeper = self._explorer.keeper
+        if keeper.header is not None and not keeper.trouble and chosen.plane == subject.plane:
             notes.append(f"kept in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
             first, last = lattice.ends
@@ -244,7 +244,7 @@ class Page:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            kept = self._explorer.keeper.header is not None and self._explorer.keeps(chosen.plane)
+            kept = keeper.header is not None and self._explorer.keeps(chosen.plane)
             notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])

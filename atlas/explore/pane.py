@@ -61,7 +61,7 @@ class Pane:
         """Put a picture on the page."""
         self._picture.show(painted)
         self._key.text = key_image(painted.screen)
-        self._bar.text = progress_bar(painted.cells, painted.left)
+        self._bar.text = progress_bar(painted.shares)
         self._heard(painted)
 
     def _unpainted(self, why: str) -> None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from atlas.errors import InputError
+from atlas.explore.threads import why
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -46,11 +47,14 @@ class PageServer:
         self._ready, self._error = threading.Event(), ""
         self._stop: Callable[[], None] = lambda: None
         self.port = 0
-        self._thread = threading.Thread(target=self._serve, name="atlas-page", daemon=True)
+        self._mistake = ""
+        self._thread = threading.Thread(target=self._run, name="atlas-page", daemon=True)
         self._thread.start()
         self._ready.wait()
         if self._error:
             raise InputError(self._error)
+        if self._mistake:
+            raise RuntimeError(f"the server of the page did not begin: {self._mistake}")
 
     @property
     def url(self) -> str:
@@ -63,6 +67,15 @@ class PageServer:
         if self._thread.is_alive():
             self._stop()
             self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except BaseException as error:  # the one thread that no other can begin anew: its port is lost with it
+            logging.getLogger(__name__).exception("the server of the page has ended")
+            self._mistake = why(error)
+        finally:
+            self._ready.set()
 
     def _serve(self) -> None:
         from bokeh.server.server import BaseServer

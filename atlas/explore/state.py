@@ -18,7 +18,7 @@ class State:
     ends      those of the scale of the picture in view
     lacking   what the picture in view lacks, and why
     lines     the kinds of curves that it shows
-    cells     how many cells are in view, and how many of them are still to be solved
+    shares    of each stage, the coarsest first, the share of the view that is drawn as densely; empty without a picture
     trouble   what else cannot be done, and why
     """
 
@@ -29,7 +29,7 @@ class State:
     ends: Ends = (None, None)
     lacking: str = ""
     lines: tuple[str, ...] = ()
-    cells: tuple[int, int] = (0, 0)
+    shares: tuple[float, ...] = ()
     trouble: str = ""
 
 

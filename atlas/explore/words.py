@@ -5,7 +5,7 @@ import html
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from typing import Any, NamedTuple
 
@@ -198,34 +198,34 @@ def point_line(cell: Cell, subject: Subject) -> str:
     return shlex.join(point_words(subject.system, cell.parameters, settings, cell.results.keys()))
 
 
-def share_solved(cells: int, left: int) -> int:
-    """How many of the cells in view are solved, in per cent; 100 for all of them alone."""
-    return 100 * (cells - left) // cells if cells else 0
-
-
-def progress_bar(cells: int, left: int) -> str:
-    """The bar over the plane that shows how much of the view is solved, as HTML; empty once that is all."""
-    share = share_solved(cells, left)
-    if not left:
+def progress_bar(shares: Sequence[float]) -> str:
+    """The bar over the plane that shows how far its picture is refined, as HTML; empty once that is all."""
+    share = math.floor(100.0 * sum(shares) / max(len(shares), 1))
+    if share == 100 or not shares:
         return ""
     return (
-        '<div role="progressbar" aria-label="cells in view that are solved" aria-valuemin="0" aria-valuemax="100" '
-        f'aria-valuenow="{share}" style="width: {share}%"></div>'
+        '<div role="progressbar" aria-label="how far the view is refined, coarse to fine" aria-valuemin="0" '
+        f'aria-valuemax="100" aria-valuenow="{share}" style="width: {share}%"></div>'
     )
 
 
-def progress(state: State, left: int, notes: Iterable[str], cells: tuple[int, int] = (0, 0)) -> str:
-    """The line under the plane, as HTML; ``cells`` are those in view and those of them still to be solved."""
-    count, missing = cells
-    if left and missing:
-        to_come = f"{spaced(missing)} of {spaced(count)} cells to come"
-        parts = [f"{share_solved(*cells)} % solved at full resolution, {to_come}"]
-    elif left:
-        parts = [f"{plural(left, 'tile')} left"]
-    else:
-        parts = ["all that is in view is solved" if count else "no picture yet"]
+def refinement(shares: Sequence[float]) -> str:
+    """How densely a view is drawn, in words, by the share of it that is known at each stage, the coarsest first."""
+    if not shares:
+        return "no picture yet"
+    if min(shares) == 1.0:
+        return "all that is in view is solved"
+    whole = next(k for k, share in enumerate(shares) if share < 1.0)
+    names = [*(f"1/{1 << k} of full resolution" for k in range(len(shares) - 1, 0, -1)), "full resolution"]
+    begun = f"{math.floor(100.0 * shares[whole])} % at {names[whole]}"
+    return f"drawn at {names[whole - 1]}, {begun}" if whole else f"drawn: {begun}"
+
+
+def progress(state: State, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:
+    """The line under the plane, as HTML; ``left`` are tiles still to be solved, ``shares`` as in ``refinement``."""
+    parts = [refinement(shares)]
     if left:
-        parts.append(f"{spaced(state.rate)} cells/s")
+        parts.append(f"{plural(left, 'tile')} left, {spaced(state.rate)} cells/s")
     parts.append(plural(state.workers, "worker"))
     parts += [html.escape(note) for note in notes if note]
     text = " &middot; ".join(parts)

@@ -1,7 +1,6 @@
 """A map as pixels of a screen: the plot area alone, and beside it what explains its colours."""
 
 import math
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
@@ -21,7 +20,7 @@ from atlas.render.kinds import CURVES, check_overlays, chosen_kind
 from atlas.render.maps import Colors, draw_painted, read
 from atlas.render.numbered import PixelScale, cell_numbers, numbered
 from atlas.render.options import MapLook, Wanted
-from atlas.render.style import house
+from atlas.render.style import drawing, house
 
 DPI = 110.0
 SCALE = 0.85
@@ -30,8 +29,6 @@ GAP = 16
 """Pixels between the plot area and what is beside it."""
 BAR_ASPECT = 28.0
 """Height of a colour bar over its width, as all pictures have it."""
-drawing = threading.Lock()
-"""Held while something is drawn in one of several threads: Matplotlib's settings belong to the whole process."""
 LEAST_TYPE = 2.0
 """Points of the type of a legend: nobody reads a smaller one, and on pixels it takes no less room."""
 MOST_LEGEND = 0.9
@@ -72,7 +69,7 @@ def screen(
     """
     width, height = size
     whole, settings = width + key_width, house(SCALE)
-    with drawing, mpl.rc_context(settings):  # type: ignore[arg-type]
+    with drawing(settings):
         drawn = Figure(figsize=(whole / DPI, height / DPI), dpi=DPI, facecolor="white")
         canvas = FigureCanvasAgg(drawn)
         area = (0.0, 0.0, width / whole, 1.0)
