@@ -99,6 +99,11 @@ class Subject:
         return STARTS if self.attractors is None else self.attractors
 
     @property
+    def searched(self) -> bool:
+        """Whether attractors of its cells can be sought from many initial states."""
+        return self.settings.method == "adaptive"
+
+    @property
     def header(self) -> Header | None:
         """The header of a store that cells of this program can be kept in."""
         return self.stored if self.stored is not None and self.stored.solver_version == SOLVER_VERSION else None

@@ -43,7 +43,7 @@ _BESIDE = 5.0
 
 
 class Picture(Figure):
-    """A figure that a notebook shows by itself, with neither pyplot nor a magic line; drawn in no two threads at once."""
+    """A figure that a notebook shows by itself, with neither pyplot nor a magic line, and that threads draw in turn."""
 
     def savefig(self, *given: Any, **options: Any) -> None:
         """See Matplotlib's."""
