@@ -104,6 +104,8 @@ def explore(
         import bokeh  # noqa: F401
     except ImportError:
         raise InputError("explore needs Bokeh: pip install bokeh") from None
+    if workers is not None and workers < 1:
+        raise InputError(f"workers: found {workers!r}, must be 1 or more")
     if not tolerance > 0:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
