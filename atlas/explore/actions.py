@@ -13,7 +13,9 @@ from atlas.explore.known import Cell
 from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
-from atlas.render import figure, render
+from atlas.render import orbit as portrait
+from atlas.render import render
+from atlas.render.page import page
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
 from atlas.spec.spec import Spec
@@ -42,9 +44,11 @@ def orbit_of(subject: Subject, cell: Cell) -> CellOrbit:
 
 
 def portrait_image(orbit: CellOrbit) -> str:
-    """The portrait of a motion as the address of an image."""
-    data = BytesIO()
-    figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
+    """The portrait of a motion as the address of an image; its phase plane of the gap coordinate is the page's own."""
+    sheet, data = page(**PORTRAIT), BytesIO()
+    drawn = portrait.figure(orbit, sheet, gap_plane=False)
+    sheet.fit(drawn)
+    drawn.savefig(data, format="png", dpi=sheet.dpi)
     return data_address("image/png", data.getvalue())
 
 

@@ -87,8 +87,23 @@ class Known:
                 place = sight.place(key)
                 if not known[place].all() and self.has(plane, key):
                     known[place] = True
+            if stage >= max(sight.x.level, sight.y.level):
+                known |= self._in_atlas(plane, sight)
             found.append(float(known.mean()))
         return tuple(found[::-1])
+
+    def _in_atlas(self, plane: Plane, sight: Sight) -> NDArray[np.bool_]:
+        """Which cells in view lie in a cell of the atlas itself that is solved."""
+        done = self.atlas_done() if plane == self.subject.plane else None
+        if done is None:
+            return np.zeros(sight.shape, dtype=bool)
+        places, inside = [], []
+        for seen, count in zip((sight.y, sight.x), done.shape, strict=True):
+            level = seen.level
+            place = seen.index << -level if level < 0 else Stretch(0, 0, count).holding(level, seen.index)
+            inside.append((place >= 0) & (place < count))
+            places.append(np.clip(place, 0, count - 1))
+        return np.asarray(done[np.ix_(*places)] & np.outer(*inside))
 
     def outside(self, key: TileKey) -> bool:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""

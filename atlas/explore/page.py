@@ -31,7 +31,7 @@ from atlas.explore.keys import hear_keys
 from atlas.explore.painter import Painted
 from atlas.explore.pane import LINE_HEIGHT, Pane
 from atlas.explore.state import State, Store
-from atlas.explore.style import CUTTING, FOLD, LAST, LINE, MIDDLE, PAGE, PANEL, TEXT, WHOLE
+from atlas.explore.style import CUTTING, FOLD, LINE, MIDDLE, PAGE, PANEL, TEXT, WHOLE
 from atlas.explore.words import progress
 
 LEFT, RIGHT = 232, 350
@@ -149,7 +149,6 @@ class Page:
     def _layout(self) -> Any:
         panel: dict[str, Any] = {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"}
         left = column(*self._controls.columns(self._cut.buttons), width=LEFT, css_classes=[FOLDED], **panel)
-        left.stylesheets = [*left.stylesheets, InlineStyleSheet(css=LAST)]
         fold = Toggle(label="controls", sizing_mode="stretch_width", stylesheets=[FOLD])
         unfolding = CustomJS(args={"left": left}, code=f"left.css_classes = cb_obj.active ? [] : ['{FOLDED}']")
         fold.js_on_change("active", unfolding)
@@ -161,7 +160,7 @@ class Page:
         right = column(self._made, *self._details.panels, self._address, self._opened, width=RIGHT, **panel)
         # A source without a view is sent along, and heard, as the tag of a model that has one.
         self._address.tags = [self._download, self._keys]
-        whole = row(left, middle, right, fold, sizing_mode="stretch_both")
+        whole = row(fold, left, middle, right, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
         return whole
 

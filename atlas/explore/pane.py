@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, Div, NumericInput
+from bokeh.models import ColumnDataSource, Div, Label, NumericInput
 from bokeh.plotting import figure
 
 from atlas.explore.background import Background
@@ -44,6 +44,8 @@ class Pane:
         self.plot: figure
         self.plot, image = make_plot(explorer.subject, chosen, self.mark)
         self._picture = Picture(image, *inputs)
+        self._waiting = Label(x=12, y=12, x_units="screen", y_units="screen", text="drawing the first picture")
+        self.plot.add_layout(self._waiting)
         plane = row(self.plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
         self.panel = column(self._title, self._bar, plane, sizing_mode="stretch_both", stylesheets=[PANE])
         self.painter = Painter(explorer, background.later(self._show), background.later(self._unpainted))
@@ -59,6 +61,7 @@ class Pane:
 
     def _show(self, painted: Painted) -> None:
         """Put a picture on the page."""
+        self._waiting.visible = False
         self._picture.show(painted)
         self._key.text = key_image(painted.screen)
         self._bar.text = progress_bar(painted.shares)

@@ -15,6 +15,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -94,17 +95,20 @@ class PageServer:
             self._ready.set()
             return
         self.port = int(sockets[0].getsockname()[1])
-        pages = _guarded_pages(self._make, own_hosts(self.port), self.token)
-        http = HTTPServer(pages)
-        http.add_sockets(sockets)
-        server = BaseServer(loop, pages, http)
-        server.start()
-        self._stop = lambda: loop.add_callback(loop.stop)
-        loop.add_callback(self._ready.set)
-        loop.start()
-        server.stop(wait=False)
-        http.stop()
-        loop.close(all_fds=False)
+        with ExitStack() as ending:
+            ending.callback(loop.close, all_fds=False)
+            for each in sockets:
+                ending.callback(each.close)
+            pages = _guarded_pages(self._make, own_hosts(self.port), self.token)
+            http = HTTPServer(pages)
+            http.add_sockets(sockets)
+            ending.callback(http.stop)
+            server = BaseServer(loop, pages, http)
+            server.start()
+            ending.callback(server.stop, wait=False)
+            self._stop = lambda: loop.add_callback(loop.stop)
+            loop.add_callback(self._ready.set)
+            loop.start()
 
 
 def own_hosts(port: int) -> list[str]:

@@ -40,11 +40,16 @@ def title(subject: Subject, plane: Plane) -> str:
     """The system and the fixed parameters that matter, as HTML: all but an initial state of zero."""
     states, values = subject.system.states, dict(plane.parameters)
     shown = [
-        f"<i>{html.escape(symbol_of(subject.system, name))}</i> = {number(values[name])}"
+        _equation(symbol_of(subject.system, name), number(values[name]))
         for name in (parameter.name for parameter in subject.system.parameters)
         if name in values and (values[name] or name not in states)
     ]
     return f"<b>{html.escape(subject.name)}</b> &ensp; {', &ensp;'.join(shown)}"
+
+
+def _equation(symbol: str, value: str) -> str:
+    """What a symbol equals, as HTML that stays on one line."""
+    return f'<span class="number"><i>{html.escape(symbol)}</i> = {value}</span>'
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -86,7 +91,7 @@ def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
 
 def cell_line(cell: Cell, subject: Subject) -> str:
     """Where a cell lies and its regime, as HTML."""
-    places = [f"<i>{html.escape(name)}</i> = {value}" for name, value in where(subject, cell.parameters).items()]
+    places = [_equation(name, value) for name, value in where(subject, cell.parameters).items()]
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
@@ -108,7 +113,7 @@ def name_of(variable: str) -> str:
 
 def cell_table(cell: Cell, subject: Subject) -> str:
     """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
-    names = subject.axes
+    names, words = subject.axes, {REGIME.name, REASON.name}
     rows = [(symbol_of(subject.system, name), number(cell.results[name]), repr(cell.results[name])) for name in names]
     rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " "), ""))
     if REASON.name in cell.results:
@@ -126,7 +131,8 @@ def cell_table(cell: Cell, subject: Subject) -> str:
         rows.append((name_of(name), text, repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
     body = "".join(
-        f'<tr><td>{html.escape(left)}</td><td title="{html.escape(full)}">{html.escape(right)}</td></tr>'
+        f"<tr><td>{html.escape(left)}</td><td{' class=number' if left not in words else ''} "
+        f'title="{html.escape(full)}">{html.escape(right)}</td></tr>'
         for left, right, full in rows
     )
     return f"<table><caption>{of}</caption>{body}</table>"
