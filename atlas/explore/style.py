@@ -127,7 +127,8 @@ KEY = f"""
 :host {{ position: relative; overflow: hidden; }}
 img {{ position: absolute; left: 0; top: var(--above); max-width: none; max-height: calc(100% - var(--above)); }}
 @media {SINGLE} {{
-  :host {{ flex: none !important; height: auto !important; margin-left: 60px !important; }} img {{ position: static; max-height: none; }}
+  :host {{ flex: none !important; height: auto !important; margin-left: 60px !important; }}
+  img {{ position: static; max-height: none; }}
 }}
 """
 """``--above`` is the height of what was cut off above, where an image beside the plane had nothing. One that is taller
