@@ -57,8 +57,11 @@ FOLD = f"""
 """
 """The button that unfolds the controls on a phone, between the plane and the details of a cell."""
 
-POINTER = "@media (hover: none) { :host { display: none !important; } }"
-"""No cell is under the pointer of a finger."""
+POINTER = f"""
+@media (hover: none) {{ :host {{ display: none !important; }} }}
+@media {SINGLE} {{ :host {{ order: 1; }} }}
+"""
+"""The cell under the pointer: below that clicked where everything is one column; no cell is under that of a finger."""
 
 BAR = """
 div[role=progressbar] { height: 3px; background: #1f5fa8; margin-left: 76px; max-width: calc(100% - 76px); }
