@@ -19,6 +19,7 @@ from atlas.explore.style import KEY_WIDTH
 from atlas.explore.subject import Plane
 from atlas.explore.threads import steady
 from atlas.explore.view import STAGES, Sight, TileKey
+from atlas.platform import give_back_memory
 from atlas.render import has_scale
 from atlas.render.kinds import OverlayError
 from atlas.render.screen import Screen, screen
@@ -31,6 +32,8 @@ REST = 0.15
 """Seconds without a change after which a view is looked up."""
 STAY = 0.7
 """Seconds without a change after which a plane that a slider moves to is solved in full."""
+GIVE_BACK = 10.0
+"""Seconds, at least, between two times that memory freed by drawing is returned to the system."""
 PAUSE = 0.35
 """Seconds between two pictures, at least."""
 SHARE = 0.6
@@ -132,17 +135,24 @@ class Painter:
                 self._plan.setdefault(ALL, time.monotonic() + REST)
 
     def _serve(self) -> None:
+        given_back, used = time.monotonic(), False
         while True:
             with self._changed:
                 if self._closed:
                     break
                 step = min(self._plan, key=self._plan.__getitem__, default=None)
                 wait = self._plan[step] - time.monotonic() if self._plan else None
+                if wait is None and used:
+                    wait = given_back + GIVE_BACK - time.monotonic()
                 if wait is None or wait > 0.0:
                     self._changed.wait(wait)
                     continue
+                if not self._plan:
+                    give_back_memory()
+                    given_back, used = time.monotonic(), False
+                    continue
                 del self._plan[step]
-                self._at_work = True
+                self._at_work = used = True
             try:
                 if step is not None:
                     self._find(step)
