@@ -152,7 +152,7 @@ class Report:
         self._memory.append(memory)
         server, scheduler, worker = memory
         known, sheets = explorer.known.tiles, explorer.keeper.sheets
-        cached = f"tiles {known.bytes / 2**20:.0f} MiB, {explorer.keeper.waiting} to keep"
+        cached = f"tiles {known.memory.bytes / 2**20:.0f} MiB, {explorer.keeper.waiting} to keep"
         cached += "".join(f", {count} sheets {what}" for what, count in (sheets.counts if sheets else {}).items())
         print(
             f"{self.seconds:5.0f} s  {self.moves:4d} moves  {sum(self.counts.values()):6d} tiles  "

@@ -56,9 +56,13 @@ class Explorer:
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
         self._ending: list[Keeper] = []
         self.keeper = Keeper(subject, most_bytes, keep)
-        shared = connect if isinstance(connect, Explorer) else None
-        self.known = Known(subject, self.keeper, Memory() if shared is None else shared.known.tiles.memory)
-        self.patches = Patches(connect, timing) if not isinstance(connect, Explorer) else connect.patches
+        self.patches: Patches
+        memory: Memory
+        if isinstance(connect, Explorer):
+            self.patches, memory = connect.patches, connect.known.tiles.memory
+        else:
+            self.patches, memory = Patches(connect, timing), Memory()
+        self.known: Known = Known(subject, self.keeper, memory)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""

@@ -264,7 +264,7 @@ class Patches:
             self._give_up(job, error)
             return None
 
-    def _give_up(self, job: Job, error: object) -> None:
+    def _give_up(self, job: Job, error: BaseException | None) -> None:
         """Have a job told that it is given up; a mistake in that is its own."""
         try:
             job.failed(str(error) if isinstance(error, InputError) else why(error))

@@ -58,13 +58,14 @@ def drawing(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
     its portraits and files, and what its user draws in a notebook take turns. What another thread of the user's
     changes of other settings meanwhile stays.
     """
+    of_all: Any = mpl.rcParams
     with _alone:
-        before = {name: mpl.rcParams[name] for name in settings or {}}
+        before = {name: of_all[name] for name in settings or {}}
         try:
-            mpl.rcParams.update(settings or {})
+            of_all.update(settings or {})
             yield
         finally:
-            mpl.rcParams.update(before)
+            of_all.update(before)
 
 
 TEXTURE = "#8c8c8c"
