@@ -218,7 +218,6 @@ class AtlasAccessor:
     def explore(
         self,
         *,
-        other: xr.Dataset | None = None,
         client: "Client | None" = None,
         scheduler: str | None = None,
         workers: int | None = None,
@@ -232,16 +231,15 @@ class AtlasAccessor:
 
         Cells are solved on a Dask ``client`` of yours, on the cluster of a ``scheduler``, or on ``workers`` processes
         of this machine, by default one a processor; ``tolerance`` is that of their exponents, by default 0.05. With
-        ``keep`` they stay in the store. The page shows ``other``, an atlas of the same axes, beside this one. Specs of
-        new atlases are written into ``folder``, by default the working directory. ``port`` is that of the page, by
-        default any free one; on another ``host`` its address has a token.
+        ``keep`` they stay in the store. Specs of new atlases are written into ``folder``, by default the working
+        directory. ``port`` is that of the page, by default any free one; on another ``host`` its address has a token.
         """
         from atlas.explore.session import explore_dataset
         from atlas.explore.subject import TOLERANCE
 
         return explore_dataset(
-            self._ds, other, tolerance or TOLERANCE, client=client, scheduler=scheduler, workers=workers, keep=keep,
-            folder=folder, port=port, host=host,
+            self._ds, TOLERANCE if tolerance is None else tolerance, client=client, scheduler=scheduler,
+            workers=workers, keep=keep, folder=folder, port=port, host=host,
         )  # fmt: skip
 
     def page(self, path: str | Path) -> Path:

@@ -2,7 +2,7 @@
 
 Usage: python -m scripts.explore_soak STORE [--minutes 20] [--seed 1] [--size 1280x800] [--workers 2]
 
-The visitor zooms, drags, draws cuts and their branches, pins cells, follows orbits and opens second planes.
+The visitor zooms, drags, draws cuts and their branches, and follows orbits.
 Needs chromium, Playwright and Linux. Scheduler and workers are processes of their own; the store is explored in place.
 Ends with exit code 1 where a tile of the atlas's plane failed, or was solved twice though its sheet was not dropped for
 room, where the browser complained, or where verifying finds a fault. Memory is printed to be judged: after the caches
@@ -37,10 +37,10 @@ STEPS_IN, DEEPEST = 6, 10
 """Turns of the wheel in one move; after so many in a row it begins anew, about 10^6 deep."""
 KINDS = "exponent", "period", "impacts", "combined"
 BUTTONS = (
-    "cut across", "cut up", "branches, stable and unstable", "close the cut", "pin it", "follow",
-    "basins of this cell", "compare", "close the second plane",
+    "cut across", "cut up", "branches, stable and unstable", "close the cut", "follow",
+    "basins of this cell",
 )  # fmt: skip
-"""What a visitor presses where it is there: cuts, pins, followed orbits, basins and second planes."""
+"""What a visitor presses where it is there: cuts, followed orbits and basins."""
 
 
 def resident(*processes: int) -> float:
@@ -152,7 +152,7 @@ class Report:
         self._memory.append(memory)
         server, scheduler, worker = memory
         known, sheets = explorer.known.tiles, explorer.keeper.sheets
-        cached = f"tiles {known.bytes / 2**20:.0f} MiB, {explorer.keeper.waiting} to keep"
+        cached = f"tiles {known.memory.bytes / 2**20:.0f} MiB, {explorer.keeper.waiting} to keep"
         cached += "".join(f", {count} sheets {what}" for what, count in (sheets.counts if sheets else {}).items())
         print(
             f"{self.seconds:5.0f} s  {self.moves:4d} moves  {sum(self.counts.values()):6d} tiles  "

@@ -18,7 +18,7 @@ dask.config.set({"distributed.worker.profile.enabled": False})  # as local_clust
 
 LONGEST = (
     "test_commands.py", "test_docs_site.py", "test_release.py", "test_warm.py", "test_explore_page.py",
-    "test_explore_follow_page.py", "test_explore_compare.py", "test_portable.py", "test_hybrid_random.py",
+    "test_explore_follow_page.py", "test_portable.py", "test_hybrid_random.py",
     "test_groups.py", "test_page.py", "test_static_page.py", "test_explore_links.py", "test_measures.py",
     "test_hybrid_cells.py", "test_place.py", "test_overview.py", "test_family.py", "test_explore_solving.py",
     "test_curves_search.py", "test_submit.py", "test_stress.py",

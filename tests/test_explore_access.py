@@ -87,7 +87,7 @@ def test_a_finger_moves_the_view_and_not_the_page(phone: Tab) -> None:
     assert phone.page.evaluate("() => window.scrollY") == 0
 
 
-def test_a_tap_chooses_the_cell_and_its_details_come_before_the_controls(phone: Tab) -> None:
+def test_a_tap_chooses_the_cell_and_controls_unfold_between_the_plane_and_its_details(phone: Tab) -> None:
     left, top, width, height = phone.plot()
     phone.page.touchscreen.tap(left + 0.6 * width, top + 0.4 * height)
     mark = phone.until(phone.mark)
@@ -98,8 +98,8 @@ def test_a_tap_chooses_the_cell_and_its_details_come_before_the_controls(phone: 
     phone.page.get_by_role("button", name="controls").click()
     scale = phone.page.get_by_role("button", name="fit the scale to the view")
     scale.wait_for()
-    portrait = phone.page.locator("img.portrait").bounding_box()
-    assert portrait["y"] + portrait["height"] <= scale.bounding_box()["y"]
+    clicked = phone.page.get_by_text("cell clicked").bounding_box()
+    assert top + height < scale.bounding_box()["y"] < clicked["y"]
     assert phone.page.evaluate("() => document.documentElement.scrollWidth") == 390
 
 
@@ -117,7 +117,7 @@ def test_a_cut_on_a_phone_has_its_diagrams_between_the_plane_and_the_details_of_
         top, height = below, down
     button = phone.page.get_by_role("button", name="controls").bounding_box()
     details = phone.page.get_by_text("click a cell: its motion").bounding_box()
-    assert top + height < details["y"] < button["y"]
+    assert top + height < button["y"] < details["y"]
     assert phone.page.evaluate("() => document.documentElement.scrollWidth") == 390
 
 
@@ -228,7 +228,7 @@ def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: Explorat
         bar = tab.page.get_by_role("progressbar")
         share = int(tab.until(lambda: bar.count() and bar.get_attribute("aria-valuenow")))
         assert 0 <= share < 100
-        tab.until(lambda: "cells to come" in tab.text() or "all that is in view is solved" in tab.text())
+        tab.until(lambda: "of full resolution" in tab.text() or "all that is in view is solved" in tab.text())
         tab.until(lambda: "all that is in view is solved" in tab.text() and bar.count() == 0, 240.0)
         assert tab.complaints == []
 

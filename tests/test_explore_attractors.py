@@ -15,6 +15,7 @@ from distributed import Client
 import atlas
 from atlas.explore.actions import new_atlas
 from atlas.explore.attractors import Attractors, known_attractors, search_job
+from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import beginning
 from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
@@ -119,11 +120,16 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
     assert atlas.verify(coexistence, sample=1).fine
 
 
-def test_by_the_papers_schedule_attractors_are_not_sought(finished: Path) -> None:
+def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finished: Path) -> None:
     subject = subject_of(str(finished))
     fixed = replace(subject, settings=Settings(method="fixed"))
     found = known_attractors(fixed, Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
     assert found is not None and "adaptive" in attractors_table(found, fixed)
+    for each, offered in ((subject, True), (fixed, False)):
+        explorer = SimpleNamespace(subject=each, patches=SimpleNamespace(want=lambda who, jobs: None))
+        panel = BasinsPanel(explorer, SimpleNamespace(later=lambda act: act))  # type: ignore[arg-type]
+        panel.offer(Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+        assert panel._button.visible == offered
 
 
 def test_a_cell_without_a_motion_has_no_attractors(finished: Path) -> None:

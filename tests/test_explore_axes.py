@@ -11,7 +11,6 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.actions import new_atlas
 from atlas.explore.chosen import carried, from_address, to_address, turned_to
 from atlas.explore.explorer import MOST_OTHERS, Explorer
 from atlas.explore.kept import Keeper
@@ -155,8 +154,25 @@ def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
     names = names[: MOST_OTHERS + 1]
     others = [explorer.turned((name, "b")) for name in names]
     assert explorer.turned(("R", "b")) is shown
+    assert len(explorer._others) == MOST_OTHERS
     assert explorer.turned((names[-1], "b")) is others[-1]
     assert explorer.turned((names[0], "b")) is not others[0]
+    assert waited(lambda: all(each.ended for each in explorer._ending))
+    explorer.turned((names[1], "b"))
+    assert len(explorer._ending) <= 1  # the one that has just been forgotten
+
+
+def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they_are_forgotten(
+    explorer: Explorer,
+) -> None:
+    turned = explorer.turned(("b", "omega"))
+    key, arrays = TileKey(0, 0, 0, 0), {"regime": np.zeros((4, 4), np.int8)}
+    for each in (explorer, turned):
+        each.known.tiles.put(each.subject.plane, key, arrays)
+    memory = explorer.known.tiles.memory
+    assert turned.known.tiles.memory is memory and memory.bytes == 32
+    turned.known.tiles.clear()
+    assert memory.bytes == 16 and explorer.known.tiles.get(explorer.subject.plane, key) is not None
 
 
 def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:
@@ -171,25 +187,3 @@ def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before()
 def test_a_subject_over_its_own_axes_is_itself() -> None:
     subject: Subject = subject_of("omega-b")
     assert subject.turned(subject.axes) is subject
-
-
-def test_pins_are_in_the_address_with_all_that_differs_and_go_along_to_other_axes(explorer: Explorer) -> None:
-    home = explorer.subject
-    query = "R=0.7&pin=omega%3D3.0,b%3D0.3%3Ba%20fold%20%26%20more&pin=omega%3D2.0,b%3D0.25,R%3D0.75%3B"
-    chosen = from_address(home, arguments(query))
-    assert [(dict(values)["omega"], dict(values)["R"], note) for values, note in chosen.pins] == [
-        (3.0, 0.8, "a fold & more"),
-        (2.0, 0.75, ""),
-    ]
-    assert from_address(home, arguments(to_address(home, home, chosen))) == chosen
-    turned = explorer.turned(("R", "b")).subject
-    there = carried(turned, chosen, {"omega": 2.5} | dict(chosen.plane.parameters))
-    assert from_address(turned, arguments(to_address(home, turned, there))).pins == chosen.pins
-
-
-def test_pins_follow_the_spec_of_a_new_atlas_as_comments(explorer: Explorer, tmp_path: Path) -> None:
-    chosen = from_address(explorer.subject, arguments("pin=omega%3D3.123456789,b%3D0.3%3Bperiod%205"))
-    made = new_atlas(explorer.subject, chosen, (3.5, 3.9), (0.4, 0.5), 4, tmp_path)
-    text = made.file.read_text(encoding="utf-8")
-    assert "# pin 1: period 5" in text and "#   omega = 3.123456789" in text
-    assert atlas.Spec.from_toml(made.file).dims == ("b", "omega")

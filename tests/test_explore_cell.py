@@ -70,9 +70,9 @@ def test_the_table_has_what_is_a_result_in_the_regime_of_the_cell_alone(subject:
 def test_a_cell_of_another_plane_says_by_what_that_differs(subject: Subject) -> None:
     parameters = dict(subject.plane.parameters) | {"omega": 2.0, "b": 0.1}
     line = cell_line(Cell(parameters, {"regime": "periodic"}, of_atlas=False), subject)
-    assert "R</i>" not in line and "b</i> = 0.1 &ensp; periodic" in line
+    assert "R</i>" not in line and "b</i> = 0.1</span> &ensp; periodic" in line
     moved = cell_line(Cell(parameters | {"R": 0.75}, {"regime": "periodic"}, of_atlas=False), subject)
-    assert "<i>R</i> = 0.75 &ensp; periodic" in moved
+    assert "<i>R</i> = 0.75</span> &ensp; periodic" in moved
 
 
 def test_the_copied_numbers_are_those_of_the_cell_in_full(subject: Subject) -> None:

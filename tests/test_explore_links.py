@@ -1,4 +1,4 @@
-"""Links to the explorer's page, in a browser: its history, its pins, and the page behind a proxy in a folder."""
+"""Links to the explorer's page, in a browser: its history, a cell, and the page behind a proxy in a folder."""
 
 import socket
 import threading
@@ -82,23 +82,16 @@ def test_back_leads_to_the_view_at_which_one_rested_and_not_to_those_between(tab
     tab.until(tab.image)
 
 
-def test_a_pin_with_its_note_and_the_cell_clicked_come_back_by_the_link(tab: Tab) -> None:
+def test_the_cell_clicked_comes_back_by_the_link(tab: Tab) -> None:
     left, top, width, height = tab.plot()
     tab.page.mouse.click(left + 0.5 * width, top + 0.6 * height)
     tab.page.locator("img.portrait").wait_for(timeout=120_000)
-    tab.page.get_by_placeholder("a note on the cell clicked").fill("here & now")
-    tab.page.get_by_role("button", name="pin it").click()
-    tab.until(lambda: "pin=" in tab.address() and "cell=" in tab.address())
+    tab.until(lambda: "cell=" in tab.address())
     mark = tab.mark()
     assert mark is not None
     tab.page.goto(tab.address())
     tab.page.locator("img.portrait").wait_for(timeout=120_000)
     assert tab.mark() == mark
-    assert tab.page.get_by_role("button", name="here & now").count() == 1
-    pins = [data for data in tab.models("ColumnDataSource", "data") if "pin_x" in data]
-    assert list(pins[0]["pin_x"]) == [mark[0]] and list(pins[0]["number"]) == ["1"]
-    tab.page.get_by_role("button", name="×").click()
-    tab.until(lambda: "pin=" not in tab.address())
 
 
 def test_keys_move_and_zoom_the_view_and_escape_closes_a_cut(tab: Tab) -> None:

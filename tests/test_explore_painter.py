@@ -1,11 +1,14 @@
 """When the explorer looks a view up and draws it, without a browser."""
 
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from distributed import Client
 
@@ -14,6 +17,7 @@ from atlas.explore.chosen import Chosen, beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.painter import Painted, Painter
 from atlas.explore.view import STAGES
+from atlas.platform import give_back_memory
 from tests.test_explore_solving import exploring, waited
 
 SIZE = (48, 40)
@@ -50,7 +54,9 @@ def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
         painter.show(replace(view, x=(2.5 + 0.01 * k, 3.5)), SIZE)
     assert painter.busy and waited(lambda: not painter.busy)
     assert painter.looked == 1
-    assert came[-1].left == 0 and {each.cells for each in came} == {came[-1].cells}
+    assert came[-1].shares == (1.0, 1.0, 1.0, 1.0)
+    steps = [each.shares for each in came]
+    assert all(old <= new for one, other in pairwise(steps) for old, new in zip(one, other, strict=True))
     assert came[-1].x[0] == pytest.approx(2.55, abs=0.05)
 
 
@@ -98,3 +104,35 @@ def test_a_picture_has_the_cells_of_its_window(painter: Painter, came: list[Pain
     shape = np.array(came[0].screen.cells.shape[1::-1])
     spans = np.array([np.ptp(came[0].x) / np.ptp(view.x), np.ptp(came[0].y) / np.ptp(view.y)])
     assert np.all(np.abs(shape - np.array(SIZE) * spans) <= 1)
+
+
+def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(
+    painter: Painter, came: list[Painted], view: Chosen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[int] = []
+    monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
+    monkeypatch.setattr(painting, "give_back_memory", lambda: given.append(len(came)))
+    painter.show(view, SIZE)
+    assert waited(lambda: not painter.busy and bool(given) and given[-1] == len(came))
+    count = len(given)
+    assert not waited(lambda: len(given) > count, 0.5)  # once
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc")
+def test_what_threads_have_freed_goes_back_to_the_system() -> None:
+    """Small blocks that stay between large ones keep the C library from giving these back by itself."""
+    stay: list[bytes] = []
+
+    def use() -> None:
+        large = []
+        for _ in range(2000):
+            large.append(bytearray(100_000))
+            stay.append(bytes(2000))
+
+    thread = threading.Thread(target=use)
+    thread.start()
+    thread.join()
+    process = psutil.Process()
+    before = process.memory_info().rss
+    give_back_memory()
+    assert process.memory_info().rss < before - 50_000_000

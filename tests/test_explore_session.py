@@ -17,6 +17,7 @@ from bokeh.client import pull_session
 from distributed import Client
 
 import atlas
+from atlas.errors import InputError
 from atlas.store.store import read_header
 from atlas.store.zoom import sheets
 from tests.browser import opened, started
@@ -121,3 +122,10 @@ def test_ctrl_c_keeps_what_is_solved_leaves_no_process_and_gives_the_store_back(
     assert not (finished.parent / f".{finished.name}.run" / "claim").exists()
     assert sheets(read_header(finished))
     assert atlas.verify(finished).fine
+
+
+@pytest.mark.parametrize("options", [{"tolerance": 0}, {"tolerance": 0.0}, {"workers": 0}])
+def test_zero_is_not_taken_for_the_default_but_refused(finished: Path, options: dict[str, float]) -> None:
+    (name,) = options
+    with pytest.raises(InputError, match=f"{name}: found 0"):
+        atlas.open(finished).atlas.explore(**options)  # type: ignore[arg-type]

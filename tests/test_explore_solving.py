@@ -21,10 +21,10 @@ from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Errand, Patches, Task
+from atlas.explore.patches import Errand, Job, Patches, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
-from atlas.explore.tiles import Tiles
+from atlas.explore.tiles import Memory, Tiles
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.lease import claimed
 from atlas.store.sidecar import notes_of
@@ -93,17 +93,37 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
 
 
-def test_the_cells_of_a_view_that_are_missing_are_counted_at_its_full_density(finished: Path, client: Client) -> None:
+def test_a_view_is_known_stage_by_stage_coarse_to_fine(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
-        cells = sight.x.count * sight.y.count
-        assert known.missing(plane, sight) == cells
+        assert known.shares(plane, sight) == (0.0, 0.0, 0.0, 0.0)
         explorer.want("test", plane, sight, range(3, 0, -1))  # all but the full density
-        assert waited(lambda: explorer.patches.left("test") == 0) and known.missing(plane, sight) == cells
+        assert waited(lambda: explorer.patches.left("test") == 0)
+        assert known.shares(plane, sight) == (1.0, 1.0, 1.0, 0.0)
         first, *_ = sight.tiles(0)
         rows, columns = sight.place(first)
         known.tiles.put(plane, first, known.whole(plane, first.above) or {})
-        assert known.missing(plane, sight) == cells - (rows.stop - rows.start) * (columns.stop - columns.start) < cells
+        share = (rows.stop - rows.start) * (columns.stop - columns.start) / (sight.x.count * sight.y.count)
+        assert known.shares(plane, sight) == (1.0, 1.0, 1.0, pytest.approx(share))
+
+
+def test_a_tile_that_is_known_in_full_counts_for_all_coarser_stages(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        for key in sight.tiles(0):
+            known.tiles.put(plane, key, known.subject.without_results(known.subject.variables, (TILE, TILE)))
+        assert known.shares(plane, sight) == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_a_view_of_the_stores_own_cells_is_drawn_as_densely_as_they_lie(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject = explorer.subject
+        inner = [(float(axis.values[0]), float(axis.values[-1])) for axis in subject.spec.axes]
+        cells = len(subject.spec.axes[0]), len(subject.spec.axes[1])
+        sight = subject.sight(*inner, (4 * cells[0], 4 * cells[1]))
+        assert (sight.x.level, sight.y.level) == (2, 2)
+        shares = explorer.known.shares(subject.plane, sight)
+        assert shares == (1.0, 1.0, 0.0, 0.0)
 
 
 def test_a_cell_that_is_solved_alone_is_that_of_its_tile_to_the_bit(finished: Path, client: Client) -> None:
@@ -176,7 +196,7 @@ def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(f
         sight, plane = view_of(explorer.subject), explorer.subject.plane
         with claimed(notes_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
             tiles = solved(explorer, sight)
-            explorer.known.tiles = Tiles(1)
+            explorer.known.tiles = Tiles(Memory(1))
             assert len(tiles) > 3 and explorer.keeper.waiting == len(tiles)
             assert explorer.want("page", plane, sight, range(3, -1, -1)) == 0
             arrays = [explorer.known.whole(plane, key) for key in tiles]
@@ -285,8 +305,9 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         assert solved(explorer, sight)
-        assert waited(lambda: "cannot be written" in explorer.keeper.trouble)
-        assert explorer.keeper.header is None
+        assert waited(lambda: "kept later" in explorer.keeper.trouble)
+        assert "cannot be written: Read-only file system" in explorer.keeper.trouble
+        assert explorer.keeper.waiting > 0
 
 
 @pytest.mark.slow
@@ -342,7 +363,7 @@ def _shouted(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Mistaken:
+class Mistaken(Job):
     """A job with a mistake in one of its methods, or in none."""
 
     wrong: str

@@ -325,3 +325,17 @@ def test_the_command_of_a_cell_that_was_solved_with_a_larger_limit_sets_it(tab: 
     numbers(tab)
     used = int(ds.periods_used[12, 10])
     assert tab.page.locator("#cell code").inner_text().endswith(f" --max-periods {used}")
+
+
+def test_by_plain_http_where_there_is_no_clipboard_the_command_is_copied_all_the_same(tab: Tab) -> None:
+    tab.page.evaluate(
+        """() => {
+            Object.defineProperty(navigator, "clipboard", {value: undefined})
+            document.addEventListener("copy", () => { window.wasCopied = document.activeElement.value })
+        }"""
+    )
+    tab.page.mouse.click(*at_cell(tab, 20, 20))
+    tab.page.get_by_role("button", name="copy command").click()
+    assert tab.until(lambda: tab.page.evaluate("() => window.wasCopied")).startswith("atlas point --")
+    assert tab.page.get_by_role("button", name="copied").count() == 1
+    assert tab.page.locator("textarea").count() == 0

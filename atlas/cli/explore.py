@@ -39,13 +39,11 @@ GB = 10**9
         "atlas explore",
         "atlas explore plane.zarr",
         "atlas explore plane.toml",
-        "atlas explore plane.zarr --with other.zarr",
         "atlas explore plane.zarr -o plane.html",
     )
 )
 @click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED, shell_complete=SPECS)
 @select_option
-@click.option("--with", "other", metavar="STORE|SPEC", help="Another one of the same axes, shown beside the first.")
 @click.option(
     "-o",
     "--out",
@@ -74,7 +72,6 @@ def explore(
     ctx: click.Context,
     subject: str,
     select: tuple[str, ...],
-    other: str | None,
     out: Path | None,
     window: tuple[str, ...],
     scheduler: str | None,
@@ -113,7 +110,6 @@ def explore(
             running = start(
                 subject,
                 chosen,
-                other=other,
                 scheduler=scheduler,
                 workers=workers,
                 tolerance=TOLERANCE if tolerance is None else tolerance,

@@ -10,12 +10,12 @@ from atlas.cell.orbit import CellOrbit, cell_orbit
 from atlas.explore.chosen import Chosen, Ends, Range
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
-from atlas.explore.pins import pins_text
 from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
-from atlas.render import figure, render
-from atlas.render.screen import drawing
+from atlas.render import orbit as portrait
+from atlas.render import render
+from atlas.render.page import page
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
 from atlas.spec.spec import Spec
@@ -33,8 +33,7 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
     look = replace(chosen, overlays=chosen.drawn(subject)).look(ends)
     name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:
-        with drawing:
-            path = render(ds, Path(folder) / name, chosen.kind, **look)
+        path = render(ds, Path(folder) / name, chosen.kind, **look)
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 
@@ -45,10 +44,11 @@ def orbit_of(subject: Subject, cell: Cell) -> CellOrbit:
 
 
 def portrait_image(orbit: CellOrbit) -> str:
-    """The portrait of a motion as the address of an image."""
-    data = BytesIO()
-    with drawing:
-        figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
+    """The portrait of a motion as the address of an image; its phase plane of the gap coordinate is the page's own."""
+    sheet, data = page(**PORTRAIT), BytesIO()
+    drawn = portrait.figure(orbit, sheet, gap_plane=False)
+    sheet.fit(drawn)
+    drawn.savefig(data, format="png", dpi=sheet.dpi)
     return data_address("image/png", data.getvalue())
 
 
@@ -66,7 +66,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     """Write the spec of a window with so many cells across into a folder, beside what is there already.
 
     Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
-    does. Pins follow as comments. OSError where it cannot be written.
+    does. OSError where it cannot be written.
     """
     shape = (x[1] - x[0], y[1] - y[0]), (chosen.x[1] - chosen.x[0], chosen.y[1] - chosen.y[0])
     up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))
@@ -76,7 +76,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     }
     parameters, settings = dict(chosen.plane.parameters), subject.spec.settings
     spec = Spec(subject.system, axes, parameters, settings, attractors=subject.attractors)
-    text = spec_toml(spec) + pins_text(chosen.pins)
+    text = spec_toml(spec)
     for number in range(1, 1000):
         file = folder / f"{Path(subject.name).stem}-{number}.toml"
         try:

@@ -40,7 +40,7 @@ class Attractors:
 
 def known_attractors(subject: Subject, cell: Cell) -> Attractors | None:
     """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
-    if subject.settings.method == "fixed":
+    if not subject.searched:
         return Attractors(trouble='all attractors are found by the method "adaptive" only')
     if subject.every is None or not cell.of_atlas:
         return None

@@ -11,6 +11,7 @@ from bokeh.document import Document
 from tornado.ioloop import IOLoop
 
 from atlas.errors import InputError, RunError
+from atlas.explore.threads import why
 
 THREADS = 2
 """So many things at once: beside a portrait the cell under the pointer is still looked up."""
@@ -48,9 +49,9 @@ class Background:
                 act = work()
             except (InputError, RunError, OSError) as error:
                 act = partial(self._refuse, str(error))
-            except Exception as error:  # a mistake of ours must not leave the page without a word for good
+            except BaseException as error:  # a mistake of ours must not leave the page without a word for good
                 logging.getLogger(__name__).exception("the page could not do something")
-                act = partial(self._refuse, f"this could not be done: {type(error).__name__}: {error}")
+                act = partial(self._refuse, f"this could not be done: {why(error)}")
             self.show(act)
 
         with self._lock:
@@ -86,7 +87,7 @@ class Latest(Generic[T]):
         thing = self._asked
         try:
             act = self._work(thing)
-        except Exception:
+        except BaseException:
             self._background.show(partial(self._next, thing))
             raise
 

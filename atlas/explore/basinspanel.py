@@ -49,8 +49,8 @@ class BasinsPanel:
         self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
 
     def offer(self, cell: Cell) -> None:
-        """Offer the basins of a cell."""
-        if cell is self._cell:
+        """Offer the basins of a cell, where they can be found."""
+        if cell is self._cell or not self._explorer.subject.searched:
             return
         self.clear()
         self._cell = cell

@@ -22,8 +22,6 @@ CURVES, CHART = "curves", "regions"
 """The overlay and the kind of map that draw what a store keeps."""
 
 Point = tuple[Plane, float, float]
-Pin = tuple[tuple[tuple[str, float], ...], str]
-"""A cell that is kept in sight, by all its parameters in the system's order, and a note."""
 Cut = tuple[float, float, float, float]
 """A line over the plane, from (x, y) to (x, y)."""
 
@@ -42,29 +40,11 @@ class Follow(NamedTuple):
     value: float
 
 
-PLANE, ATLAS, DIFFERENCE = "plane", "atlas", "difference"
-"""What a second plane may be of, besides another value of a parameter: the same plane or the other atlas; and a second
-plane that shows the difference.
-"""
-
 ARGUMENTS = (
     "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow.orbit", "without",
-    "second.of", "second.drawn", "axes", "layer", "pin", "token",
+    "axes", "layer", "token",
 )  # fmt: skip
 """What an address has besides parameters, whose names have no dot; ``token`` is the server's."""
-
-
-@dataclass(frozen=True)
-class Beside:
-    """What the second plane shows.
-
-    of      PLANE, ATLAS, or the parameter that has another ``value`` there
-    drawn   DIFFERENCE, a kind of map, "SCALAR:variable", or empty for the picture that the first plane shows
-    """
-
-    of: str
-    value: float | None = None
-    drawn: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,12 +52,9 @@ class Chosen:
     """A choice. ``variable`` and ``log`` go with kind SCALAR; ends of the scale that are None are chosen for one.
 
     cell   the point that was clicked
-    pins   cells that stay marked
     cut    the line that was drawn
     follow the orbit of that point which is followed
     hidden the kinds of curves that are left out
-    beside what the second plane shows
-    less   of a second plane that shows the difference: the plane of the first
     """
 
     x: Range
@@ -90,17 +67,14 @@ class Chosen:
     vmin: float | None = None
     vmax: float | None = None
     cell: Point | None = None
-    pins: tuple[Pin, ...] = ()
     cut: Cut | None = None
     follow: Follow | None = None
     hidden: tuple[str, ...] = ()
-    beside: Beside | None = None
-    less: Plane | None = None
 
     @property
     def picture(self) -> "Chosen":
         """The choice as far as the map shows it."""
-        return replace(self, cell=None, cut=None, pins=(), follow=None, beside=None)
+        return replace(self, cell=None, cut=None, follow=None)
 
     def middle(self, subject: Subject) -> tuple[float, float]:
         """The cell that was clicked in its plane, or else the middle of the window."""
@@ -151,8 +125,7 @@ class Chosen:
     @property
     def scale(self) -> tuple[object, ...]:
         """What pictures must have in common to be on one scale."""
-        drawn = (self.kind, self.variable, self.log) if self.kind == SCALAR else (self.kind, "", False)
-        return drawn if self.less is None else (*drawn, self.plane, self.less)
+        return (self.kind, self.variable, self.log) if self.kind == SCALAR else (self.kind, "", False)
 
 
 def kinds(subject: Subject) -> list[str]:
@@ -196,9 +169,7 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
         kind=chosen.kind if chosen.kind in kinds(subject) else begun.kind,
         variable=chosen.variable,
         log=chosen.log,
-        pins=chosen.pins,
         hidden=chosen.hidden,
-        beside=chosen.beside if chosen.beside and chosen.beside.of not in subject.axes else None,
         overlays=tuple(name for name in chosen.overlays if name in overlays(subject)),
     )
 
@@ -206,12 +177,11 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
 def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chosen:
     """What an address asks for of a subject; InputError, which names the argument, for what it cannot."""
     chosen, given = beginning(subject), {name: values[-1].decode() for name, values in arguments.items()}
-    for name in sorted(given, key=lambda name: name in ("cell", "second.drawn")):  # these two go with others
+    for name in sorted(given, key=lambda name: name == "cell"):  # which lies in the plane that others choose
         chosen = replace(chosen, **_fields(subject, chosen, name, given[name]))
-    pins = tuple(_pin(subject, text.decode()) for text in arguments.get("pin", ()))
     if chosen.follow is not None and chosen.cell is None:
         raise InputError("follow: needs a cell, whose orbit is followed")
-    return replace(chosen, pins=pins)
+    return chosen
 
 
 def turned_to(explorer: Explorer, arguments: Mapping[str, list[bytes]]) -> Explorer:
@@ -242,13 +212,6 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
     if "cell" in points and chosen.follow:
         pairs.append(("follow.orbit", ",".join(map(str, chosen.follow))))
-    if chosen.beside is not None:
-        of, value = chosen.beside.of, chosen.beside.value
-        pairs.append(("second.of", of if value is None else f"{of},{value!r}"))
-        pairs += [("second.drawn", chosen.beside.drawn)] if chosen.beside.drawn else []
-    for values, note in chosen.pins:
-        shown = [f"{name}={value!r}" for name, value in values if value != own.get(name)]
-        pairs.append(("pin", f"{','.join(shown)};{note}"))
     return urlencode(pairs, safe=":,")
 
 
@@ -283,11 +246,6 @@ def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str
         if ends[:2] == ends[2:]:
             raise InputError(f"cut: found {value!r}, which begins and ends at one point")
         return {name: ends}
-    if name == "second.of":
-        of, comma, number = value.partition(",")
-        return {"beside": Beside(of, _number(name, number) if comma else None)}
-    if name == "second.drawn":
-        return {"beside": replace(chosen.beside, drawn=value)} if chosen.beside else {}
     return {name: _number(name, value)} if name in ("vmin", "vmax") else {}
 
 
@@ -307,17 +265,6 @@ def _number(name: str, value: str) -> float:
     if not math.isfinite(found):
         raise InputError(f"{name}: found {value!r}, must be a finite number")
     return found
-
-
-def _pin(subject: Subject, text: str) -> Pin:
-    values, _, note = text.partition(";")
-    given = {name: _number("pin", value) for name, _, value in (pair.partition("=") for pair in values.split(","))}
-    check_names("parameter in pin", given, [parameter.name for parameter in subject.system.parameters])
-    found = dict(subject.plane.parameters) | given
-    missing = [name for name in subject.axes if name not in found]
-    if missing:
-        raise InputError(f"pin: found {text!r}, lacks {missing[0]}")
-    return tuple((p.name, found[p.name]) for p in subject.system.parameters), note
 
 
 def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:

@@ -43,7 +43,7 @@ class Controls:
         self.vmin = NumericInput(title="scale from", value=chosen.vmin, mode="float", placeholder="auto", **wide)
         self.vmax = NumericInput(title="to", value=chosen.vmax, mode="float", placeholder="auto", **wide)
         self.rescale = Button(label="fit the scale to the view", **wide)
-        self.keep = Toggle(label="keep this plane too", visible=False, **wide)
+        self.keep = Toggle(label="keep this plane too", visible=subject.header is not None, **wide)
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
         self.make = Button(label="make this an atlas", **wide)
@@ -57,13 +57,13 @@ class Controls:
         self._wire()
         self.show(store.now)
 
-    def columns(self, cuts: list[Button], beside: Any) -> list[Any]:
-        """The controls, from the top, with the buttons that cut and the controls of the second plane."""
+    def columns(self, cuts: list[Button]) -> list[Any]:
+        """The controls, from the top, with the buttons that cut."""
         states = self._sliders(states=True)
         return [
             self.kind, self.variable, self.log, row(self.vmin, self.vmax, sizing_mode="stretch_width"), self.rescale,
             heading("lines over it"), self.overlays, self.curves.widget,
-            heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"), beside,
+            heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"),
             heading("axes"), *self.axes,
             heading("parameters"), *self._sliders(states=False), self.keep,
             heading("save the picture"), row(*self.files.values(), sizing_mode="stretch_width"),
@@ -74,7 +74,7 @@ class Controls:
     def show(self, state: State, kept: bool = False) -> None:
         """Have the widgets show the state, and whether its plane is kept."""
         chosen, own = state.chosen, self.subject.plane
-        self.variable.visible = self.log.visible = chosen.kind == SCALAR
+        self.variable.disabled = self.log.disabled = chosen.kind != SCALAR  # unseen, they would move what is below
         self.vmin.value, self.vmax.value = chosen.vmin, chosen.vmax
         self.curves.show(state)
         for name, value in chosen.plane.parameters:
@@ -82,7 +82,7 @@ class Controls:
             if not slider.start <= value <= slider.end:
                 slider.update(start=min(slider.start, value), end=max(slider.end, value))
             slider.value = self.typed[name].value = value
-        self.keep.update(visible=chosen.plane != own and self.subject.header is not None, active=kept)
+        self.keep.update(disabled=chosen.plane == own, active=kept)
 
     def _wire(self) -> None:
         """Have each widget change the part of the state that it shows."""

@@ -28,9 +28,9 @@ class CurveList:
         self.widget.on_change("active", lambda _, old, new: self._switched(new))
 
     def show(self, state: State) -> None:
-        """Have an entry for each kind of curve that the picture in view has, or would have."""
+        """Have an entry for each kind of curve that a picture had, or would have: none goes while somebody zooms."""
         hidden = state.chosen.hidden
-        kinds = [kind for kind in KINDS if kind in state.lines or kind in hidden]
+        kinds = [kind for kind in KINDS if kind in state.lines or kind in hidden or kind in self._kinds]
         if kinds != self._kinds:
             looks = [(LOOKS[kind].label, LOOKS[kind].color) if kind in LOOKS else POINTS for kind in kinds]
             colors = [f"label:nth-child({k + 1}) > span::before {{ color: {c}; }}" for k, (_, c) in enumerate(looks)]

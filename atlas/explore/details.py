@@ -22,12 +22,15 @@ from atlas.explore.known import Cell
 from atlas.explore.motion import Motion, motion_of, motions
 from atlas.explore.motionpanel import MotionPanel
 from atlas.explore.state import Store
-from atlas.explore.style import TEXT
+from atlas.explore.style import POINTER, TEXT
 from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
 from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
 
 POINTED = "<h4>cell under the pointer</h4>"
+HELP = f"""{POINTED}<span class="waiting">point at the plane: all numbers of a cell<br>
+click a cell, or Enter: its motion, its attractors, its basins<br>
+wheel, two fingers, + and −: zoom<br>drag, arrows: move<br>pen above the plane: a cut along a line</span>"""
 CLICKED = "<h4>cell clicked</h4>"
 COPY = """
 const text = source.value ?? source.tags[0]
@@ -41,6 +44,8 @@ box.remove()
 """A page that another machine serves by plain HTTP has no ``clipboard``."""
 PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
  onclick="this.classList.toggle('large')">"""
+ROW = 15.6
+"""Pixels of a row of a table."""
 ALL = "<h4>all attractors of this cell</h4>"
 
 
@@ -67,7 +72,9 @@ class Details:
         self._pointer = Latest(background, self._look_up)
         self._clicks = 0
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
-        self._pointed = Div(text=POINTED, **style)
+        rows = len(self._subject.numbers) + 5  # as many as any cell fills, so that nothing below it moves
+        look = {"stylesheets": [TEXT, POINTER], "styles": {"min-height": f"{round(rows * ROW)}px"}}
+        self._pointed = Div(text=HELP, **style | look)
         read_out: Any = {"html_attributes": {"aria-live": "polite"}}
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **read_out, **style)
         self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)

@@ -16,8 +16,7 @@ from atlas.explore.known import Known
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Job, Patches, Task
 from atlas.explore.subject import Plane, Subject
-from atlas.explore.tiles import MOST_BYTES as MOST_TILES
-from atlas.explore.tiles import Arrays, Tiles
+from atlas.explore.tiles import Arrays, Memory
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.timing import TIMING, Timing
 
@@ -28,24 +27,26 @@ AGAIN = 60.0
 """Seconds after which a tile that was given up may be tried again."""
 MOST_OTHERS = 4
 """Other axes and layers whose cells are remembered; of more, those that no page shows are forgotten."""
+MOST_FAILURES = 4096
+"""Tiles of which it is remembered that they could not be solved."""
 
 
 class Explorer:
-    """Looks, solves and keeps for the pages of one subject; ``connect`` leads to the cluster.
+    """Looks, solves and keeps for the pages of one subject.
+
+    ``connect`` leads to the cluster, or is the explorer whose cluster and memory this one shares.
 
     known      what is known of the subject
-    other      the explorer of another atlas, which pages may show beside this one
     failures   when tiles could not be solved, in seconds of ``time.monotonic``
     """
 
     def __init__(
         self,
         subject: Subject,
-        connect: "Callable[[], AbstractContextManager[Client]] | Patches",
+        connect: "Callable[[], AbstractContextManager[Client]] | Explorer",
         keep: bool = True,
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
-        other: Subject | None = None,
     ) -> None:
         self.subject, self.failures = subject, dict[tuple[Plane, TileKey], float]()
         self._keeping = keep, most_bytes
@@ -55,21 +56,19 @@ class Explorer:
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
         self._ending: list[Keeper] = []
         self.keeper = Keeper(subject, most_bytes, keep)
-        self.known = Known(subject, self.keeper)
-        if isinstance(connect, Patches):  # one of several: all of them together must fit in memory
-            self.known.tiles = Tiles(MOST_TILES // MOST_OTHERS)
-            self.patches = connect
+        self.patches: Patches
+        memory: Memory
+        if isinstance(connect, Explorer):
+            self.patches, memory = connect.patches, connect.known.tiles.memory
         else:
-            self.patches = Patches(connect, timing)
-        self.other = None if other is None else Explorer(other, self.patches, keep, most_bytes)
+            self.patches, memory = Patches(connect, timing), Memory()
+        self.known: Known = Known(subject, self.keeper, memory)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
         for keeper in (*self._ending, *(each.keeper for each in (*self._others.values(), self))):
             keeper.stop()
-        if self.other is not None:
-            self.other.stop()
 
     def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
         """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
@@ -80,14 +79,16 @@ class Explorer:
             return self
         subject, layer = self.subject.turned(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
+            found = self._others.pop((axes, layer), None) or Explorer(subject, self, *self._keeping)
+            self._others[axes, layer] = found  # the last ones used come last
             idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
+            self._ending = [keeper for keeper in self._ending if not keeper.ended]
             for key in idle[: max(0, len(self._others) - MOST_OTHERS)]:
-                keeper = self._others.pop(key).keeper
-                keeper.end()  # its last tiles are written while the page goes on
-                self._ending.append(keeper)
-            if (axes, layer) not in self._others:
-                self._others[axes, layer] = Explorer(subject, self.patches, *self._keeping)
-            return self._others[axes, layer]
+                gone = self._others.pop(key)
+                gone.keeper.end()  # its last tiles are written while the page goes on
+                gone.known.tiles.clear()
+                self._ending.append(gone.keeper)
+            return found
 
     def listen(self, who: Hashable, told: Callable[[Plane, TileKey], None] | None) -> None:
         """Have a page told, in another thread, of every tile that is solved; None for a page that is gone."""
@@ -137,6 +138,14 @@ class Explorer:
         self.patches.want(who, wanted)
         return len(wanted)
 
+    def note_failure(self, plane: Plane, key: TileKey) -> None:
+        """Note that a tile could not be solved; of too many the oldest notes go."""
+        with self._lock:
+            self.failures.pop((plane, key), None)
+            self.failures[plane, key] = time.monotonic()
+            while len(self.failures) > MOST_FAILURES:
+                self.failures.pop(next(iter(self.failures)))
+
     def take(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         """Keep a solved tile, and tell the pages."""
         with self._lock:
@@ -147,7 +156,6 @@ class Explorer:
         for told in listeners:
             told(plane, key)
         if kept:
-            self.keeper.room()
             self.keeper.offer(plane, key, arrays)
 
 
@@ -158,6 +166,10 @@ class TileJob(Job):
     explorer: Explorer
     plane: Plane
     key: TileKey
+
+    def ready(self) -> bool:
+        """Cells that are to be kept are solved no faster than they can be written."""
+        return not (self.explorer.keeper.full and self.explorer.keeps(self.plane))
 
     def make(self) -> tuple[Task, Any] | None:
         """The patch of the tile less the cells that the tile above has, and which cells it has, and those others."""
@@ -182,4 +194,4 @@ class TileJob(Job):
 
     def failed(self, why: str) -> None:
         """See ``Job``."""
-        self.explorer.failures[self.plane, self.key] = time.monotonic()
+        self.explorer.note_failure(self.plane, self.key)

@@ -1,8 +1,10 @@
 """Tiles kept in the store: looked up in its zoom levels, written there in the background, dropped where they are many.
 
 One thread writes what was solved since it last did, under the store's claim, so that explorers and runs take turns.
+What cannot be written waits, and is tried again.
 """
 
+import logging
 import threading
 import time
 from collections import OrderedDict
@@ -12,14 +14,16 @@ from contextlib import suppress
 from atlas.errors import InputError, RunError
 from atlas.explore.sheets import SheetKey, Sheets, depth
 from atlas.explore.subject import Plane, Subject
+from atlas.explore.threads import steady, why
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
 from atlas.service.lease import claimed
 from atlas.store.archive import ZipPlace
 from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import Header, done_tiles
+from atlas.store.store import ROOT, Header, done_tiles
 from atlas.store.tiles import write_tile
 from atlas.store.zoom import drop_sheet, note_seen, seen_sheets, sheet_bytes, sheets
+from atlas.text import plural
 
 MOST_BYTES = 250_000_000
 """Bytes that the zoom levels of a store may take on its disk. A file takes a whole block, a tile about twenty files: so
@@ -29,13 +33,15 @@ TOGETHER = 64
 """Tiles written in one turn, so that others get theirs."""
 PAUSE = 1.0
 """Seconds between two turns."""
-MOST_WAITING = 1024
-"""Tiles that wait for their turn; of more the oldest are not kept, where others may not wait for ``room``."""
+LONGEST_PAUSE = 60.0
+"""Seconds between two turns at most: the pause doubles while nothing can be written."""
+MOST_WAITING = 512
+"""Tiles that wait for their turn. While nothing can be written, the oldest of more than these are not kept."""
 RECENT = 60.0
 
 
 class Keeper:
-    """The kept tiles of a subject. ``trouble`` says why tiles are not kept at this moment, "" while they are.
+    """The kept tiles of a subject.
 
     What was looked at in the last ``recent`` seconds is not dropped, however much it is.
     """
@@ -45,17 +51,15 @@ class Keeper:
     ) -> None:
         self._most, self._recent = most_bytes, recent
         self._lock, self._stopped = threading.RLock(), threading.Event()
-        self._room = threading.Condition(self._lock)
         self._waiting: OrderedDict[tuple[Plane, TileKey], Arrays] = OrderedDict()
         self._seen: dict[tuple[str, str], float] = {}
         self._sizes: dict[tuple[str, str], int] = {}
         self.header = subject.header if wanted else None
-        self.trouble = "" if self.header is not None else "nothing is kept"
+        self._trouble, self._lost, self._lately = "" if self.header is not None else "nothing is kept", 0, ""
         if self.header is not None and isinstance(self.header.place, ZipPlace):
-            self.header, self.trouble = None, "nothing is kept: a packed atlas is read only"
+            self.header, self._trouble = None, "nothing is kept: a packed atlas is read only"
         self.sheets = None if self.header is None else Sheets(subject, self.header)
-        self._thread = threading.Thread(target=self._write_on, name="atlas-keeper", daemon=True)
-        self._thread.start()
+        self._thread = steady("atlas-keeper", self._serve, lambda error: self._say(f"kept later: {error}"))
 
     @property
     def waiting(self) -> int:
@@ -63,14 +67,23 @@ class Keeper:
         with self._lock:
             return len(self._waiting)
 
-    def room(self) -> None:
-        """Wait while as many tiles wait as may, so that cells are solved no faster than they can be written.
+    @property
+    def trouble(self) -> str:
+        """Why tiles are not kept at this moment, and how many could not be kept at all; empty if nothing is wrong."""
+        with self._lock:
+            lost = f"{plural(self._lost, 'solved tile')} could not be kept: {self._lately}" if self._lost else ""
+            return "; ".join(filter(None, (self._trouble, lost)))
 
-        Not while nothing can be written, as during a run: then the oldest are not kept.
-        """
-        with self._room:
-            while len(self._waiting) >= MOST_WAITING and not self.trouble and self._thread.is_alive():
-                self._room.wait(PAUSE)
+    @property
+    def full(self) -> bool:
+        """Whether as many tiles wait as may. Never while nothing can be written, as during a run."""
+        with self._lock:
+            return len(self._waiting) >= MOST_WAITING and not self._trouble
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended."""
+        return not self._thread.is_alive()
 
     def offer(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         """Keep a tile, soon."""
@@ -78,8 +91,9 @@ class Keeper:
             if self.header is None:
                 return
             self._waiting[plane, key] = arrays
-            while len(self._waiting) > MOST_WAITING:
+            while len(self._waiting) > MOST_WAITING and self._trouble:
                 self._waiting.popitem(last=False)
+                self._lose(f"more than {MOST_WAITING} were waiting")
 
     def has(self, plane: Plane, key: TileKey) -> bool:
         """Whether a tile is kept, or waits to be."""
@@ -124,41 +138,60 @@ class Keeper:
         with self._lock:
             self._seen[self.sheets.digest(plane), of.name] = time.time()
 
-    def _write_on(self) -> None:
-        noted = time.monotonic()
+    def _say(self, trouble: str) -> None:
+        with self._lock:
+            self._trouble = trouble
+
+    def _lose(self, reason: str) -> None:
+        """Count a tile that is not kept."""
+        with self._lock:
+            self._lost, self._lately = self._lost + 1, reason
+
+    def _serve(self) -> None:
+        noted, pause = time.monotonic(), PAUSE
         while True:
-            ending = self._stopped.wait(PAUSE)
+            ending = self._stopped.wait(pause)
             with self._lock:
                 batch = [(key, self._waiting[key]) for key in list(self._waiting)[:TOGETHER]]
             if self.header is not None and (batch or (self._seen and time.monotonic() - noted > RECENT)):
                 noted = time.monotonic()
                 self._turn(self.header, batch)
+                pause = min(2.0 * pause, LONGEST_PAUSE) if self._trouble else PAUSE
             with self._lock:
-                if ending and (not self._waiting or self.trouble):
+                if ending and (not self._waiting or self._trouble):
+                    if self._waiting:
+                        left = plural(len(self._waiting), "solved tile")
+                        logging.getLogger(__name__).warning("%s not kept: %s", left, self._trouble)
                     return
 
     def _turn(self, header: Header, batch: list[tuple[tuple[Plane, TileKey], Arrays]]) -> None:
-        """Write some tiles under the store's claim."""
+        """Write some tiles under the store's claim; those that cannot be written now wait for another turn."""
         notes = notes_of(header.place)
         try:
+            if not header.place.exists(ROOT):  # to claim it would make a folder of its name
+                raise RunError(f"{header.place} is gone")
             with claimed(notes, str(header.place)):
-                for (plane, key), arrays in batch:
-                    self._write(plane, key, arrays)
-                    with self._room:
-                        self._waiting.pop((plane, key), None)
-                        self._room.notify_all()
+                for at, arrays in batch:
+                    self._keep(*at, arrays)
+                    with self._lock:
+                        self._waiting.pop(at, None)
                 self._trim(header)
-                self.trouble = ""
+            self._say("")
         except (InputError, RunError, OSError) as error:
             busy = False
             with suppress(OSError):
                 busy = notes.read(CLAIM) is not None
-            with self._room:
-                self.trouble = "kept later: a run is at work on the store"
-                if not busy:
-                    self.trouble, self.header = f"nothing is kept: {error}", None
-                    self._waiting.clear()
-                self._room.notify_all()
+            self._say(f"kept later: {'a run is at work on the store' if busy else error}")
+
+    def _keep(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+        """Write a tile; one that cannot be kept for a reason of its own does not hold up the others."""
+        try:
+            self._write(plane, key, arrays)
+        except (InputError, RunError, OSError):
+            raise
+        except Exception as error:
+            logging.getLogger(__name__).exception("a tile could not be kept")
+            self._lose(why(error))
 
     def _write(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None

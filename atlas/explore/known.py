@@ -16,7 +16,7 @@ from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
 from atlas.explore.sheets import LOOK
 from atlas.explore.subject import Plane, Subject
-from atlas.explore.tiles import Arrays, Tiles
+from atlas.explore.tiles import Arrays, Memory, Tiles
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
 from atlas.store.store import done_tiles
@@ -52,8 +52,8 @@ class Cell:
 class Known:
     """Finds what is known. ``tiles`` are those in memory; ``keeper`` has those of the store."""
 
-    def __init__(self, subject: Subject, keeper: Keeper) -> None:
-        self.subject, self.tiles, self.keeper = subject, Tiles(), keeper
+    def __init__(self, subject: Subject, keeper: Keeper, memory: Memory | None = None) -> None:
+        self.subject, self.tiles, self.keeper = subject, Tiles(memory), keeper
         self._invalid = subject.without_results(subject.variables, (TILE, TILE))
         self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
         self._admits = lru_cache(MOST_ROWS)(
@@ -79,10 +79,31 @@ class Known:
         known = self.tiles.has(plane, key, {REGIME.name}) or self.outside(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
-    def missing(self, plane: Plane, sight: Sight) -> int:
-        """How many cells in view are not known at the full density of the view."""
-        places = [sight.place(key) for key in sight.tiles(0) if not self.has(plane, key)]
-        return sum((rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in places)
+    def shares(self, plane: Plane, sight: Sight) -> tuple[float, ...]:
+        """Of each stage, the coarsest first, the share of the view that is known as densely or more so."""
+        known, found = np.zeros(sight.shape, dtype=bool), []
+        for stage in range(STAGES + 1):
+            for key in sight.tiles(stage):
+                place = sight.place(key)
+                if not known[place].all() and self.has(plane, key):
+                    known[place] = True
+            if stage >= max(sight.x.level, sight.y.level):
+                known |= self._in_atlas(plane, sight)
+            found.append(float(known.mean()))
+        return tuple(found[::-1])
+
+    def _in_atlas(self, plane: Plane, sight: Sight) -> NDArray[np.bool_]:
+        """Which cells in view lie in a cell of the atlas itself that is solved."""
+        done = self.atlas_done() if plane == self.subject.plane else None
+        if done is None:
+            return np.zeros(sight.shape, dtype=bool)
+        places, inside = [], []
+        for seen, count in zip((sight.y, sight.x), done.shape, strict=True):
+            level = seen.level
+            place = seen.index << -level if level < 0 else Stretch(0, 0, count).holding(level, seen.index)
+            inside.append((place >= 0) & (place < count))
+            places.append(np.clip(place, 0, count - 1))
+        return np.asarray(done[np.ix_(*places)] & np.outer(*inside))
 
     def outside(self, key: TileKey) -> bool:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""

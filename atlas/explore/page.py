@@ -1,4 +1,4 @@
-"""The page: one plane or two, the controls, the cell under the pointer, and a line on the work.
+"""The page: the plane, the controls, the cell under the pointer, and a line on the work.
 
 The ranges of the axes belong to the browser. This side learns of them and sends images; setting them from here would
 race with the user.
@@ -17,13 +17,11 @@ from bokeh.document import Document
 from bokeh.events import MouseMove, RangesUpdate, SelectionGeometry, Tap
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
-from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.access import make_accessible
 from atlas.explore.actions import new_atlas, picture_file
 from atlas.explore.background import Background
-from atlas.explore.beside import BesidePanel
 from atlas.explore.chosen import Range, carried, from_address, to_address, turned_to
 from atlas.explore.controls import Controls
 from atlas.explore.cutpanel import CutPanel
@@ -31,11 +29,9 @@ from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.keys import hear_keys
 from atlas.explore.painter import Painted
-from atlas.explore.pane import LINE_HEIGHT
-from atlas.explore.pins import Pins
-from atlas.explore.planes import Planes
+from atlas.explore.pane import LINE_HEIGHT, Pane
 from atlas.explore.state import State, Store
-from atlas.explore.style import COMPARING, CUTTING, FOLD, LAST, LINE, MIDDLE, PAGE, PANEL, TEXT, WHOLE
+from atlas.explore.style import CUTTING, FOLD, LINE, MIDDLE, PAGE, PANEL, TEXT, WHOLE
 from atlas.explore.words import progress
 
 LEFT, RIGHT = 232, 350
@@ -92,20 +88,16 @@ class Page:
         self._folder, self._home, chosen = folder, home, store.now.chosen
         self._background = Background(document, self._refused)
         self._controls = Controls(self._subject, store, self._go)
-        self._beside = BesidePanel(home, self._subject, store)
         inputs = self._controls.vmin, self._controls.vmax
-        self._planes = Planes(home, explorer, self._background, store, inputs, self._heard, self._hear)
-        self._first = self._planes.first
-        plot, painter = self._first.plot, self._first.painter
-        self._details = Details(explorer, self._background, store, lambda: painter.sight, self._first.mark, plot)
+        self._pane = Pane(explorer, self._background, chosen, inputs, self._heard)
+        plot, painter = self._pane.plot, self._pane.painter
+        self._details = Details(explorer, self._background, store, lambda: painter.sight, self._pane.mark, plot)
         self._cut = CutPanel(explorer, self._background, store, plot)
-        self._pins = Pins(self._subject, store, plot)
         self._make_panels()
         logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
         self._keys = hear_keys(document, plot, logs, self._show_window, store.escape, self._details.choose)
         self._wire()
         self._cut.show(store.now)
-        self._pins.show(chosen)
         document.title = f"{self._subject.name}: explorer"
         make_accessible(document)
         document.add_root(self._layout())
@@ -117,11 +109,11 @@ class Page:
         self._background.close()
         self._details.close()
         self._cut.close()
-        self._planes.close()
+        self._pane.painter.close()
 
     def wait(self) -> None:
         """Wait until nothing of a page that is closed is at work any more."""
-        self._planes.wait()
+        self._pane.painter.wait()
         self._background.wait()
 
     def _make_panels(self) -> None:
@@ -134,8 +126,13 @@ class Page:
     def _wire(self) -> None:
         """Connect events with what they lead to."""
         controls, store = self._controls, self._store
+        plot = self._pane.plot
         for k, attribute in enumerate(("inner_width", "inner_height")):
-            self._first.plot.on_change(attribute, partial(self._resized, k))
+            plot.on_change(attribute, partial(self._resized, k))
+        plot.on_event(RangesUpdate, self._moved)
+        plot.on_event(MouseMove, lambda event: self._details.point(event))
+        plot.on_event(Tap, lambda event: self._details.click(event))
+        plot.on_event(SelectionGeometry, self._boxed)
         controls.rescale.on_click(self._rescale)
         controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane, on))
         for suffix, button in controls.files.items():
@@ -149,52 +146,33 @@ class Page:
         """
         self._download.js_on_change("data", CustomJS(code=script))
 
-    def _hear(self, plot: figure) -> None:
-        """Hear the pointer over a plane."""
-        plot.on_event(RangesUpdate, self._moved)
-        plot.on_event(MouseMove, lambda event: self._details.point(event))
-        plot.on_event(Tap, lambda event: self._details.click(event))
-        plot.on_event(SelectionGeometry, self._boxed)
-
     def _layout(self) -> Any:
         panel: dict[str, Any] = {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"}
-        left = column(
-            *self._controls.columns(self._cut.buttons, self._beside.panel), width=LEFT, css_classes=[FOLDED], **panel
-        )
-        left.stylesheets = [*left.stylesheets, InlineStyleSheet(css=LAST)]
+        left = column(*self._controls.columns(self._cut.buttons), width=LEFT, css_classes=[FOLDED], **panel)
         fold = Toggle(label="controls", sizing_mode="stretch_width", stylesheets=[FOLD])
         unfolding = CustomJS(args={"left": left}, code=f"left.css_classes = cb_obj.active ? [] : ['{FOLDED}']")
         fold.js_on_change("active", unfolding)
-        parts = self._planes.panel, self._cut.panel, self._line
+        parts = self._pane.panel, self._cut.panel, self._line
         middle = column(*parts, sizing_mode="stretch_both", stylesheets=[MIDDLE])
         widen = f"middle.css_classes = cb_obj.visible ? ['{CUTTING}'] : []"
         self._cut.panel.js_on_change("visible", CustomJS(args={"middle": middle}, code=widen))
         middle.css_classes = [CUTTING] if self._cut.panel.visible else []
-        right = column(
-            self._made, self._pins.panel, *self._details.panels, self._address, self._opened, width=RIGHT, **panel
-        )
+        right = column(self._made, *self._details.panels, self._address, self._opened, width=RIGHT, **panel)
         # A source without a view is sent along, and heard, as the tag of a model that has one.
         self._address.tags = [self._download, self._keys]
-        whole = row(left, middle, right, fold, sizing_mode="stretch_both")
+        whole = row(fold, left, middle, right, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
-        widen = f"""
-            whole.css_classes = cb_obj.children.length > 1 ? ["{COMPARING}"] : []
-            document.documentElement.classList.toggle("{COMPARING}", cb_obj.children.length > 1)
-        """
-        self._planes.panel.js_on_change("children", CustomJS(args={"whole": whole}, code=widen))
         return whole
 
     def _changed(self, old: State, new: State) -> None:
         """Show what the state says now."""
         chosen = new.chosen
         self._controls.show(new, self._explorer.keeps(chosen.plane))
-        self._beside.show(chosen)
         self._details.show(chosen)
         self._cut.show(new)
-        self._pins.show(chosen)
         if min(new.size) >= LEAST:
             self._address.text = to_address(self._home.subject, self._subject, chosen)
-            self._planes.show(new)
+            self._pane.show(chosen, new.size, new.rests)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
         """Open the page of other axes or of another layer, with what is in the middle of the view, or clicked, kept."""
@@ -225,18 +203,17 @@ class Page:
         chosen = self._store.now.chosen
 
         def work() -> Callable[[], None]:
-            low, high = self._first.painter.fitted(chosen) or (None, None)
+            low, high = self._pane.painter.fitted(chosen) or (None, None)
             return lambda: self._store.choose(vmin=low, vmax=high)
 
         self._background.run(work)
 
     def _heard(self, found: Painted | str) -> None:
-        """Take note of a picture of the first plane, or of why there is none."""
+        """Take note of a picture of the plane, or of why there is none."""
         if isinstance(found, str):
-            self._store.set(lacking=found, cells=(0, 0))
+            self._store.set(lacking=found, shares=())
             return
-        cells = found.cells, found.left
-        self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, cells=cells)
+        self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, shares=found.shares)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
     def _refused(self, why: str) -> None:
@@ -247,8 +224,8 @@ class Page:
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
-        left = self._planes.left
-        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble], now.cells)
+        left = explorer.patches.left(self._pane.painter)
+        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble], now.shares)
         if trouble:
             text = f'<span class="trouble" role="alert">{html.escape(trouble)}</span> &middot; {text}'
         self._line.text = f"<span>{text}</span>"
@@ -256,7 +233,8 @@ class Page:
     def _notes(self) -> list[str]:
         subject, chosen = self._subject, self._store.now.chosen
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
-        if self._explorer.keeper.header is not None and chosen.plane == subject.plane:
+        keeper = self._explorer.keeper
+        if keeper.header is not None and not keeper.trouble and chosen.plane == subject.plane:
             notes.append(f"kept in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
             first, last = lattice.ends
@@ -265,7 +243,7 @@ class Page:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            kept = self._explorer.keeper.header is not None and self._explorer.keeps(chosen.plane)
+            kept = keeper.header is not None and self._explorer.keeps(chosen.plane)
             notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
@@ -276,7 +254,7 @@ class Page:
             self._store.set(box=((box["x0"], box["x1"]), (box["y0"], box["y1"])))
 
     def _save(self, suffix: str) -> None:
-        sight = self._first.painter.sight
+        sight = self._pane.painter.sight
         if sight is None:
             return
         chosen, ends = self._store.now.chosen, self._store.now.ends

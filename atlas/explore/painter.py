@@ -3,7 +3,6 @@
 Each step is planned for a time; what is chosen meanwhile replaces the steps that are not taken yet.
 """
 
-import logging
 import math
 import threading
 import time
@@ -18,7 +17,9 @@ from atlas.explore.chosen import CHART, Chosen, Ends, Range, beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.style import KEY_WIDTH
 from atlas.explore.subject import Plane
+from atlas.explore.threads import steady
 from atlas.explore.view import STAGES, Sight, TileKey
+from atlas.platform import give_back_memory
 from atlas.render import has_scale
 from atlas.render.kinds import OverlayError
 from atlas.render.screen import Screen, screen
@@ -31,6 +32,8 @@ REST = 0.15
 """Seconds without a change after which a view is looked up."""
 STAY = 0.7
 """Seconds without a change after which a plane that a slider moves to is solved in full."""
+GIVE_BACK = 10.0
+"""Seconds, at least, between two times that memory freed by drawing is returned to the system."""
 PAUSE = 0.35
 """Seconds between two pictures, at least."""
 SHARE = 0.6
@@ -47,7 +50,7 @@ FIRST, ALL = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
 @dataclass(frozen=True)
 class Painted:
     """A picture: its pixels, the window that it fills, the ends of its scale, and a note on it, such as why lines that
-    were asked for are missing; how many cells are in view, and how many of them are still to be solved.
+    were asked for are missing; of each stage, the coarsest first, the share of the view that is known as densely.
     """
 
     screen: Screen
@@ -55,8 +58,7 @@ class Painted:
     y: Range
     ends: Ends
     note: str
-    cells: int
-    left: int
+    shares: tuple[float, ...]
 
 
 def warm(explorer: Explorer) -> None:
@@ -79,9 +81,8 @@ class Painter:
         self._scales: dict[tuple[object, ...], Range] = {}
         self.looked = 0
         self.sight: Sight | None = None
-        self._thread = threading.Thread(target=self._run, name="atlas-painter", daemon=True)
         explorer.listen(self, self._told)
-        self._thread.start()
+        self._thread = steady("atlas-painter", self._serve, self._mistaken)
 
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool = True) -> None:
         """Show this on so many pixels. While a slider moves, nothing ``rests``: at first the first stage is solved."""
@@ -126,18 +127,32 @@ class Painter:
         """Whether a tile is seen in a picture."""
         return plane == chosen.plane and self.sight is not None and self.sight.shows(key)
 
-    def _run(self) -> None:
+    def _mistaken(self, error: str) -> None:
+        """Say what went wrong with a picture, and plan it anew if it was not begun."""
+        self._refuse(f"this picture could not be made: {error}")
+        with self._changed:
+            if self._asked is not None and self._asked != self._looked:
+                self._plan.setdefault(ALL, time.monotonic() + REST)
+
+    def _serve(self) -> None:
+        given_back, used = time.monotonic(), False
         while True:
             with self._changed:
                 if self._closed:
                     break
                 step = min(self._plan, key=self._plan.__getitem__, default=None)
                 wait = self._plan[step] - time.monotonic() if self._plan else None
+                if wait is None and used:
+                    wait = given_back + GIVE_BACK - time.monotonic()
                 if wait is None or wait > 0.0:
                     self._changed.wait(wait)
                     continue
+                if not self._plan:
+                    give_back_memory()
+                    given_back, used = time.monotonic(), False
+                    continue
                 del self._plan[step]
-                self._at_work = True
+                self._at_work = used = True
             try:
                 if step is not None:
                     self._find(step)
@@ -147,9 +162,6 @@ class Painter:
                 self._refuse(str(error))
             except OSError as error:
                 self._refuse(f"the store cannot be read: {error.strerror or error}")
-            except Exception as error:  # a mistake of ours must not leave the page without a word for good
-                logging.getLogger(__name__).exception("a picture could not be made")
-                self._refuse(f"this picture could not be made: {type(error).__name__}: {error}")
             finally:
                 self._at_work = False
         self._explorer.listen(self, None)
@@ -184,8 +196,8 @@ class Painter:
             self._scales.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if asked == self._asked:
-            left = self._explorer.known.missing(chosen.plane, sight)
-            self._deliver(Painted(made, x, y, made.ends or ends, note, ds[REGIME.name].size, left))
+            shares = self._explorer.known.shares(chosen.plane, sight)
+            self._deliver(Painted(made, x, y, made.ends or ends, note, shares))
         with self._changed:
             self._rested = begin + max(PAUSE, seconds / SHARE)
             if None in self._plan:

@@ -16,6 +16,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 
 from atlas.errors import InputError, RunError
+from atlas.explore.threads import steady, why
 from atlas.service.cluster import LOST, loss_reported, worker_threads
 from atlas.service.timing import TIMING, Timing
 
@@ -51,6 +52,10 @@ class State:
 
 class Job(Protocol):
     """Something that a worker does for those who want it; its methods are called from a thread of this service."""
+
+    def ready(self) -> bool:
+        """Whether it may be sent now; others go first while it may not."""
+        return True
 
     def make(self) -> tuple[Task, Any] | None:
         """What is sent, and what ``solved`` gets beside its result; None if the result is known meanwhile."""
@@ -101,8 +106,7 @@ class Patches:
         self._tries: dict[Job, int] = {}
         self._solved: deque[tuple[float, int]] = deque()
         self._state = State()
-        self._thread = threading.Thread(target=self._serve, name="atlas-patches", daemon=True)
-        self._thread.start()
+        self._thread = steady("atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again"))
 
     def want(self, who: Hashable, jobs: Iterable[Job]) -> None:
         """From now on these jobs are wanted, in this order; an empty list cancels all."""
@@ -203,7 +207,7 @@ class Patches:
                 who = self._turn[0]
                 self._turn.rotate(-1)
                 for job in self._wanted.get(who, ()):
-                    if job not in under_way:
+                    if job not in under_way and job.ready():
                         return job
         return None
 
@@ -241,9 +245,8 @@ class Patches:
         self._forget(future)
         self._tries[job] = self._tries.get(job, 0) + 1
         if self._tries[job] >= ATTEMPTS or isinstance(error, InputError):  # bad input stays bad
-            self._tries.pop(job)
             self._done_with(job)
-            job.failed(_why(error))
+            self._give_up(job, error)
 
     def _forget(self, future: "Future[Any]") -> None:
         """Count a job as no longer sent."""
@@ -258,17 +261,20 @@ class Patches:
             raise
         except Exception as error:
             logging.getLogger(__name__).exception("a job could not be done")
-            job.failed(_why(error))
+            self._give_up(job, error)
             return None
+
+    def _give_up(self, job: Job, error: BaseException | None) -> None:
+        """Have a job told that it is given up; a mistake in that is its own."""
+        try:
+            job.failed(str(error) if isinstance(error, InputError) else why(error))
+        except Exception:
+            logging.getLogger(__name__).exception("a job could not be told that it is given up")
 
     def _done_with(self, job: Job) -> None:
         """Nobody has to wait for a job any more."""
+        self._tries.pop(job, None)
         with self._lock:
             for jobs in self._wanted.values():
                 with suppress(ValueError):
                     jobs.remove(job)
-
-
-def _why(error: object) -> str:
-    """What an error says, on one line; of a mistake its type too."""
-    return " ".join((str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}").split())

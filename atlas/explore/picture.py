@@ -10,6 +10,8 @@ from atlas.explore.painter import Painted
 
 EMPTY: dict[str, Any] = {name: [] for name in ("coded", "x", "y", "dw", "dh", "form", "colors", "least", "most")}
 COLOR = """
+const dark = window.atlasDark ??= matchMedia("(prefers-color-scheme: dark)")
+dark.onchange = () => sent.properties.data.change.emit()
 const {coded: [coded], form: [form], colors: [colors], least: [least], most: [most], x, y, dw, dh} = sent.data
 if (!coded) {
     image.setv({data: {image: [], x, y, dw, dh}}, {sync: false})
@@ -32,9 +34,13 @@ if (form) {
         out[k] = colors[Math.min(colors.length - 1, Math.max(0, place))]
     }
 }
+if (dark.matches) for (let k = 0; k < out.length; k++) out[k] ^= 0xffffff
 image.setv({data: {image: [out], x, y, dw, dh}}, {sync: false})
 """.replace("MOST", "0xffffff")
-"""See ``atlas.render.numbered``; the server sends a new picture for ends that a form does not take."""
+"""See ``atlas.render.numbered``; the server sends a new picture for ends that a form does not take.
+
+In dark mode the page is inverted: colours that are inverted before it stay what they are.
+"""
 
 
 class Picture:

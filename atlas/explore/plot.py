@@ -23,15 +23,12 @@ return text.replace("-", "\\u2212")
 KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
-def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource, like: figure | None) -> tuple[figure, Any]:
-    """The plot of a plane with a mark, x and y, on one cell, and the source of its image.
-
-    Planes side by side have one view: the ranges of the plot ``like`` it.
-    """
+def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource) -> tuple[figure, Any]:
+    """The plot of a plane with a mark, x and y, on one cell, and the source of its image."""
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
-        x_range=Range1d(*chosen.x) if like is None else like.x_range,
-        y_range=Range1d(*chosen.y) if like is None else like.y_range,
+        x_range=Range1d(*chosen.x),
+        y_range=Range1d(*chosen.y),
         x_axis_type=kind_x,
         y_axis_type=kind_y,
         tools="pan,box_zoom,undo,redo,reset",

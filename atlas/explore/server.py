@@ -15,10 +15,12 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from atlas.errors import InputError
+from atlas.explore.threads import why
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -46,11 +48,14 @@ class PageServer:
         self._ready, self._error = threading.Event(), ""
         self._stop: Callable[[], None] = lambda: None
         self.port = 0
-        self._thread = threading.Thread(target=self._serve, name="atlas-page", daemon=True)
+        self._mistake = ""
+        self._thread = threading.Thread(target=self._run, name="atlas-page", daemon=True)
         self._thread.start()
         self._ready.wait()
         if self._error:
             raise InputError(self._error)
+        if self._mistake:
+            raise RuntimeError(f"the server of the page did not begin: {self._mistake}")
 
     @property
     def url(self) -> str:
@@ -63,6 +68,15 @@ class PageServer:
         if self._thread.is_alive():
             self._stop()
             self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except BaseException as error:  # the one thread that no other can begin anew: its port is lost with it
+            logging.getLogger(__name__).exception("the server of the page has ended")
+            self._mistake = why(error)
+        finally:
+            self._ready.set()
 
     def _serve(self) -> None:
         from bokeh.server.server import BaseServer
@@ -81,17 +95,20 @@ class PageServer:
             self._ready.set()
             return
         self.port = int(sockets[0].getsockname()[1])
-        pages = _guarded_pages(self._make, own_hosts(self.port), self.token)
-        http = HTTPServer(pages)
-        http.add_sockets(sockets)
-        server = BaseServer(loop, pages, http)
-        server.start()
-        self._stop = lambda: loop.add_callback(loop.stop)
-        loop.add_callback(self._ready.set)
-        loop.start()
-        server.stop(wait=False)
-        http.stop()
-        loop.close(all_fds=False)
+        with ExitStack() as ending:
+            ending.callback(loop.close, all_fds=False)
+            for each in sockets:
+                ending.callback(each.close)
+            pages = _guarded_pages(self._make, own_hosts(self.port), self.token)
+            http = HTTPServer(pages)
+            http.add_sockets(sockets)
+            ending.callback(http.stop)
+            server = BaseServer(loop, pages, http)
+            server.start()
+            ending.callback(server.stop, wait=False)
+            self._stop = lambda: loop.add_callback(loop.stop)
+            loop.add_callback(self._ready.set)
+            loop.start()
 
 
 def own_hosts(port: int) -> list[str]:

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 from atlas.errors import InputError
-from atlas.explore.chosen import ATLAS
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import MOST_BYTES
 from atlas.explore.server import HOST, PageServer
-from atlas.explore.subject import TOLERANCE, Subject, check_axes, subject_of
+from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
 from atlas.query.window import Window, axis_names, axis_values
 from atlas.service.cluster import connected, local_cluster
@@ -78,7 +77,6 @@ def explore(
     given: "str | Subject",
     chosen: Mapping[str, float] | None = None,
     *,
-    other: "str | Subject | None" = None,
     client: "Client | None" = None,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -95,10 +93,10 @@ def explore(
     """Pages on a store or a spec, at ``Exploration.url``.
 
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, or on worker processes of this
-    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. Pages begin with the plane of
-    ``other``, a store or a spec of the same axes, beside the first. With ``keep``, what is solved lies
-    in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into ``folder``, by default the
-    working directory. Pages on another ``host`` than this machine's loopback go to addresses with their token alone.
+    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. With ``keep``,
+    what is solved lies in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into
+    ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go to addresses
+    with their token alone.
     ``prepare`` is called once the input has been checked, before anything starts.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
@@ -106,18 +104,17 @@ def explore(
         import bokeh  # noqa: F401
     except ImportError:
         raise InputError("explore needs Bokeh: pip install bokeh") from None
+    if workers is not None and workers < 1:
+        raise InputError(f"workers: found {workers!r}, must be 1 or more")
     if not tolerance > 0:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
-    beside = subject_of(other, None, tolerance) if isinstance(other, str) else other
-    if beside is not None:
-        check_axes(subject, beside)
     if prepare is not None:
         prepare()
     connect = _connection(client, scheduler, workers or processors(), timing)
-    explorer = Explorer(subject, connect, keep, most_bytes, timing, beside)
+    explorer = Explorer(subject, connect, keep, most_bytes, timing)
     shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
-    query = urlencode([*shown, *([("second.of", ATLAS)] if beside else [])], safe=":")
+    query = urlencode(shown, safe=":")
     try:
         return Exploration(explorer, folder or Path.cwd(), port, query, host)
     except BaseException:
@@ -125,18 +122,15 @@ def explore(
         raise
 
 
-def explore_dataset(
-    ds: "xr.Dataset", other: "xr.Dataset | None" = None, tolerance: float = TOLERANCE, **options: Any
-) -> Exploration:
-    """Pages on the store that a dataset shows, at its plane and its window, and on that of another one beside it.
+def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: Any) -> Exploration:
+    """Pages on the store that a dataset shows, at its plane and its window.
 
     Options as of ``explore``. InputError for a dataset that is not as ``atlas.open`` gave it, a plane of a stack or a
     part of a plane apart.
     """
     ends = {name: axis_values(ds, name) for name in axis_names(ds)[:2]}
     window = {name: (float(values.min()), float(values.max())) for name, values in ends.items() if values.size > 1}
-    beside = None if other is None else subject_of(*_place(other), tolerance)
-    return explore(*_place(ds), other=beside, window=window, tolerance=tolerance, **options)
+    return explore(*_place(ds), window=window, tolerance=tolerance, **options)
 
 
 def _place(ds: "xr.Dataset") -> tuple[str, dict[str, float]]:

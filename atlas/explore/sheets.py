@@ -18,9 +18,10 @@ from atlas.errors import InputError
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, Stretch, TileKey
+from atlas.store.location import Place
 from atlas.store.making import remove_half_made
 from atlas.store.store import Header, create, done_tiles, open_arrays, read_header
-from atlas.store.zoom import make_plane, sheet_place
+from atlas.store.zoom import drop_sheet, make_plane, sheet_place
 
 SHEET = 16
 """Tiles of a sheet along each axis."""
@@ -102,9 +103,8 @@ class Sheets:
                 return None
             span = self.span(key)
             if span is not None:
-                with suppress(InputError, OSError):
-                    header = read_header(sheet_place(self._header, self.digest(plane), key.name))
-                    return self._opened(at, header, span)
+                with suppress(Exception):  # as of ``read``: a sheet that is damaged is made anew
+                    return self._opened(at, self._place(plane, key), span)
             self._absent[at] = now
             self._absent.move_to_end(at)
             while len(self._absent) > MOST_ABSENT:
@@ -112,7 +112,18 @@ class Sheets:
             return None
 
     def made(self, plane: Plane, key: SheetKey, span: Span) -> Sheet:
-        """A sheet that there was not, made and open. For the claim's holder only."""
+        """A sheet that ``find`` found none of, open. For the claim's holder only; OSError where the disk refuses.
+
+        Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew.
+        """
+        at, place = (plane, key), self._place(plane, key)
+        try:
+            with self._lock:
+                return self._opened(at, place, span)
+        except Exception as error:
+            if _refused(error):
+                raise
+        drop_sheet(self._header, self.digest(plane), key.name)
         subject, digest, (rows, columns) = self._subject, self.digest(plane), span
         x = Stretch(key.level_x, columns.start * TILE, len(columns) * TILE)
         y = Stretch(key.level_y, rows.start * TILE, len(rows) * TILE)
@@ -123,12 +134,11 @@ class Sheets:
             "digest": subject.digest(plane),
         }
         make_plane(self._header, digest, described)
-        place = sheet_place(self._header, digest, key.name)
         if place.local is not None:
             remove_half_made(place.local)
-        header = create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
+        create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
         with self._lock:
-            return self._opened((plane, key), header, span)
+            return self._opened(at, place, span)
 
     def close(self, digest: str, name: str) -> None:
         """Forget a sheet that is dropped, by the name of its plane and its own."""
@@ -183,14 +193,23 @@ class Sheets:
         span = self.span(SheetKey.of(key))
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
-    def _opened(self, at: tuple[Plane, SheetKey], header: Header, span: Span) -> Sheet:
-        """Keep a sheet open; those not used for longest are closed."""
-        first = span[0].start, span[1].start
+    def _place(self, plane: Plane, key: SheetKey) -> Place:
+        return sheet_place(self._header, self.digest(plane), key.name)
+
+    def _opened(self, at: tuple[Plane, SheetKey], place: Place, span: Span) -> Sheet:
+        """Open a sheet, and keep it open; those not used for longest are closed."""
+        header, first = read_header(place), (span[0].start, span[1].start)
         self._open[at] = sheet = Sheet(header, first, open_arrays(header), done_tiles(header), looked=time.monotonic())
         self._absent.pop(at, None)
         while len(self._open) > MOST_OPEN:
             self._open.popitem(last=False)
         return sheet
+
+
+def _refused(error: BaseException) -> bool:
+    """Whether a disk or a server refused to read something that may be there, which says nothing of what it is."""
+    found = error.__cause__ if isinstance(error, InputError) else error
+    return isinstance(found, OSError) and not isinstance(found, FileNotFoundError)
 
 
 def depth(name: str) -> int:

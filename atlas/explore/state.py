@@ -18,7 +18,7 @@ class State:
     ends      those of the scale of the picture in view
     lacking   what the picture in view lacks, and why
     lines     the kinds of curves that it shows
-    cells     how many cells are in view, and how many of them are still to be solved
+    shares    of each stage, the coarsest first, the share of the view that is drawn as densely; empty without a picture
     trouble   what else cannot be done, and why
     """
 
@@ -29,7 +29,7 @@ class State:
     ends: Ends = (None, None)
     lacking: str = ""
     lines: tuple[str, ...] = ()
-    cells: tuple[int, int] = (0, 0)
+    shares: tuple[float, ...] = ()
     trouble: str = ""
 
 
@@ -66,8 +66,8 @@ class Store:
             self.set(chosen=chosen, rests=rests, trouble="", box=old.box if stays else None, ends=ends)
 
     def escape(self) -> None:
-        """Follow an orbit no further, or else close the cut, or else the second plane."""
-        chosen = self.now.chosen
-        open_ones = (name for name in ("follow", "cut") if getattr(chosen, name) is not None)
-        fields: dict[str, Any] = {next(open_ones, "beside"): None}
-        self.choose(**fields)
+        """Follow an orbit no further, or else close the cut."""
+        if self.now.chosen.follow is not None:
+            self.choose(follow=None)
+        else:
+            self.choose(cut=None)

@@ -1,4 +1,4 @@
-"""The looks of the page, as CSS. In dark mode all is inverted, and the map with its colours once more.
+"""The looks of the page, as CSS. In dark mode all is inverted; map and key are drawn so that their colours stay.
 
 A page of at least three columns' width has the plane between its controls and the details of cells. On a narrower one,
 as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
@@ -14,10 +14,6 @@ STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
 
 CUTTING = "cutting"
 """The class of the middle of a page that shows a cut."""
-COMPARING = "comparing"
-"""The class of a page that shows two planes."""
-WIDE = "(min-width: 1280px) and (max-width: 1919px)"
-"""The widths of a page on which two planes side by side take the whole width."""
 
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
@@ -27,7 +23,6 @@ body > div:not(.bk-Notifications) {{ height: 100%; }}
   html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
   body > div:not(.bk-Notifications) {{ height: auto; }}
 }}
-@media {WIDE} {{ html.{COMPARING} {{ overflow: hidden auto; }} html.{COMPARING} body {{ overflow: visible; }} }}
 """
 
 WHOLE = f"""
@@ -36,31 +31,16 @@ WHOLE = f"""
           grid-template-columns: minmax(0, 2fr) minmax(0, 3fr); align-items: start; }}
 }}
 @media {SINGLE} {{ :host {{ grid-template-columns: minmax(0, 1fr); }} }}
-:host(.{COMPARING}) {{ --planes: 2; --right-of-cut: 0px; }}
-@media {WIDE} {{
-  :host(.{COMPARING}) {{ display: grid !important; height: auto !important; align-items: start;
-                        grid-template-columns: minmax(0, 2fr) minmax(0, 3fr); }}
-  :host(.{COMPARING}) > div {{ width: auto !important; height: auto !important; overflow: visible !important; }}
-  :host(.{COMPARING}) > div:nth-of-type(2) {{ grid-column: 1 / -1; order: -1;
-                                             height: min(84vh, 46vw) !important; }}
-  :host(.{COMPARING}) > .{CUTTING}.{CUTTING} {{ height: calc(min(84vh, 46vw) + {CUT_HEIGHT}) !important; }}
-}}
 """
-"""Two planes lie side by side on pages of at least 1280 pixels, on narrower ones one below the other."""
 
 MIDDLE = f"""
 @media {STACKED} {{
   :host {{ grid-column: 1 / -1; order: -1; width: auto !important;
-          height: calc(var(--planes, 1) * min(84vh, 75vw)) !important;
+          height: min(84vh, 75vw) !important;
           min-height: 340px; }}
-  :host(.{CUTTING}) {{ height: calc(var(--planes, 1) * min(84vh, 75vw) + {CUT_HEIGHT}) !important; }}
+  :host(.{CUTTING}) {{ height: calc(min(84vh, 75vw) + {CUT_HEIGHT}) !important; }}
 }}
 @media {SINGLE} {{ :host, :host(.{CUTTING}) {{ height: auto !important; }} }}
-"""
-
-PLANES = f"""
-@media {STACKED} {{ :host {{ flex-direction: column !important; }} }}
-@media {SINGLE} {{ :host {{ height: auto !important; flex: none !important; }} }}
 """
 
 PANE = f"""
@@ -73,11 +53,15 @@ PLANE = f"""
 
 FOLD = f"""
 :host {{ display: none !important; }}
-@media {SINGLE} {{ :host {{ display: block !important; order: 1; }} }}
+@media {SINGLE} {{ :host {{ display: block !important; }} }}
 """
+"""The button that unfolds the controls on a phone, between the plane and the details of a cell."""
 
-LAST = f"@media {SINGLE} {{ :host {{ order: 2; }} }}"
-"""Where the controls stand on a phone: below the details of a cell, which a tap on the plane shows."""
+POINTER = f"""
+@media (hover: none) {{ :host {{ display: none !important; }} }}
+@media {SINGLE} {{ :host {{ order: 1; }} }}
+"""
+"""The cell under the pointer: below that clicked where everything is one column; no cell is under that of a finger."""
 
 BAR = """
 div[role=progressbar] { height: 3px; background: #1f5fa8; margin-left: 76px; max-width: calc(100% - 76px); }
@@ -96,21 +80,20 @@ b { font-size: 14px; } i { font-family: Georgia, "Times New Roman", serif; font-
 h4 { margin: 8px 0 2px; font-size: 12.5px; color: #5a6675; font-weight: 600; }
 table { border-collapse: collapse; width: 100%; } caption { text-align: left; color: #5a6675; padding-bottom: 2px; }
 td { padding: 0 4px 0 0; vertical-align: top; font-variant-numeric: tabular-nums; }
-td:first-child { color: #5a6675; white-space: nowrap; } td + td { word-break: break-all; }
+td:first-child { color: #5a6675; } .number { white-space: nowrap; }
 pre { white-space: pre-wrap; word-break: break-all; background: #f3f5f8; padding: 6px; margin: 4px 0; }
 pre { font-size: 11.5px; }
-table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; word-break: normal; }
+table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; }
 th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a6675; }
 img.portrait { cursor: zoom-in; } img.portrait.large { position: fixed; inset: 2vh 2vw; width: 96vw; height: 96vh;
   object-fit: contain; background: #fff; z-index: 99; cursor: zoom-out; box-shadow: 0 0 0 100vmax #0008; }
-@media (prefers-color-scheme: dark) { img { filter: invert(1); } }
+@media (prefers-color-scheme: dark) { img:not(.portrait) { filter: invert(1); } }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
     + FOCUS
 )
 
 PLOT = f"""
-@media (prefers-color-scheme: dark) {{ :host {{ filter: invert(1); }} }}
 .bk-Canvas:hover {{ --outline-width: 0px; }}
 @media {SINGLE} {{ :host {{ flex: none !important; width: 100% !important; height: 100vw !important; }} }}
 """
@@ -123,7 +106,7 @@ PANEL = f"""
 
 CUT = f"""
 :host {{ flex: none !important; height: {CUT_HEIGHT} !important; box-sizing: border-box;
-        padding-right: var(--right-of-cut, {KEY_WIDTH + RIGHT_MARGIN - TOOLBAR}px); }}
+        padding-right: {KEY_WIDTH + RIGHT_MARGIN - TOOLBAR}px; }}
 @media {SINGLE} {{ :host {{ width: 100% !important; height: auto !important; padding-right: 0; }} }}
 """
 """Its diagrams end where the plane does: beside that stand the key of the map and, here, the toolbar."""
@@ -145,9 +128,12 @@ LINE = f"""
 
 KEY = f"""
 :host {{ position: relative; overflow: hidden; }}
-img {{ position: absolute; left: 0; top: var(--above); max-width: none; }}
+img {{ position: absolute; left: 0; top: var(--above); max-width: none; max-height: calc(100% - var(--above)); }}
 @media {SINGLE} {{
-  :host {{ flex: none !important; height: auto !important; margin-left: 60px !important; }} img {{ position: static; }}
+  :host {{ flex: none !important; height: auto !important; margin-left: 60px !important; }}
+  img {{ position: static; max-height: none; }}
 }}
 """
-"""``--above`` is the height of what was cut off above, where an image beside the plane had nothing."""
+"""``--above`` is the height of what was cut off above, where an image beside the plane had nothing. One that is taller
+than the plane has become is shown smaller until there is another: no entry is cut off.
+"""

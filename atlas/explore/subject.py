@@ -99,6 +99,11 @@ class Subject:
         return STARTS if self.attractors is None else self.attractors
 
     @property
+    def searched(self) -> bool:
+        """Whether attractors of its cells can be sought from many initial states."""
+        return self.settings.method == "adaptive"
+
+    @property
     def header(self) -> Header | None:
         """The header of a store that cells of this program can be kept in."""
         return self.stored if self.stored is not None and self.stored.solver_version == SOLVER_VERSION else None
@@ -198,10 +203,7 @@ class Subject:
         return [each.name for each in every if not each.extra and each.name not in (REGIME.name, REASON.name)]
 
     def without_results(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
-        """Arrays of cells that have no results yet; InputError for a variable that there is not."""
-        unknown = [name for name in names if name not in self.variables]
-        if unknown:
-            raise InputError(f"{self.name} has no variable {unknown[0]!r} to compare")
+        """Arrays of cells that have no results yet."""
         return empty_results(tuple(self.variables[name] for name in names), shape, extra_sizes(self.spec))
 
     def values(self, plane: Plane, x: float, y: float) -> dict[str, float]:
@@ -291,13 +293,6 @@ def _subject(
     alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
     leading = None if ds is None else own(ds)
     return Subject(alone, settings, header, leading, layer, attractors, ds, third, of_layer)
-
-
-def check_axes(one: Subject, other: Subject) -> None:
-    """InputError unless two subjects have the same axes, by name and scale, so that they can share a view."""
-    first, second = (", ".join(f"{axis.name} ({axis.scale})" for axis in each.spec.axes) for each in (one, other))
-    if first != second:
-        raise InputError(f"the axes of the second atlas: found {second}; must be those of the first, {first}")
 
 
 def own_axis(parameter: Parameter, value: float) -> Axis:

@@ -1,4 +1,4 @@
-"""The tiles that are in memory: those seen last, up to so many bytes."""
+"""The tiles that are in memory: those seen last, of all that a server explores together up to so many bytes."""
 
 import threading
 from collections import OrderedDict
@@ -14,54 +14,66 @@ MOST_BYTES = 384 * 2**20
 Arrays = dict[str, NDArray[Any]]
 
 
-class Tiles:
-    """Arrays (TILE, TILE, ...) by plane, tile and name. A tile may have been read with some of its variables only."""
+class Memory:
+    """The tiles of several subjects: the least recently used go where there is no room.
+
+    At each tile lie its arrays, and whether they are nowhere else.
+    """
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self._most, self._bytes, self._lock = most_bytes, 0, threading.Lock()
-        self._tiles: OrderedDict[tuple[Plane, TileKey], Arrays] = OrderedDict()
-        self._only_here: set[tuple[Plane, TileKey]] = set()
+        self.most, self.bytes, self.lock = most_bytes, 0, threading.Lock()
+        self.tiles: OrderedDict[tuple[Tiles, Plane, TileKey], tuple[Arrays, bool]] = OrderedDict()
 
-    @property
-    def bytes(self) -> int:
-        """Bytes of all arrays."""
-        return self._bytes
+
+class Tiles:
+    """Arrays (TILE, TILE, ...) of a subject by plane, tile and name, in a memory that others may share.
+
+    A tile may have been read with some of its variables only.
+    """
+
+    def __init__(self, memory: Memory | None = None) -> None:
+        self.memory = memory or Memory()
 
     def put(self, plane: Plane, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
         """Keep arrays of a tile, beside those that it has.
 
         The tiles not seen for longest go where there is no room; those that are ``only_here`` after all others.
         """
-        with self._lock:
-            if only_here:
-                self._only_here.add((plane, key))
-            known = self._tiles.pop((plane, key), {})
-            self._bytes -= _size(known)
-            self._tiles[plane, key] = made = known | arrays
-            self._bytes += _size(made)
-            while self._bytes > self._most and len(self._tiles) > 1:
-                others = (each for each in self._tiles if each not in self._only_here and each != (plane, key))
-                at = next(others, next(iter(self._tiles)))
-                self._only_here.discard(at)
-                self._bytes -= _size(self._tiles.pop(at))
+        at, memory = (self, plane, key), self.memory
+        with memory.lock:
+            known, before = memory.tiles.pop(at, ({}, False))
+            memory.tiles[at] = made, _ = known | arrays, only_here or before
+            memory.bytes += _size(made) - _size(known)
+            while memory.bytes > memory.most and len(memory.tiles) > 1:
+                others = (each for each, (_, alone) in memory.tiles.items() if not alone and each != at)
+                memory.bytes -= _size(memory.tiles.pop(next(others, next(iter(memory.tiles))))[0])
 
     def get(self, plane: Plane, key: TileKey) -> Arrays | None:
         """The arrays of a tile, which now counts as seen; None where it is not in memory."""
-        with self._lock:
-            if (plane, key) not in self._tiles:
+        at, memory = (self, plane, key), self.memory
+        with memory.lock:
+            if at not in memory.tiles:
                 return None
-            self._tiles.move_to_end((plane, key))
-            return self._tiles[plane, key]
+            memory.tiles.move_to_end(at)
+            return memory.tiles[at][0]
 
     def has(self, plane: Plane, key: TileKey, names: set[str]) -> bool:
         """Whether a tile is in memory with these variables."""
-        with self._lock:
-            return names <= self._tiles.get((plane, key), {}).keys()
+        with self.memory.lock:
+            return names <= self.memory.tiles.get((self, plane, key), ({}, False))[0].keys()
 
     def of(self, plane: Plane) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane."""
-        with self._lock:
-            return [(key, arrays) for (mine, key), arrays in self._tiles.items() if mine == plane]
+        with self.memory.lock:
+            found = self.memory.tiles.items()
+            return [(key, arrays) for (whose, mine, key), (arrays, _) in found if whose is self and mine == plane]
+
+    def clear(self) -> None:
+        """Forget all."""
+        memory = self.memory
+        with memory.lock:
+            for at in [each for each in memory.tiles if each[0] is self]:
+                memory.bytes -= _size(memory.tiles.pop(at)[0])
 
     def shown(self, plane: Plane, sight: Sight) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane in view that are as dense as the view or less, coarse ones first."""

@@ -5,7 +5,7 @@ import html
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from typing import Any, NamedTuple
 
@@ -40,11 +40,16 @@ def title(subject: Subject, plane: Plane) -> str:
     """The system and the fixed parameters that matter, as HTML: all but an initial state of zero."""
     states, values = subject.system.states, dict(plane.parameters)
     shown = [
-        f"<i>{html.escape(symbol_of(subject.system, name))}</i> = {number(values[name])}"
+        _equation(symbol_of(subject.system, name), number(values[name]))
         for name in (parameter.name for parameter in subject.system.parameters)
         if name in values and (values[name] or name not in states)
     ]
     return f"<b>{html.escape(subject.name)}</b> &ensp; {', &ensp;'.join(shown)}"
+
+
+def _equation(symbol: str, value: str) -> str:
+    """What a symbol equals, as HTML that stays on one line."""
+    return f'<span class="number"><i>{html.escape(symbol)}</i> = {value}</span>'
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -86,19 +91,8 @@ def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
 
 def cell_line(cell: Cell, subject: Subject) -> str:
     """Where a cell lies and its regime, as HTML."""
-    places = [f"<i>{html.escape(name)}</i> = {value}" for name, value in where(subject, cell.parameters).items()]
+    places = [_equation(name, value) for name, value in where(subject, cell.parameters).items()]
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
-
-
-def cell_reading(cell: Cell, subject: Subject, names: Iterable[str]) -> str:
-    """Where a cell lies, its regime, and which of these variables it has with which value, as HTML."""
-    found, parts = cell.results, [cell_line(cell, subject)]
-    regime = next(each.code for each in REGIMES if each.name == found[REGIME.name])
-    for name in names:
-        if name != REGIME.name and regime in regimes_with(name) and not math.isnan(found.get(name, math.nan)):
-            value = with_error(found[name], found[ERROR.name]) if name == LARGEST.name else _value(found[name])
-            parts.append(f"{name_of(name)} {html.escape(value)}")
-    return ", &ensp;".join(parts)
 
 
 NAMES = {
@@ -119,7 +113,7 @@ def name_of(variable: str) -> str:
 
 def cell_table(cell: Cell, subject: Subject) -> str:
     """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
-    names = subject.axes
+    names, words = subject.axes, {REGIME.name, REASON.name}
     rows = [(symbol_of(subject.system, name), number(cell.results[name]), repr(cell.results[name])) for name in names]
     rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " "), ""))
     if REASON.name in cell.results:
@@ -137,7 +131,8 @@ def cell_table(cell: Cell, subject: Subject) -> str:
         rows.append((name_of(name), text, repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
     body = "".join(
-        f'<tr><td>{html.escape(left)}</td><td title="{html.escape(full)}">{html.escape(right)}</td></tr>'
+        f"<tr><td>{html.escape(left)}</td><td{' class=number' if left not in words else ''} "
+        f'title="{html.escape(full)}">{html.escape(right)}</td></tr>'
         for left, right, full in rows
     )
     return f"<table><caption>{of}</caption>{body}</table>"
@@ -209,34 +204,34 @@ def point_line(cell: Cell, subject: Subject) -> str:
     return shlex.join(point_words(subject.system, cell.parameters, settings, cell.results.keys()))
 
 
-def share_solved(cells: int, left: int) -> int:
-    """How many of the cells in view are solved, in per cent; 100 for all of them alone."""
-    return 100 * (cells - left) // cells if cells else 0
-
-
-def progress_bar(cells: int, left: int) -> str:
-    """The bar over the plane that shows how much of the view is solved, as HTML; empty once that is all."""
-    share = share_solved(cells, left)
-    if not left:
+def progress_bar(shares: Sequence[float]) -> str:
+    """The bar over the plane that shows how far its picture is refined, as HTML; empty once that is all."""
+    share = math.floor(100.0 * sum(shares) / max(len(shares), 1))
+    if share == 100 or not shares:
         return ""
     return (
-        '<div role="progressbar" aria-label="cells in view that are solved" aria-valuemin="0" aria-valuemax="100" '
-        f'aria-valuenow="{share}" style="width: {share}%"></div>'
+        '<div role="progressbar" aria-label="how far the view is refined, coarse to fine" aria-valuemin="0" '
+        f'aria-valuemax="100" aria-valuenow="{share}" style="width: {share}%"></div>'
     )
 
 
-def progress(state: State, left: int, notes: Iterable[str], cells: tuple[int, int] = (0, 0)) -> str:
-    """The line under the plane, as HTML; ``cells`` are those in view and those of them still to be solved."""
-    count, missing = cells
-    if left and missing:
-        to_come = f"{spaced(missing)} of {spaced(count)} cells to come"
-        parts = [f"{share_solved(*cells)} % solved at full resolution, {to_come}"]
-    elif left:
-        parts = [f"{plural(left, 'tile')} left"]
-    else:
-        parts = ["all that is in view is solved" if count else "no picture yet"]
+def refinement(shares: Sequence[float]) -> str:
+    """How densely a view is drawn, in words, by the share of it that is known at each stage, the coarsest first."""
+    if not shares:
+        return "no picture yet"
+    if min(shares) == 1.0:
+        return "all that is in view is solved"
+    whole = next(k for k, share in enumerate(shares) if share < 1.0)
+    names = [*(f"1/{1 << k} of full resolution" for k in range(len(shares) - 1, 0, -1)), "full resolution"]
+    begun = f"{math.floor(100.0 * shares[whole])} % at {names[whole]}"
+    return f"drawn at {names[whole - 1]}, {begun}" if whole else f"drawn: {begun}"
+
+
+def progress(state: State, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:
+    """The line under the plane, as HTML; ``left`` are tiles still to be solved, ``shares`` as in ``refinement``."""
+    parts = [refinement(shares)]
     if left:
-        parts.append(f"{spaced(state.rate)} cells/s")
+        parts.append(f"{plural(left, 'tile')} left, {spaced(state.rate)} cells/s")
     parts.append(plural(state.workers, "worker"))
     parts += [html.escape(note) for note in notes if note]
     text = " &middot; ".join(parts)

@@ -43,10 +43,17 @@ class Shown(NamedTuple):
         return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
 
-def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
-    """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page."""
+def figure(orbit: CellOrbit, page: Page = STANDARD, gap_plane: bool = True) -> Figure:
+    """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
+
+    Without ``gap_plane`` it lacks the phase plane of the gap coordinate, which stands beside it already.
+    """
     masses = [_shown(orbit, row) for row in selection.displacements(orbit)]
-    planes = masses + masses[: len(masses) > 1]  # with two, the plane of both displacements too
+    planes: list[tuple[Shown, Shown | None]] = [
+        (mass, None) for mass in masses if gap_plane or not np.array_equal(mass.row, orbit.gap_row)
+    ]
+    if len(masses) > 1:
+        planes.append((masses[0], masses[1]))  # of both displacements
     chatter = selection.chatter(orbit)
     many = len(selection.written(orbit)) > _IN_A_COLUMN
     with page.context():
@@ -69,8 +76,8 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
         ax.set_xlabel("time $t/T$ [forcing periods]")
         if chatter:
             _zoom(plots["zoom"], orbit, chatter)
-        for k, mass in enumerate(planes):
-            _phase_plane(plots[f"plane {k}"], orbit, mass, masses[1] if k == len(masses) else None)
+        for k, (mass, other) in enumerate(planes):
+            _phase_plane(plots[f"plane {k}"], orbit, mass, other)
         _section(plots["section"], orbit)
         _convergence(plots["exponents"], orbit)
         _write_values(plots["values"], orbit, columns)
@@ -87,13 +94,13 @@ def _mosaic(wide: bool, masses: int, planes: int, chatter: bool, many: bool) -> 
     pairs = [f"plane {k}" for k in range(planes)]
     if wide:
         rows = [[name] * (4 if chatter else 6) + ["zoom"] * (2 * chatter) for name in histories]
-        rows.append([name for name in pairs for _ in range(6 // planes)])
+        rows += [[name for name in pairs for _ in range(6 // planes)]] if pairs else []
         rows.append(["section"] * 2 + ["exponents"] * (3 - many) + ["values"] * (1 + many))
-        return rows, [0.72] * masses + [1.25, 1.25]
+        return rows, [0.72] * masses + [1.25] * (len(rows) - masses)
     pairs.append("section")
     rows = [[name] * 2 for name in [*histories, *["zoom"] * chatter]]
-    rows += [pairs[k : k + 2] for k in range(0, len(pairs), 2)] + [["exponents"] * 2, ["values"] * 2]
-    return rows, [0.72] * (masses + chatter) + [1.0] * (len(pairs) // 2 + 1) + [0.55]
+    rows += [(pairs[k : k + 2] * 2)[:2] for k in range(0, len(pairs), 2)] + [["exponents"] * 2, ["values"] * 2]
+    return rows, [0.72] * (masses + chatter) + [1.0] * (len(rows) - masses - chatter - 1) + [0.55]
 
 
 def _shown(orbit: CellOrbit, row: Array) -> Shown:

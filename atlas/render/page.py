@@ -22,7 +22,7 @@ from matplotlib.transforms import ScaledTranslation
 from atlas.errors import InputError, shown
 from atlas.render.fit import TITLE, fit
 from atlas.render.options import Look
-from atlas.render.style import DPI, house
+from atlas.render.style import DPI, drawing, house
 
 WIDTH = 7.0
 """Width of a figure in inches where none is asked for: two columns of a journal."""
@@ -43,7 +43,12 @@ _BESIDE = 5.0
 
 
 class Picture(Figure):
-    """A figure that a notebook shows by itself, with neither pyplot nor a magic line."""
+    """A figure that a notebook shows by itself, with neither pyplot nor a magic line, and that threads draw in turn."""
+
+    def savefig(self, *given: Any, **options: Any) -> None:
+        """See Matplotlib's."""
+        with drawing():
+            super().savefig(*given, **options)
 
     def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
         width, height = self.get_size_inches()
@@ -112,7 +117,7 @@ class Page:
             settings = {name: settings[name] for name in _OURS}
         else:
             settings["savefig.dpi"] = self.dpi
-        return mpl.rc_context(settings | dict(self.rc))
+        return drawing(settings | dict(self.rc))
 
     def figure(self, height: float) -> Figure:
         """An empty figure that leaves room for what stands outside its axes; ``height`` unless another is asked for."""

@@ -1,7 +1,6 @@
 """A map as pixels of a screen: the plot area alone, and beside it what explains its colours."""
 
 import math
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 
 from atlas.query.window import axis_names, is_log
 from atlas.render.drawing import check_units
-from atlas.render.kinds import CURVES, Kind, check_overlays, chosen_kind
+from atlas.render.kinds import CURVES, check_overlays, chosen_kind
 from atlas.render.maps import Colors, draw_painted, read
 from atlas.render.numbered import PixelScale, cell_numbers, numbered
 from atlas.render.options import MapLook, Wanted
-from atlas.render.style import house
+from atlas.render.style import drawing, house
 
 DPI = 110.0
 SCALE = 0.85
@@ -30,8 +29,6 @@ GAP = 16
 """Pixels between the plot area and what is beside it."""
 BAR_ASPECT = 28.0
 """Height of a colour bar over its width, as all pictures have it."""
-drawing = threading.Lock()
-"""Held while something is drawn in one of several threads: Matplotlib's settings belong to the whole process."""
 LEAST_TYPE = 2.0
 """Points of the type of a legend: nobody reads a smaller one, and on pixels it takes no less room."""
 MOST_LEGEND = 0.9
@@ -58,7 +55,7 @@ class Screen:
 
 def screen(
     ds: xr.Dataset,
-    kind: str | Kind,
+    kind: str,
     size: tuple[int, int],
     key_width: int,
     *,
@@ -68,20 +65,18 @@ def screen(
     """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
 
     Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
-    hold that number, see ``numbered``. Other options and errors as in ``figure``; ``kind`` may also be one that is in
-    no table, such as ``change_of`` makes.
+    hold that number, see ``numbered``. Other options and errors as in ``figure``.
     """
     width, height = size
     whole, settings = width + key_width, house(SCALE)
-    with drawing, mpl.rc_context(settings):  # type: ignore[arg-type]
+    with drawing(settings):
         drawn = Figure(figsize=(whole / DPI, height / DPI), dpi=DPI, facecolor="white")
         canvas = FigureCanvasAgg(drawn)
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
-        named = kind.name if isinstance(kind, Kind) else kind
         options |= {"ax": ax, "title": False}
-        wanted = Wanted.of(named, pixels=size, **options)
-        fitting = kind if isinstance(kind, Kind) else chosen_kind(ds, wanted)
+        wanted = Wanted.of(kind, pixels=size, **options)
+        fitting = chosen_kind(ds, wanted)
         check_overlays(ds, wanted.overlays)
         check_units(ds)
         painted = None

@@ -1,7 +1,11 @@
 """How every picture looks: type, colours, textures, entries of legends, curves and events."""
 
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.legend import Legend
@@ -41,6 +45,27 @@ def house(scale: float) -> dict[str, Any]:
         "pdf.fonttype": 42,
         "svg.hashsalt": "impact-atlas",
     }
+
+
+_alone = threading.RLock()
+
+
+@contextmanager
+def drawing(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Draw in no two threads at once, with these settings of Matplotlib's; with the end they are what they were.
+
+    Settings belong to the whole process, and not all that draws text is made for threads: so the explorer's painters,
+    its portraits and files, and what its user draws in a notebook take turns. What another thread of the user's
+    changes of other settings meanwhile stays.
+    """
+    of_all: Any = mpl.rcParams
+    with _alone:
+        before = {name: of_all[name] for name in settings or {}}
+        try:
+            of_all.update(settings or {})
+            yield
+        finally:
+            of_all.update(before)
 
 
 TEXTURE = "#8c8c8c"

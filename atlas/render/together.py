@@ -11,7 +11,6 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from atlas.errors import InputError
@@ -185,15 +184,11 @@ def _difference(here: Plane, there: Plane, pending: Cells, page: Page) -> Painte
     given = [end for end in (page.vmax, page.vmin) if end is not None]
     end = abs(given[0]) if given else most or 1.0
     label = r"change of $\lambda_1$ [per forcing period]"
-    return changed_numbers(change, pending, scales.two_sided(page, -end, end), label, "without an exponent in one")
-
-
-def changed_numbers(change: scales.Array, pending: Cells, norm: TwoSlopeNorm, label: str, without: str) -> Painted:
-    """Changes (y, x) on a scale; ``without`` names cells that have none, NaN, unless they are pending."""
+    norm = scales.two_sided(page, -end, end)
     rgba, unknown = scales.on_scale(change, norm, DIFFERENCE), np.isnan(change)
     rgba[unknown] = style.rgb(WITHOUT)
     rgba[pending] = 0
-    legend = [style.swatch(WITHOUT, without)] if np.any(unknown & ~pending) else []
+    legend = [style.swatch(WITHOUT, "without an exponent in one")] if np.any(unknown & ~pending) else []
     return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, label)])
 
 

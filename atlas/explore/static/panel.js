@@ -205,11 +205,19 @@ async function drawCell() {
     make("code", { textContent: line }), copying("copy command", () => line));
 }
 
+async function copied(text) {
+  if (navigator.clipboard) return navigator.clipboard.writeText(text).then(() => true, () => false);
+  const box = document.body.appendChild(make("textarea", { value: text })); // by plain HTTP there is no clipboard
+  box.select();
+  const done = document.execCommand("copy");
+  box.remove();
+  return done;
+}
+
 function copying(label, text) {
   const button = make("button", { type: "button", textContent: label });
   button.onclick = async () => {
-    await navigator.clipboard.writeText(await text());
-    button.textContent = "copied";
+    button.textContent = await copied(await text()) ? "copied" : "not copied";
     setTimeout(() => { button.textContent = label; }, 1500);
   };
   return button;
