@@ -92,7 +92,7 @@ def verify(
     with reporting(on_progress) as report, ExitStack() as stack:
         notify = report or (lambda _: None)
         claim = stack.enter_context(claimed(notes_of(place), str(place))) if repair else None
-        header = read_header(place)
+        header = read_header(place if claim is None else claim.guard(place))
         return _with_zoom(_verified(header, sample, claim, seed, notify), header, sample, claim, notify)
 
 
@@ -107,7 +107,7 @@ def _verified(
     faults = [Fault(None, what) for what in metadata_faults(header)]
     if faults:  # whatever is read through wrong metadata means nothing
         report = replace(report, comparison="the metadata are damaged", faults=tuple(faults))
-        return report if claim is None else _with_metadata(header, report, claim)
+        return report if claim is None else _with_metadata(header, report)
     records = Records(header, done)
     new = header.record is not None and ADDED not in header.record["attributes"]
     report = replace(report, digests=new or open_digests(header) is not None)
@@ -151,7 +151,6 @@ def _verified(
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
     if claim is None:
         return report
-    claim.check()
     if worn:
         restore_coordinates(header)
     drop_unsound(header, overviews)
@@ -166,7 +165,7 @@ def _verified(
     if wrong or bad or loose or not records.known[records.done].all():
         mended += tuple(_put_together(header, sound))
     notify(Progress("writing overviews"))
-    made = Overviews(header, held=claim.check).finish()
+    made = Overviews(header).finish()
     mended += (f"{plural(made, 'chunk')} of overviews written",) if made else ()
     return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign, mended=mended)
 
@@ -180,9 +179,8 @@ def _put_together(header: Header, sound: dict[Index, Rows]) -> Iterator[str]:
     yield f"records of {plural(len(sound), 'tile')} collected"
 
 
-def _with_metadata(header: Header, report: Report, claim: Claim) -> Report:
+def _with_metadata(header: Header, report: Report) -> Report:
     """The report after metadata of arrays that cannot be read were restored from the root's copy of them."""
-    claim.check()
     lost = lost_metadata(header)
     restore(header, lost)
     mended = tuple(f"{key} rewritten from the root's copy: verify the store again" for key in lost)
@@ -216,7 +214,6 @@ def _with_zoom(
             all_of += [Fault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
     mended = list(report.mended)
     if claim is not None and bad:
-        claim.check()
         drop_zoom(header, bad)
         mended.append(f"{ZOOM}: {plural(len(set(bad)), 'folder')} dropped: the explorer solves again what it shows")
     return replace(report, sheets=len(found), faults=tuple(faults), doubts=tuple(doubts), mended=tuple(mended))

@@ -141,9 +141,10 @@ class Keeper:
         """Write some tiles under the store's claim."""
         notes = notes_of(header.place)
         try:
-            with claimed(notes, str(header.place)):
+            with claimed(notes, str(header.place)) as claim:
+                header = header.at(claim.guard(header.place))
                 for (plane, key), arrays in batch:
-                    self._write(plane, key, arrays)
+                    self._write(header, plane, key, arrays)
                     with self._room:
                         self._waiting.pop((plane, key), None)
                         self._room.notify_all()
@@ -160,16 +161,16 @@ class Keeper:
                     self._waiting.clear()
                 self._room.notify_all()
 
-    def _write(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+    def _write(self, header: Header, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None
         of = SheetKey.of(key)
         span = self.sheets.span_with(key)
         if span is None:
             return
-        sheet = self.sheets.find(plane, of) or self.sheets.made(plane, of, span)
+        sheet = self.sheets.find(plane, of) or self.sheets.made(header, plane, of, span)
         index = sheet.index(key)
         if index not in done_tiles(sheet.header) or index in sheet.bad:
-            write_tile(sheet.header, index, arrays)
+            write_tile(sheet.header.at(sheet.header.place.behind(header.place.fence)), index, arrays)
         self.sheets.note(sheet, index)
         self._see(plane, of)
         self._sizes.pop((self.sheets.digest(plane), of.name), None)

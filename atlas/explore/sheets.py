@@ -111,8 +111,8 @@ class Sheets:
                 self._absent.popitem(last=False)
             return None
 
-    def made(self, plane: Plane, key: SheetKey, span: Span) -> Sheet:
-        """A sheet that there was not, made and open. For the claim's holder only."""
+    def made(self, header: Header, plane: Plane, key: SheetKey, span: Span) -> Sheet:
+        """A sheet that there was not, made and open, by the header of the store as its claim's holder has it."""
         subject, digest, (rows, columns) = self._subject, self.digest(plane), span
         x = Stretch(key.level_x, columns.start * TILE, len(columns) * TILE)
         y = Stretch(key.level_y, rows.start * TILE, len(rows) * TILE)
@@ -122,13 +122,13 @@ class Sheets:
             "solve": dict(vars(subject.settings)),
             "digest": subject.digest(plane),
         }
-        make_plane(self._header, digest, described)
-        place = sheet_place(self._header, digest, key.name)
+        make_plane(header, digest, described)
+        place = sheet_place(header, digest, key.name)
         if place.local is not None:
             remove_half_made(place.local)
-        header = create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
+        made = create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
         with self._lock:
-            return self._opened((plane, key), header, span)
+            return self._opened((plane, key), made.at(place.behind(None)), span)
 
     def close(self, digest: str, name: str) -> None:
         """Forget a sheet that is dropped, by the name of its plane and its own."""

@@ -12,8 +12,9 @@ it is asked for (``atlas.query.source``).
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -41,6 +42,7 @@ from atlas.store.build import codecs, consolidate, create_whole
 from atlas.store.making import metadata_apart
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import ROOT, Header, chunk_key, open_group
+from atlas.store.tiles import encoded
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, Variable
 
@@ -113,7 +115,7 @@ class Pyramid:
     def holds(self, array: Any, name: str) -> bool:
         """Whether this store is where a Zarr array lies, by that name."""
         path = getattr(array, "store_path", None)
-        return path is not None and path.path == name and path.store in (self.root.store, self._plain)
+        return path is not None and path.path == name and path.store in (self.root.store, self._plain.store)
 
     def array(self, level: int, name: str) -> Any:
         """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
@@ -158,11 +160,8 @@ class Pyramid:
             top.attrs["version"] = _WHOLE if whole else _HALVED
         self.made = True
 
-    def make(self, level: int, index: Index, held: Callable[[], None] = lambda: None) -> None:
-        """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending.
-
-        ``held`` is called before the first and the last write, and raises if another run has the store.
-        """
+    def make(self, level: int, index: Index) -> None:
+        """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
@@ -174,31 +173,32 @@ class Pyramid:
             time.sleep(_PAUSE)
         else:
             raise RunError(f"{self.header.place}: overview {level}, chunk {index}: not all that lies below it is done")
-        self._write(level, index, from_cells(arrays, names) if level == 1 else arrays, held)
+        self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
-    def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]], held: Callable[[], None]) -> bool:
+    def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
         """Write the chunk of level 1 over a tile that is written, of its arrays; False if it needs other tiles."""
         if not (self.made and self.levels.over_alone(tile)):
             return False
         names = [variable.name for variable in self.variables]
         stored = {v.name: np.asarray(arrays[v.name], dtype=v.dtype) for v in self.header.variables if v.name in names}
-        self._write(1, self.levels.over(tile), from_cells(self.header.leading(stored), names), held)
+        self._write(1, self.levels.over(tile), from_cells(self.header.leading(stored), names))
         return True
 
-    def _write(self, level: int, index: Index, below: Cells, held: Callable[[], None]) -> None:
+    def _write(self, level: int, index: Index, below: Cells) -> None:
         """Coarsen the cells of the level before that a chunk lies over, and write it, ``regime`` last."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
-        made = coarsen(below, widths, self.levels.coarsened)
-        held()
+        made, objects = coarsen(below, widths, self.levels.coarsened), dict[str, bytes]()
         for variable in self.variables:
             path = f"{GROUP}/{level}/{variable.name}"
-            if variable.name == REGIME.name:
-                held()
             if path not in self._targets:
-                self._targets[path] = self._writable[path].with_config({"write_empty_chunks": True})
-            self._targets[path][block] = made[variable.name]
+                self._targets[path] = self._plain[path]
+            if variable.name == REGIME.name:
+                self.header.place.put_all(objects)
+                objects = {}
+            objects |= encoded(self._targets[path], block, made[variable.name])
+        self.header.place.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
         """Drop the overviews of these tiles: to be done before any of them is written."""
@@ -250,11 +250,7 @@ class Pyramid:
 
     @cached_property
     def _plain(self) -> Any:
-        return open_group(self.header.place, "r").store
-
-    @cached_property
-    def _writable(self) -> Any:
-        return open_group(self.header.place, "r+")
+        return open_group(self.header.place, "r")
 
 
 def opened(header: Header, run: str) -> Pyramid:
@@ -266,7 +262,9 @@ def opened(header: Header, run: str) -> Pyramid:
         while len(_opened) >= _MOST_OPEN:
             _opened.pop(next(iter(_opened)), None)
         _opened[key] = found
-    return found
+    through = copy(found)  # what it has opened, with the header whose place is to be written
+    through.header = header
+    return through
 
 
 def drop_all(header: Header) -> None:

@@ -7,8 +7,7 @@ import os
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.axes import ROOT
 from atlas.store.build import build, consolidate
-from atlas.store.location import AT_ONCE, LocalPlace, Place
+from atlas.store.location import LocalPlace, Place
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import Origin, coordinate_names
@@ -97,7 +96,7 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
         with tempfile.TemporaryDirectory() as folder:
             built = LocalPlace(Path(folder) / "store")
             build(built.path, spec, tile, origin, run_id)
-            _put_all(built, place, [key for key in built.list_keys() if key != ROOT])
+            place.put_all(built.get_all(key for key in built.list_keys() if key != ROOT))
             if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
                 raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
         return
@@ -108,6 +107,7 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
         if building.with_name(building.name.swapcase()).exists():
             refuse_equal_names(path, spec)
         build(building, spec, tile, origin, run_id)
+        place.confirm()
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)
@@ -147,14 +147,9 @@ def metadata_apart(place: Place, group: str) -> Iterator[Any]:
         yield root
         consolidate(root)
         made = {key for key in built.list_keys() if key.partition("/")[0] == group}
-        _put_all(built, place, made - {f"{group}/{ROOT}"})
+        place.put_all(built.get_all(made - {f"{group}/{ROOT}"}))
         for key in (f"{group}/{ROOT}", ROOT):
             place.put(key, (built.path / key).read_bytes())
-
-
-def _put_all(built: LocalPlace, place: Place, keys: Iterable[str]) -> None:
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        list(pool.map(lambda key: place.put(key, (built.path / key).read_bytes()), keys))
 
 
 def _check_writable(place: Place) -> None:

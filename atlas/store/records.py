@@ -172,11 +172,8 @@ class RunRecords:
     def _uncounted(self) -> NDArray[np.bool_]:
         return self._done & ~self._rows.any(axis=-1)
 
-    def compact(self, held: Callable[[], None], on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Collect all records in one chunk. Tiles without one are counted; ``on_wait`` is called with their number.
-
-        ``held`` is called before each write, and raises if another run has the store.
-        """
+    def compact(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
+        """Collect all records in one chunk. Tiles without one are counted; ``on_wait`` is called with their number."""
         uncounted = _indices(self._uncounted & ~self._open)
         if uncounted:
             on_wait(len(uncounted))
@@ -184,23 +181,19 @@ class RunRecords:
             if not isinstance(row, ChunkError):
                 self._rows[index] = row
         if self._new or uncounted:
-            write_compaction(self._header, self._rows, ~self._open, held)
+            write_compaction(self._header, self._rows, ~self._open)
 
 
 def put_together(header: Header) -> None:
     """Collect all records of a store on which no run is at work."""
     none = np.zeros(header.tiling.grid, dtype=bool)
-    RunRecords(header, Records(header, done_tiles(header)), none).compact(lambda: None)
+    RunRecords(header, Records(header, done_tiles(header)), none).compact()
 
 
-def write_compaction(
-    header: Header, rows: Rows, settled: NDArray[np.bool_], held: Callable[[], None] = lambda: None
-) -> None:
+def write_compaction(header: Header, rows: Rows, settled: NDArray[np.bool_]) -> None:
     """Write all rows as one chunk, then remove the single records of ``settled`` tiles that have a row in it."""
-    held()
     _compaction(header, "r+").with_config({"write_empty_chunks": True})[...] = rows
     counts = settled & add_up(rows, header.tiling.sizes())
-    held()
     header.place.remove_all([record_key(index) for index in single_records(header) if counts[index]])
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -59,6 +60,12 @@ class Header:
     record: Mapping[str, Any] | None = field(default=None, repr=False)
     groups: frozenset[str] = frozenset()
     format_version: int = FORMAT_VERSION
+
+    def at(self, place: Place) -> "Header":
+        """The same header, with all that is known of the store, for writing it through another view of its place."""
+        other = copy(self)
+        object.__setattr__(other, "place", place)
+        return other
 
     @property
     def path(self) -> Path:
@@ -134,8 +141,8 @@ class Header:
 
     @cached_property
     def writable(self) -> Mapping[str, Any]:
-        """The Zarr arrays of cells and digests for writing, by name, opened once; RunError if it is another store."""
-        group: Any = open_group(self.place, "r+", consolidated=True)  # one request for all arrays
+        """The Zarr arrays of cells and digests by name, opened once; RunError if it is another store."""
+        group: Any = open_group(self.place, "r", consolidated=True)  # one request for all arrays
         if group.attrs.get("run_id") != self.run_id:
             raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
         names = (*(each.name for each in (*ALLOWANCES, *self.variables)), DIGESTS)
