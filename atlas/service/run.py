@@ -22,7 +22,7 @@ from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
-from atlas.store.added import add_allowances, add_records
+from atlas.store.added import add_allowances
 from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.location import Place, place_of, waiting
 from atlas.store.making import check_run, remove_half_made
@@ -172,7 +172,6 @@ class _Run:
             if self.header.place.local is not None:
                 refuse_shortage(totals.plan, self.header.place.local, int(self.due.sum()))
         self.report(stage)
-        self.header = add_records(self.header)
         if retry is not None:
             add_allowances(self.header, retry.raises)
         again = {*_indices(self.due)} if retry is not None else self.replaced

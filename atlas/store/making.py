@@ -22,8 +22,10 @@ from atlas.store.location import LocalPlace, Place
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import Origin, coordinate_names
+from atlas.store.spare import remedy
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES
+from workers.results import REGIME
 
 if TYPE_CHECKING:
     from atlas.store.store import Header
@@ -65,7 +67,7 @@ def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
             "their numbers do not mix: choose another path"
         )
     # Without its values where the digest says so, since these may be damaged.
-    if not (header.format_version > 1 and header.digest == spec.digest) and header.spec.digest != spec.digest:
+    if header.digest != spec.digest and header.spec.digest != spec.digest:
         raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
     if header.unknown:
         names = ", ".join(variable.name for variable in header.unknown)
@@ -79,9 +81,11 @@ def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
 
 
 def _refuse_foreign(place: Place, spec: Spec) -> None:
-    """InputError if something lies at a URL that no creation cut short has left there."""
+    """InputError if something lies at a URL that no creation cut short has left there, such as finished tiles."""
     ours = {MACHINES, TILES} | _names(spec)
     for key in place.list_keys():
+        if key.startswith(f"{REGIME.name}/c/"):
+            raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
 

@@ -16,7 +16,6 @@ from atlas.store.machines import record_machine
 from atlas.store.record import (
     COVERED,
     DIGEST,
-    DIGESTS,
     WIDTH,
     Rows,
     counted_row,
@@ -50,9 +49,6 @@ def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.n
         place.put(_replacement_key(index), _packed(arrays))
         drop_tile(header, index)
     objects: dict[str, bytes] = {}
-    if DIGESTS in to:  # a store of an earlier version
-        digest = digest_of(index, covered_variables(header, to[DIGESTS].attrs), arrays)
-        objects |= encoded(to[DIGESTS], block(to[DIGESTS], index), np.uint64(digest))
     for variable in (*(each for each in ALLOWANCES if each.name in to), *header.variables):
         made = encoded(to[variable.name], block(to[variable.name], index), arrays[variable.name], variable.sparse)
         if variable.name == REGIME.name:
@@ -82,18 +78,16 @@ def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dic
 
 
 def record_of(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """The record of a tile with these arrays, ``ALLOWANCES`` among them; in a store without records, no digest."""
+    """The record of a tile with these arrays, ``ALLOWANCES`` among them."""
     row = counted_row(header.spec, header.tiling.at(index).slices, header.leading(arrays))
-    if header.record is not None:
-        covered = covered_variables(header, header.record["attributes"])
-        row[DIGEST] = halves(digest_of(index, covered, arrays))
+    covered = covered_variables(header, header.record["attributes"])
+    row[DIGEST] = halves(digest_of(index, covered, arrays))
     return row
 
 
 def put_record(header: Header, index: tuple[int, ...], row: Rows) -> None:
-    """Write the record of a tile; nothing in a store that has no room for it."""
-    if header.record is not None:
-        header.place.put(record_key(index), packed(row))
+    """Write the record of a tile."""
+    header.place.put(record_key(index), packed(row))
 
 
 def finish_replacement(header: Header, index: tuple[int, ...]) -> bool:
