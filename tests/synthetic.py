@@ -12,7 +12,7 @@ import atlas
 from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
 from atlas.store import store
-from atlas.store.build import codecs
+from atlas.store.spare import SPARE, packed_spare
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
@@ -38,14 +38,6 @@ def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.n
     made["sticks"] = rng.random(shape) < 0.3
     made["periods_used"] = rng.integers(100, 200, shape).astype(np.int32)
     return made
-
-
-def as_version_1(path: Path) -> None:
-    """Make a store one of format version 1: with all values of its axes in its attributes."""
-    root = json.loads((path / "zarr.json").read_text())
-    resolved = json.dumps(store.read_header(path).spec.resolved())
-    root["attributes"] |= {"format_version": 1, "spec": resolved}
-    (path / "zarr.json").write_text(json.dumps(root))
 
 
 def indices(header: store.Header) -> list[Index]:
@@ -88,31 +80,16 @@ def complete(
 
 
 def set_attribute(path: Path, name: str, value: object) -> None:
-    """Change an attribute of a store's root, and nothing else there."""
+    """Change an attribute of a store's root and of its spare, and nothing else there."""
     root = json.loads((path / "zarr.json").read_text())
     root["attributes"][name] = value
     (path / "zarr.json").write_text(json.dumps(root))
+    respare(path)
 
 
-def forget_aperiodic(path: Path) -> None:
-    """Make the overviews those of a version whose table of regimes ended with ``failed``."""
-    top = zarr.open_group(path / "overviews", mode="r+", use_consolidated=False)
-    for _, level in top.groups():
-        for name in ("regime_share", "class"):
-            array: Any = level[name]
-            values = array[...]
-            kept = level.create_array(
-                name,
-                shape=(*array.shape[:-1], 8),
-                chunks=(*array.chunks[:-1], 8),
-                dtype=array.dtype,
-                dimension_names=array.metadata.dimension_names,
-                attributes=dict(array.attrs),
-                compressors=codecs(),
-                overwrite=True,
-            )
-            kept[...] = values[..., :8]
-    top.attrs.put({name: value for name, value in top.attrs.items() if name != "classes"})
+def respare(path: Path) -> None:
+    """Make a store one whose metadata were made as they are now."""
+    (path / SPARE).write_bytes(packed_spare((path / "zarr.json").read_bytes()))
 
 
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:

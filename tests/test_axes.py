@@ -17,11 +17,9 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
-from atlas.service.extend import extend
 from atlas.store import store
 from atlas.store.location import LocalPlace
 from tests.planes import plane_of
-from tests.synthetic import as_version_1
 
 DIGESTS = {
     "plane": "a07830e9a9b7ad28233fb7721af0d5d942a9e1eb70637aa9268e041ac55926a8",
@@ -223,40 +221,11 @@ def change_spec(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     (path / "zarr.json").write_text(json.dumps(root))
 
 
-# Format version 1
-
-
-def test_a_store_of_version_1_is_read_completed_verified_and_extended_as_it_is(
-    finished: Path, tmp_path: Path, client: Client
-) -> None:
-    values = {name: atlas.open(finished)[name].values.tobytes() for name in ("largest", "omega", "b")}
-    as_version_1(finished)
-    attributes = (finished / "zarr.json").read_bytes()
-    (finished / "regime/c/1/1").unlink()
-    assert atlas.run(plane_of(), finished, client=client).tiles_solved == 1
-    assert {name: atlas.open(finished)[name].values.tobytes() for name in values} == values
-    assert json.loads((finished / "zarr.json").read_bytes())["attributes"] == json.loads(attributes)["attributes"]
-    assert verify(finished, sample=2).fine
-    assert extend(finished, tmp_path / "new.zarr", refine={"omega": 2}, client=client).tiles_done
-    assert store.read_header(tmp_path / "new.zarr").format_version == 2
-
-
-def test_a_listed_coordinate_of_version_1_is_restored_from_its_attributes(tmp_path: Path) -> None:
-    path = store.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
-    as_version_1(path)
-    flipped(path / "omega/c/0")
-    assert len(verify(path, repair=True).faults) == 1
-    assert verify(path).faults == ()
-
-
 # From a dataset
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_an_opened_atlas_gives_its_spec(spec: atlas.Spec, version: int, tmp_path: Path) -> None:
+def test_an_opened_atlas_gives_its_spec(spec: atlas.Spec, tmp_path: Path) -> None:
     path = store.create(tmp_path / "a.zarr", spec, tile_of(spec)).path
-    if version == 1:
-        as_version_1(path)
     assert atlas.Spec.from_dataset(atlas.open(path)).digest == spec.digest
 
 

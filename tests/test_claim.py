@@ -56,9 +56,11 @@ def test_a_note_is_replaced_only_by_who_read_it_last(notes: Folder) -> None:
 
 
 def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: Folder) -> None:
-    notes.path.mkdir()
-    (notes.path / "n").touch()
-    maker = threading.Timer(0.1, (notes.path / "n").write_bytes, [b"whole"])
+    notes.put("n", b"whole", expected=None)
+    file = notes.path / "n"
+    data = file.read_bytes()
+    file.write_bytes(data[:100])
+    maker = threading.Timer(0.1, file.write_bytes, [data])
     maker.start()
     assert notes.read("n") == b"whole"
     maker.join()

@@ -164,7 +164,7 @@ def test_overviews_are_of_the_attractor_with_the_largest_share(solved: Path, tmp
     assert made.finish() > 0
     assert not check_overviews(header, set(), lambda _level: None).faults
     coarse = xr.open_zarr(header.path, group="overviews/1")
-    assert coarse["share"].dims == ("R", "omega")
+    assert coarse["share"].dims == ("R_coarse", "omega_coarse")
     largest = xr.open_zarr(header.path)["share"].values[:2, :2, 0]
     assert coarse["share"].values[0, 0] == pytest.approx(largest.mean())
 

@@ -80,7 +80,7 @@ def test_sound_overviews_are_read_whole_and_found_sound(whole: store.Header) -> 
 
 def coordinates_of(header: store.Header) -> set[str]:
     coarse = xr.open_zarr(header.path, group="overviews/1")
-    return {*map(str, coarse.coords), "omega_bounds", "b_bounds", "class"}
+    return {*map(str, coarse.coords), "omega_coarse_bounds", "b_coarse_bounds", "class"}
 
 
 @pytest.mark.parametrize("name", ["largest", "regime", "regime_shown", "regime_share", "period_count", "sticks"])
@@ -150,7 +150,7 @@ def test_overviews_with_damaged_metadata_are_not_read(whole: store.Header) -> No
 
 @pytest.mark.parametrize(
     ("key", "lost"),
-    [("largest/zarr.json", False), ("largest/zarr.json", True), ("omega/c/0", True), ("class/c/0", False)],
+    [("largest/zarr.json", False), ("largest/zarr.json", True), ("omega_coarse/c/0", True), ("class/c/0", False)],
 )
 def test_metadata_and_coordinates_of_overviews_are_checked_and_made_anew(
     whole: store.Header, key: str, lost: bool

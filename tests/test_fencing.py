@@ -4,6 +4,7 @@ Truth: the bytes of the store before and after.
 """
 
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,20 +16,22 @@ import zarr
 from distributed import Client
 
 import atlas
+from atlas.check import verify as verifying
 from atlas.errors import RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service import run as running
 from atlas.service.lease import Claim, Record
 from atlas.service.progress import Progress
 from atlas.spec.grown import refined
+from atlas.store import sidecar
 from atlas.store.location import LocalPlace
 from atlas.store.record import RECORDS
 from atlas.store.records import Records, write_compaction
 from atlas.store.schema import Origin
-from atlas.store.sidecar import CLAIM, Folder, notes_of
-from atlas.store.store import create, done_tiles, read_header
+from atlas.store.sidecar import CLAIM, notes_of
+from atlas.store.store import create, done_tiles, open_group, read_header
 from atlas.store.tiles import read_tile, write_tile
-from atlas.task import attempt
+from atlas.task import attempt, task
 from atlas.task.attempt import run_job
 from atlas.task.retry import Retry
 from atlas.task.task import Job, RefusedError
@@ -187,18 +190,23 @@ def test_a_retry_that_loses_the_claim_before_it_drops_the_old_tile_leaves_it(
     )
 
 
-def test_the_looks_at_the_claim_cost_two_reads_a_tile(
+def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_the_attempt(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job, whole, reads = new_store(tmp_path, finished), Folder.read, []
+    job, looks, writes = new_store(tmp_path, finished), Counter[str](), Counter[str]()
+    run_job(replace(job, index=(0, 0)))  # the first of a process records its machine
+    put, remove, token_of = LocalPlace.put, LocalPlace.remove, sidecar.note_fence
 
-    def read(notes: Folder, name: str) -> bytes | None:
-        reads.append(name)
-        return whole(notes, name)
+    def counted(place: Any, name: str, *rest: Any) -> Any:
+        look = token_of(place, name, *rest)
+        return lambda: (looks.update([name]), look())
 
-    monkeypatch.setattr(Folder, "read", read)
+    monkeypatch.setattr(task, "note_fence", counted)
+    monkeypatch.setattr(LocalPlace, "put", lambda place, key, data: (writes.update([key]), put(place, key, data)))
+    monkeypatch.setattr(LocalPlace, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
     run_job(job)
-    assert reads == [CLAIM, CLAIM]  # before the first write and before the last
+    assert looks == {CLAIM: writes.total(), "started-1-1": writes.total()}
+    assert writes.total() > len(read_header(job.store).variables)
 
 
 def test_every_job_of_a_run_has_the_token_of_its_claim(
@@ -232,10 +240,10 @@ def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
     shutil.rmtree(finished / "overviews", ignore_errors=True)
     header = read_header(finished)
     with pytest.raises(LostError):
-        Overviews(header, held=lost, side=2, least=1)
+        Overviews(header.at(header.place.behind(lost)), side=2, least=1)
     assert not header.place.exists("overviews/zarr.json")
     claims = [lambda: None]
-    overviews = Overviews(header, held=lambda: claims[-1](), side=2, least=1)
+    overviews = Overviews(header.at(header.place.behind(lambda: claims[-1]())), side=2, least=1)
     claims.append(lost)
     with pytest.raises(LostError):
         overviews.finish()
@@ -247,8 +255,47 @@ def test_records_are_not_put_together_after_the_claim_is_lost(finished: Path) ->
     before = (finished / RECORDS / "c.0.0.0").read_bytes()
     records = Records(header, [])
     with pytest.raises(LostError):
-        write_compaction(header, records.rows, records.done, lost)
+        write_compaction(header.at(header.place.behind(lost)), records.rows, records.done)
     assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
+
+
+CHANGES: dict[str, Callable[[LocalPlace], object]] = {
+    "put": lambda place: place.put("zarr.json", b""),
+    "put_all": lambda place: place.put_all({"zarr.json": b""}),
+    "put_new": lambda place: place.put_new("new", b""),
+    "remove": lambda place: place.remove("zarr.json"),
+    "remove_all": lambda place: place.remove_all(["zarr.json"]),
+    "inner": lambda place: place.inner("regime").put("zarr.json", b""),
+    "set by Zarr": lambda place: open_group(place, "r+")["regime"].__setitem__(..., 1),
+    "attributes by Zarr": lambda place: open_group(place, "r+").attrs.update({"a": 1}),
+    "deletion by Zarr": lambda place: open_group(place, "r+").__delitem__("largest"),
+    "creation by Zarr": lambda place: open_group(place, "r+").create_group("new"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_place_behind_a_fence_is_not_changed_once_the_fence_raises(finished: Path, change: str) -> None:
+    before = contents(finished)
+    with pytest.raises(LostError):
+        CHANGES[change](LocalPlace(finished).behind(lost))
+    assert contents(finished) == before
+
+
+def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for index in ("0/0", "0/1", "1/0"):
+        (finished / "largest/c" / index).unlink()
+    before, drop = done_tiles(read_header(finished)), verifying.drop_tile
+
+    def taken(header: Any, index: tuple[int, ...]) -> None:
+        drop(header, index)
+        notes = notes_of(finished)
+        notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    monkeypatch.setattr(verifying, "drop_tile", taken)
+    with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
+        atlas.verify(finished, sample=0, repair=True)
+    assert before - done_tiles(read_header(finished)) == {(0, 0)}
 
 
 def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves_the_notes_of_the_other_run(
@@ -265,7 +312,9 @@ def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves
             written.update(contents(store))
 
     monkeypatch.setattr(Claim, "_beat", lambda _: None)
-    with pytest.raises(RunError, match="this run has lost its claim of the store; finished tiles are kept"):
+    with pytest.raises(
+        RunError, match="this run has lost its claim of the store: another run has taken it; finished tiles are kept"
+    ):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=asleep))
     assert contents(store) == written
     assert notes_of(store).read("started-0-0") == b"1"

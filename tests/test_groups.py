@@ -222,16 +222,6 @@ def test_labels_without_a_checksum_are_held_against_those_of_their_chunks(labell
     assert len(faults(path)) == 1
 
 
-def test_lost_metadata_of_an_array_are_restored_from_the_roots_copy(whole: Path, tmp_path: Path) -> None:
-    path = copied(whole, tmp_path)
-    before = json.loads((path / "period/zarr.json").read_text())
-    (path / "period/zarr.json").unlink()
-    assert faults(path) == ["period/zarr.json is missing"]
-    verify(path, sample=0, repair=True)
-    assert json.loads((path / "period/zarr.json").read_text()) == before
-    assert faults(path) == []
-
-
 def test_a_repair_holds_the_claim_from_before_it_reads(whole: Path, tmp_path: Path) -> None:
     path, claims = copied(whole, tmp_path), []
     verify(path, sample=0, repair=True, on_progress=lambda _: claims.append(notes_of(path).read(CLAIM) is not None))

@@ -20,7 +20,7 @@ from atlas.explore.chosen import ARGUMENTS
 from atlas.labels.table import _MEANINGS, BRANCH
 from atlas.measures.table import MEASURES
 from atlas.overview.coarsen import SHARE, level_variables
-from atlas.overview.coordinates import bounds_name
+from atlas.overview.coordinates import bounds_name, coarse_name
 from atlas.render import figure, words
 from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
@@ -51,7 +51,7 @@ def own_names() -> Iterator[str]:
         yield from (name, *array.dims)
     yield from _MEANINGS
     yield from set(columns(("omega", "b"))) - {"omega", "b"}
-    yield bounds_name("omega")
+    yield from (coarse_name("omega"), bounds_name(coarse_name("omega")))
     yield from ARGUMENTS
     yield from set(re.findall(r"`(\w+)=", PAGE))
     for function in vars(AtlasAccessor).values():

@@ -17,11 +17,10 @@ from distributed import Client
 import atlas
 from atlas.check.overviews import check_overviews
 from atlas.errors import ChunkError, RunError
-from atlas.overview.coarsen import CODES, coarsen, from_cells
+from atlas.overview.coarsen import coarsen, from_cells
 from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
-from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.service.progress import Progress
 from atlas.store import store
@@ -38,7 +37,6 @@ from tests.synthetic import (
     complete,
     each_block,
     fill,
-    forget_aperiodic,
     indices,
     keep,
     mean,
@@ -195,7 +193,7 @@ def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(share
 def test_plain_xarray_opens_the_store_and_each_level_without_a_warning(shared: store.Header) -> None:
     assert xr.open_zarr(shared.path).regime.shape == (38, 45)
     coarse = xr.open_zarr(shared.path, group="overviews/1")
-    assert coarse.regime.dims == ("b", "omega")
+    assert coarse.regime.dims == ("b_coarse", "omega_coarse")
     assert coarse.regime.shape == (19, 23)
     assert float(coarse.R) == 0.8
     assert coarse["class"].values.tolist()[0] == "pending"
@@ -205,8 +203,8 @@ def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.Header) ->
     coarse = xr.open_zarr(shared.path, group="overviews/2")
     step = 3.0 / 44
     edges = 1.0 - step / 2 + step * np.minimum(np.arange(13) * 4, 45)
-    np.testing.assert_allclose(coarse.omega_bounds.values, np.stack([edges[:-1], edges[1:]], 1), rtol=1e-12)
-    np.testing.assert_allclose(coarse.omega.values, (edges[:-1] + edges[1:]) / 2, rtol=1e-12)
+    np.testing.assert_allclose(coarse.omega_coarse_bounds.values, np.stack([edges[:-1], edges[1:]], 1), rtol=1e-12)
+    np.testing.assert_allclose(coarse.omega_coarse.values, (edges[:-1] + edges[1:]) / 2, rtol=1e-12)
 
 
 def test_making_overviews_again_makes_nothing(filled: store.Header) -> None:
@@ -236,27 +234,6 @@ def test_an_atlas_without_overviews_is_seen_alike(header: store.Header) -> None:
     assert_view_is_true(header)
 
 
-# Made by another version
-
-
-@pytest.fixture
-def default_sizes(tmp_path: Path) -> store.Header:
-    """A whole store, with overviews of the sizes that they had before they said them of themselves."""
-    return complete(tmp_path / "a.zarr", (20, 20), spec_of(nx=300, ny=140), side=256, least=128)
-
-
-def test_overviews_that_do_not_say_their_sizes_have_those_fixed_then(default_sizes: store.Header) -> None:
-    group = zarr.open_group(default_sizes.path / "overviews", mode="r+", use_consolidated=False)
-    assert dict(group.attrs) == {"side": 256, "least": 128, "classes": CODES.size, "version": 1}
-    before = view(atlas.open(default_sizes.path), ["largest"], pixels=(150, 70))
-    group.attrs.put({"version": 1, "classes": CODES.size})
-    with counted() as reads:
-        after = view(atlas.open(default_sizes.path), ["largest"], pixels=(150, 70))
-    xr.testing.assert_identical(before, after)
-    assert (reads.level, reads.chunks) == (1, 2)
-    assert keep(default_sizes) == 0
-
-
 def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None:
     overviews = Overviews(whole)
     assert overviews.finish() == 0
@@ -264,7 +241,9 @@ def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"classes": 99}, {"version": 3}])
+@pytest.mark.parametrize(
+    "attributes", [{"side": 0}, {"least": "many"}, {"classes": 99}, {"classes": 8}, {"complete": False}]
+)
 def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
     whole: store.Header, attributes: dict[str, object]
 ) -> None:
@@ -274,24 +253,18 @@ def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
     assert_view_is_true(whole)
 
 
-def test_overviews_from_before_there_was_a_regime_are_read_as_they_are(whole: store.Header) -> None:
-    with counted() as before:
-        fractions(atlas.open(whole.path))
-    forget_aperiodic(whole.path)
-    with counted() as after:
-        fractions(atlas.open(whole.path))
-    assert (after.level, after.chunks) == (before.level, before.chunks)
-    assert_view_is_true(whole)
-    report = check_overviews(whole, set(), lambda level: None)
-    assert (report.faults, report.chunks > 0) == ((), True)
-
-
-@pytest.mark.slow
-def test_overviews_from_before_there_was_a_regime_are_made_anew_by_a_run(whole: store.Header) -> None:
-    forget_aperiodic(whole.path)
-    assert keep(whole) == 14
-    assert xr.open_zarr(whole.path, group="overviews/1").sizes["class"] == CODES.size
-    assert_view_is_true(whole)
+def test_a_store_with_overviews_opens_as_a_tree_of_datasets(shared: store.Header) -> None:
+    with xr.open_datatree(shared.path, engine="zarr") as tree:
+        assert [*tree["overviews"].children] == ["1", "2", "3"]
+        assert tree["overviews/2/largest"].sizes == {"b_coarse": 10, "omega_coarse": 12}
+        xr.testing.assert_identical(
+            tree["overviews/1"].to_dataset(inherit=False), xr.open_zarr(shared.path, group="overviews/1")
+        )
+        xr.testing.assert_identical(tree.to_dataset(), xr.open_zarr(shared.path))
+        scales = tree["overviews"].attrs["multiscales"][0]
+    assert scales["axes"] == ["b", "omega"]
+    assert [each["path"] for each in scales["datasets"]] == ["..", "1", "2", "3"]
+    assert scales["datasets"][2]["scale"] == [4, 4]
 
 
 @pytest.mark.slow
@@ -450,16 +423,6 @@ def test_of_a_tile_larger_than_a_chunk_the_chunk_of_level_1_is_made_of_its_array
         assert arrays_of(header.path, group) == arrays_of(other.path, group)
     assert_view_is_true(header)
     assert check_overviews(header, set(), lambda level: None).faults == ()
-
-
-def test_overviews_of_chunks_of_whole_tiles_stay_as_they_are(tmp_path: Path) -> None:
-    header = large(tmp_path / "a.zarr")
-    top = zarr.open_group(header.path / "overviews", mode="r+", use_consolidated=False)
-    assert top.attrs["version"] == 2
-    top.attrs["version"] = 1
-    assert Pyramid(header).levels.chunk == (16, 16)
-    commit(header, job_of(header, (0, 0)), results(header, (0, 0)))
-    assert not made_of_level_1(header)
 
 
 @pytest.mark.parametrize("tile", [(8, 8), (7, 9), (17, 16), (16, 8)])

@@ -104,7 +104,7 @@ def test_the_objects_of_a_new_store_are_put_many_at_once(served: ObjectStore) ->
     assert seconds < 0.05 * served.counts["put"] / 2
 
 
-def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run(served: ObjectStore) -> None:
+def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_note(served: ObjectStore) -> None:
     """After the first tile of a process, which read the header and opened the arrays."""
     url = "s3://bucket/tiles.zarr"
     header = create(ObjectPlace(url), plane_of(), (2, 3))
@@ -114,5 +114,6 @@ def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run(served: Obje
     served.forget()
     run_job(replace(job, index=(1, 1)))
     read = Counter(request.key.removeprefix("bucket/") for request in served.requests if request.kind == "get")
-    assert read == {".tiles.zarr.run/claim": 2}
-    assert sum(served.counts.values()) <= 31
+    looks = 3 + sum(each.sparse for each in header.variables)  # before: all results, the record, the regime
+    assert read == {".tiles.zarr.run/claim": looks, ".tiles.zarr.run/started-1-1": looks + 1}
+    assert sum(served.counts.values()) <= 42

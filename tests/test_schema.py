@@ -21,6 +21,7 @@ from atlas.store.record import COVERED, RECORD, TILES
 from atlas.store.store import read_header
 from atlas.store.tiles import put_record, read_tile, record_of
 from tests.planes import find, plane_of
+from tests.synthetic import respare
 from workers import Settings
 
 
@@ -41,6 +42,7 @@ def change_root(store: Path, change: Any) -> None:
     root = json.loads((store / "zarr.json").read_text())
     change(root)
     (store / "zarr.json").write_text(json.dumps(root))
+    respare(store)
 
 
 def remove_arrays(store: Path, *names: str) -> None:

@@ -12,9 +12,10 @@ from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
 from atlas.store.groups import TABLES
 from atlas.store.machine import MACHINES
-from atlas.store.record import DIGESTS, RECORD, TILES
+from atlas.store.record import RECORD, TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
-from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_digests, open_group
+from atlas.store.spare import alone
+from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_group
 from atlas.store.tiles import covered_variables, object_shape
 
 
@@ -30,14 +31,13 @@ def metadata_faults(header: Header) -> list[str]:
             faults.append(f"{ROOT}: the digest does not match the spec")
     except ChunkError as error:
         return [_said_of_values(header, key, fault) for key, fault in error.faults.items()]
-    if header.outline["axes"] and header.format_version > 1:
+    if header.outline["axes"]:
         ends = [axis.outline() for axis in Spec.from_resolved(header.resolved).axes]
         faults += [
             f"{ROOT}: axis {a['name']} differs from its coordinate" for a in header.outline["axes"] if a not in ends
         ]
     try:
         own, copied = open_arrays(header), open_arrays(header, consolidated=True)
-        digests = open_digests(header), open_digests(header, consolidated=True)
     except OSError:
         raise
     except ChunkError as error:
@@ -61,15 +61,10 @@ def metadata_faults(header: Header) -> list[str]:
     for variable in spec.variables:
         if variable.name not in shapes and any(header.place.list_keys(f"{variable.name}/c/")):
             faults.append(f"{variable.name}/{ROOT} is missing")
-    if len({str(array.metadata.to_dict()) if array else "" for array in digests}) > 1:
-        faults.append(f"{ROOT}: its consolidated metadata differ from those of {DIGESTS}/{ROOT}")
-    covering: list[tuple[str, Any]] = [(DIGESTS, digests[0].attrs)] if digests[0] is not None else []
-    covering += [(RECORD, header.record["attributes"])] if header.record is not None else []
-    for name, of_array in covering:
-        try:
-            covered_variables(header, of_array)
-        except KeyError as error:
-            faults.append(f"{name}/{ROOT}: covers {error}, which the store does not have")
+    try:
+        covered_variables(header, header.record["attributes"])
+    except KeyError as error:
+        faults.append(f"{RECORD}/{ROOT}: covers {error}, which the store does not have")
     for variable in variables:
         array = own.get(variable.name)
         if array is None:
@@ -106,31 +101,15 @@ def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
             if not header.place.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
                 continue
             own = _json(header, f"{where}{name}/{ROOT}")
-            if not _same(own, copy, late="version" if name == OVERVIEWS else ""):
+            if not _same(own, copy, late="complete" if name == OVERVIEWS else ""):
                 found[f"{where}{name}/{ROOT}"] = copy
-    return found
-
-
-def lost_metadata(header: Header) -> dict[str, dict[str, Any]]:
-    """The root's copies of the metadata of its arrays that cannot be read where they belong, by the keys of these."""
-    root, group = _json(header, ROOT) or {}, open_group(header.place, "r")
-    nodes = (root.get("consolidated_metadata") or {}).get("metadata", {})
-    found = {}
-    for name, node in nodes.items():
-        if node["node_type"] == "array" and ("/" not in name or name == DIGESTS):
-            try:
-                _ = group[name]
-            except OSError:
-                raise
-            except Exception:  # what is no JSON, or no metadata, may raise anything
-                found[f"{name}/{ROOT}"] = node
     return found
 
 
 def restore(header: Header, copies: Mapping[str, Mapping[str, Any]]) -> None:
     """Write metadata anew, by their copies."""
     for key, copy in copies.items():
-        header.place.put(key, json.dumps(_alone(copy)).encode())
+        header.place.put(key, json.dumps(alone(copy)).encode())
 
 
 def _groups_with_copies(header: Header) -> list[str]:
@@ -148,15 +127,11 @@ def _json(header: Header, key: str) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def _alone(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in metadata.items() if name != "consolidated_metadata"}
-
-
 def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> bool:
     """Whether a copy is that of these metadata; the attribute ``late`` may have been written after it was made."""
     if own is None:
         return False
-    one, other = _alone(own), _alone(copy)
+    one, other = alone(own), alone(copy)
     attributes = [dict(each.get("attributes", {})) for each in (one, other)]
     if late not in attributes[1]:
         attributes[0].pop(late, None)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError
-from atlas.overview.coarsen import coarsen
+from atlas.overview.coarsen import CODES, coarsen
 from atlas.overview.coordinates import level_coordinates
 from atlas.overview.levels import Index
 from atlas.overview.pyramid import (
@@ -82,7 +82,7 @@ def _form_faults(header: Header) -> list[str]:
     levels = pyramid.levels
     for level in range(1, levels.count + 1) if pyramid.made else ():
         shape = levels.shape_of(level)
-        shapes = {v.name: shape + (pyramid.classes,) * len(v.extra) for v in pyramid.variables}
+        shapes = {v.name: shape + (CODES.size,) * len(v.extra) for v in pyramid.variables}
         for name, expected in shapes.items():
             try:
                 found = pyramid.array(level, name).shape
@@ -90,7 +90,7 @@ def _form_faults(header: Header) -> list[str]:
                     faults.append(f"{GROUP}/{level}/{name}/{ROOT}: shape {found}, must be {expected}")
             except ChunkError as error:
                 faults += [f"{key} {what}" for key, what in error.faults.items()]
-        for name, coordinate in level_coordinates(header, level, pyramid.classes).items():
+        for name, coordinate in level_coordinates(header, level).items():
             try:
                 found = pyramid.read(level, name, tuple(slice(0, n) for n in coordinate.values.shape))
                 if not np.all(_same(found, coordinate.values)):

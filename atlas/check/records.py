@@ -1,14 +1,12 @@
-"""Records and digests of tiles compared with their cells."""
+"""Records of tiles compared with their cells."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
-from atlas.store.record import ADDED, BY_REASON, CELLS, DIGEST, RECORDS, Index, Rows, digest_of, record_key
+from atlas.store.record import BY_REASON, CELLS, DIGEST, RECORDS, Index, Rows, record_key
 from atlas.store.records import Records
 from atlas.store.store import Header
-from atlas.store.tiles import covered_variables, read_chunk
 from workers.results import REASON
 
 EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
@@ -26,27 +24,12 @@ def record_faults(header: Header, records: Records, counted: Mapping[Index, Rows
     return faults + [f"the record of tile {index} contradicts its cells" for index in wrong]
 
 
-def tile_faults(header: Header, records: Records, index: Index, row: Rows) -> list[str]:
+def tile_faults(records: Records, index: Index, row: Rows) -> list[str]:
     """Why the record of a finished tile is wrong, given its ``row`` by its cells."""
     key = record_key(index)
     if key in records.damaged:
         return [f"{key} {records.damaged[key]}"]
     if records.rows[index][DIGEST].any():
         return [] if np.array_equal(records.rows[index][DIGEST], row[DIGEST]) else [EXCHANGED]
-    if header.record is None or ADDED in header.record["attributes"]:
-        return []
     lost = RECORDS not in records.damaged and index not in records.single
     return [f"{key} is missing"] if lost else []
-
-
-def digest_faults(
-    header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
-) -> tuple[str, ...]:
-    """Why ``values``, of all variables, cannot belong to that tile, by an older store's digests."""
-    stored = read_chunk(digests, index)
-    key = "/".join([digests.path, "c", *map(str, index)])
-    if isinstance(stored, str):
-        return (f"{key} {stored}",)
-    if int(stored.item()) == digest_of(index, covered_variables(header, digests.attrs), values):
-        return ()
-    return (EXCHANGED,) if header.place.exists(key) else (f"{key} is missing",)

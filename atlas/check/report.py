@@ -28,7 +28,6 @@ class Report:
 
     tiles, tiles_done, chunks    in all; finished; their chunks read whole, with correct checksums
     overview_chunks              read whole, and compared with the cells below them
-    digests                      whether the tiles have digests, by which an exchange of tiles is found
     cells_checked                checked against the rules
     cells_solved                 of the sample, solved again
     comparison                   "bits", "error", or why none was made
@@ -52,7 +51,6 @@ class Report:
     faults: tuple[Fault, ...]
     doubts: tuple[Fault, ...]
     overview_chunks: int = 0
-    digests: bool = True
     repaired: tuple[Index, ...] | None = None
     dropped: int = 0
     removed: tuple[str, ...] = ()
@@ -74,7 +72,6 @@ class Report:
         lines = [
             f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
             f"chunks   {self.chunks} read, checksums correct",
-            f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
             f"levels   {plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below",
             f"cells    {self.cells_checked} checked against the rules",
             f"sample   {plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
@@ -112,7 +109,6 @@ class Report:
             "faults": [{"tile": fault.tile, "what": fault.what} for fault in self.faults],
             "doubts": [{"tile": fault.tile, "what": fault.what} for fault in self.doubts],
             "overview_chunks": self.overview_chunks,
-            "digests": self.digests,
             "repaired": self.repaired,
             "dropped": self.dropped,
             "removed": self.removed,

@@ -1,5 +1,6 @@
 """Whether a store is what it says: everything in it is read and compared with everything known of it."""
 
+import json
 import os
 import random
 import time
@@ -16,9 +17,9 @@ import numpy as np
 
 from atlas.check.foreign import foreign_keys
 from atlas.check.groups import check_groups, mend_groups
-from atlas.check.metadata import coordinate_faults, lost_metadata, metadata_faults, restore, restore_coordinates
+from atlas.check.metadata import coordinate_faults, metadata_faults, restore_coordinates
 from atlas.check.overviews import check_overviews, drop_unsound
-from atlas.check.records import digest_faults, record_faults, tile_faults
+from atlas.check.records import record_faults, tile_faults
 from atlas.check.report import Fault, Report
 from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.check.rules import broken_rules
@@ -29,22 +30,33 @@ from atlas.overview.upkeep import Overviews
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
-from atlas.store.added import add_records
 from atlas.store.archive import ZipPlace, refuse_packed
+from atlas.store.location import place_of
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
-from atlas.store.record import ADDED, COVERED, WIDTH, Rows
+from atlas.store.record import COVERED, WIDTH, Rows
 from atlas.store.records import Records, write_compaction
 from atlas.store.schema import ALLOWANCES
 from atlas.store.sidecar import notes_of
+from atlas.store.spare import (
+    SPARE,
+    copy_metadata,
+    mend_by_spare,
+    nodes_of,
+    packed_spare,
+    read_spare,
+    remedy,
+    spare_faults,
+)
 from atlas.store.store import (
     READERS,
+    ROOT,
     ZOOM,
     Header,
     chunk_key,
     done_tiles,
+    header_by,
     open_arrays,
-    open_digests,
     read_header,
 )
 from atlas.store.tiles import drop_tile, is_blank, read_tile, record_of
@@ -52,7 +64,7 @@ from atlas.store.tiling import Tiling
 from atlas.store.zoom import sheet_place, sheets
 from atlas.text import plural
 from workers import SOLVER_VERSION
-from workers.results import FAILED
+from workers.results import FAILED, REGIME
 
 SAMPLE = 32
 
@@ -85,15 +97,37 @@ def verify(
     """
     if sample < 0:
         raise InputError(f"sample: found {sample}, must be 0 or more")
-    place = read_header(store).place
+    place = place_of(store)
     if repair:
         refuse_packed(place)
+    spare = read_spare(place)
+    if spare is None:
+        read_header(place)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed
     with reporting(on_progress) as report, ExitStack() as stack:
         notify = report or (lambda _: None)
         claim = stack.enter_context(claimed(notes_of(place), str(place))) if repair else None
+        place = place if claim is None else claim.guard(place)
+        lost = spare_faults(place, spare) if spare is not None else {SPARE: "is missing or damaged"}
+        told = tuple(Fault(None, f"{key} {what}: {remedy(place)}") for key, what in lost.items())
+        if spare is not None and lost and claim is None:  # whatever is read through wrong metadata means nothing
+            header = header_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
+            return replace(_begun(header, seed), comparison="the metadata are damaged", faults=told)
+        if spare is not None and lost:
+            mend_by_spare(place, spare, lost)
         header = read_header(place)
-        return _with_zoom(_verified(header, sample, claim, seed, notify), header, sample, claim, notify)
+        found = _with_zoom(_verified(header, sample, claim, seed, notify), header, sample, claim, notify)
+        if claim is not None and lost:
+            if spare is None:
+                place.put(SPARE, packed_spare(place.get(ROOT) or b""))
+            found = replace(found, mended=(*(f"{key} written again" for key in lost), *found.mended))
+        return replace(found, faults=(*told, *found.faults))
+
+
+def _begun(header: Header, seed: int) -> Report:
+    """The report on a store before anything is read."""
+    done = len(done_tiles(header))
+    return Report(str(header.place), header.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
 
 
 def _verified(
@@ -103,14 +137,12 @@ def _verified(
     tiling = header.tiling
     notify(Progress("listing the tiles"))
     done = sorted(done_tiles(header))
-    report = Report(str(header.place), tiling.count, len(done), 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
+    report = _begun(header, seed)
     faults = [Fault(None, what) for what in metadata_faults(header)]
     if faults:  # whatever is read through wrong metadata means nothing
         report = replace(report, comparison="the metadata are damaged", faults=tuple(faults))
-        return report if claim is None else _with_metadata(header, report, claim)
+        return report if claim is None else _with_metadata(header, report)
     records = Records(header, done)
-    new = header.record is not None and ADDED not in header.record["attributes"]
-    report = replace(report, digests=new or open_digests(header) is not None)
     worn = coordinate_faults(header)
     faults += [Fault(None, what) for what in worn]
     foreign = tuple(foreign_keys(header))
@@ -151,7 +183,6 @@ def _verified(
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
     if claim is None:
         return report
-    claim.check()
     if worn:
         restore_coordinates(header)
     drop_unsound(header, overviews)
@@ -166,7 +197,7 @@ def _verified(
     if wrong or bad or loose or not records.known[records.done].all():
         mended += tuple(_put_together(header, sound))
     notify(Progress("writing overviews"))
-    made = Overviews(header, held=claim.check).finish()
+    made = Overviews(header).finish()
     mended += (f"{plural(made, 'chunk')} of overviews written",) if made else ()
     return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign, mended=mended)
 
@@ -176,16 +207,16 @@ def _put_together(header: Header, sound: dict[Index, Rows]) -> Iterator[str]:
     rows, settled = np.zeros((*header.tiling.grid, WIDTH)), np.zeros(header.tiling.grid, dtype=bool)
     for index, row in sound.items():
         rows[index], settled[index] = row, True
-    write_compaction(add_records(header), rows, settled)
+    write_compaction(header, rows, settled)
     yield f"records of {plural(len(sound), 'tile')} collected"
 
 
-def _with_metadata(header: Header, report: Report, claim: Claim) -> Report:
-    """The report after metadata of arrays that cannot be read were restored from the root's copy of them."""
-    claim.check()
-    lost = lost_metadata(header)
-    restore(header, lost)
-    mended = tuple(f"{key} rewritten from the root's copy: verify the store again" for key in lost)
+def _with_metadata(header: Header, report: Report) -> Report:
+    """The report after the root's copies of the metadata of its arrays were made again from these."""
+    root = json.loads(header.place.get(ROOT) or b"{}")
+    copy_metadata(header.place, root)
+    left = metadata_faults(read_header(header.place))
+    mended = () if left else (f"{ROOT}: its consolidated metadata written again: verify the store again",)
     return replace(report, repaired=(), mended=mended)
 
 
@@ -216,7 +247,6 @@ def _with_zoom(
             all_of += [Fault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
     mended = list(report.mended)
     if claim is not None and bad:
-        claim.check()
         drop_zoom(header, bad)
         mended.append(f"{ZOOM}: {plural(len(set(bad)), 'folder')} dropped: the explorer solves again what it shows")
     return replace(report, sheets=len(found), faults=tuple(faults), doubts=tuple(doubts), mended=tuple(mended))
@@ -245,7 +275,7 @@ def _read_all(
     notify: Callable[[Progress], None],
 ) -> Iterator[_Checked]:
     """Read and check the finished tiles, several at once."""
-    arrays, digests, tiling = open_arrays(header), open_digests(header), header.tiling
+    arrays, tiling = open_arrays(header), header.tiling
     _ = records.rows  # before several threads ask for them
     sizes = [tiling.at(index).size for index in done]
     pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
@@ -254,7 +284,7 @@ def _read_all(
     stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
     notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check(header, arrays, records, digests, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check(header, arrays, records, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = unfinished + read
@@ -262,15 +292,9 @@ def _read_all(
             yield tile
 
 
-def _check(
-    header: Header, arrays: dict[str, Any], records: Records, digests: Any | None, index: Index, drawn: list[int]
-) -> _Checked:
+def _check(header: Header, arrays: dict[str, Any], records: Records, index: Index, drawn: list[int]) -> _Checked:
     tile = header.tiling.at(index)
-    needed = {each.name for each in (*header.variables, *ALLOWANCES)}
-    if digests is not None:
-        needed |= {*digests.attrs[COVERED]}
-    if header.record is not None:
-        needed |= {*header.record["attributes"][COVERED]}
+    needed = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.record["attributes"][COVERED]}
     stored = needed & arrays.keys()
     try:
         values = read_tile(header, index, needed, arrays)
@@ -283,9 +307,7 @@ def _check(
         for text, mask in broken.items()
     )
     row = record_of(header, index, values)
-    faults += tuple(tile_faults(header, records, index, row))
-    if digests is not None:
-        faults += digest_faults(header, digests, index, values)
+    faults += tuple(tile_faults(records, index, row))
     samples = []
     for flat in drawn:
         inner = tuple(int(i) for i in np.unravel_index(flat, tile.shape))

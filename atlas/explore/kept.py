@@ -170,9 +170,10 @@ class Keeper:
         try:
             if not header.place.exists(ROOT):  # to claim it would make a folder of its name
                 raise RunError(f"{header.place} is gone")
-            with claimed(notes, str(header.place)):
+            with claimed(notes, str(header.place)) as claim:
+                header = header.at(claim.guard(header.place))
                 for at, arrays in batch:
-                    self._keep(*at, arrays)
+                    self._keep(header, *at, arrays)
                     with self._lock:
                         self._waiting.pop(at, None)
                 self._trim(header)
@@ -183,26 +184,26 @@ class Keeper:
                 busy = notes.read(CLAIM) is not None
             self._say(f"kept later: {'a run is at work on the store' if busy else error}")
 
-    def _keep(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+    def _keep(self, header: Header, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         """Write a tile; one that cannot be kept for a reason of its own does not hold up the others."""
         try:
-            self._write(plane, key, arrays)
+            self._write(header, plane, key, arrays)
         except (InputError, RunError, OSError):
             raise
         except Exception as error:
             logging.getLogger(__name__).exception("a tile could not be kept")
             self._lose(why(error))
 
-    def _write(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+    def _write(self, header: Header, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None
         of = SheetKey.of(key)
         span = self.sheets.span_with(key)
         if span is None:
             return
-        sheet = self.sheets.find(plane, of) or self.sheets.made(plane, of, span)
+        sheet = self.sheets.find(plane, of) or self.sheets.made(header, plane, of, span)
         index = sheet.index(key)
         if index not in done_tiles(sheet.header) or index in sheet.bad:
-            write_tile(sheet.header, index, arrays)
+            write_tile(sheet.header.at(sheet.header.place.behind(header.place.fence)), index, arrays)
         self.sheets.note(sheet, index)
         self._see(plane, of)
         self._sizes.pop((self.sheets.digest(plane), of.name), None)

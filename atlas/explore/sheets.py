@@ -111,19 +111,20 @@ class Sheets:
                 self._absent.popitem(last=False)
             return None
 
-    def made(self, plane: Plane, key: SheetKey, span: Span) -> Sheet:
-        """A sheet that ``find`` found none of, open. For the claim's holder only; OSError where the disk refuses.
+    def made(self, header: Header, plane: Plane, key: SheetKey, span: Span) -> Sheet:
+        """A sheet that ``find`` found none of, open, by the header of the store as its claim's holder has it.
 
-        Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew.
+        Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew; OSError
+        where the disk refuses.
         """
-        at, place = (plane, key), self._place(plane, key)
+        at, place = (plane, key), sheet_place(header, self.digest(plane), key.name)
         try:
             with self._lock:
-                return self._opened(at, place, span)
+                return self._opened(at, place.behind(None), span)
         except Exception as error:
             if _refused(error):
                 raise
-        drop_sheet(self._header, self.digest(plane), key.name)
+        drop_sheet(header, self.digest(plane), key.name)
         subject, digest, (rows, columns) = self._subject, self.digest(plane), span
         x = Stretch(key.level_x, columns.start * TILE, len(columns) * TILE)
         y = Stretch(key.level_y, rows.start * TILE, len(rows) * TILE)
@@ -133,12 +134,12 @@ class Sheets:
             "solve": dict(vars(subject.settings)),
             "digest": subject.digest(plane),
         }
-        make_plane(self._header, digest, described)
+        make_plane(header, digest, described)
         if place.local is not None:
             remove_half_made(place.local)
         create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
         with self._lock:
-            return self._opened(at, place, span)
+            return self._opened(at, place.behind(None), span)
 
     def close(self, digest: str, name: str) -> None:
         """Forget a sheet that is dropped, by the name of its plane and its own."""

@@ -1,16 +1,22 @@
-"""The coordinates of the levels of overviews: middles and edges of coarse cells."""
+"""The coordinates of the levels of overviews: middles and edges of coarse cells.
+
+Dimensions that a level coarsens have names of their own: below a group with an ``omega`` of other values no other
+``omega`` may lie in a tree of datasets, which ``xarray.open_datatree`` makes of a store.
+"""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.overview.coarsen import CODES
 from atlas.spec.cells import edges_of
+from atlas.spec.spec import Spec
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
 from workers.results import REGIMES
 
 
-def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> dict[str, StoredArray]:
+def level_coordinates(header: Header, level: int) -> dict[str, StoredArray]:
     """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
     spec, base, made = header.spec, header.coordinates, {}
     for axis in reversed(spec.axes):
@@ -18,14 +24,33 @@ def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> 
             made[axis.name] = base[axis.name]
             continue
         edges = edges_of(np.array(axis.values), axis.scale == "log")
-        edges, bounds = np.append(edges[: -1 : 2**level], edges[-1]), bounds_name(axis.name)
+        edges, own = np.append(edges[: -1 : 2**level], edges[-1]), coarse_name(axis.name)
+        bounds = bounds_name(own)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
-        made[axis.name] = StoredArray(centres(edges, axis.scale == "log"), (axis.name,), attributes)
-        made[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
+        made[own] = StoredArray(centres(edges, axis.scale == "log"), (own,), attributes)
+        made[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (own, "bound"), {})
     for name in (name for name in spec.parameters if name in base):
         made[name] = StoredArray(np.asarray(base[name].values), (), base[name].attributes)
-    named = np.array([regime.name for regime in REGIMES[:classes]], dtype="T")
+    named = np.array([regime.name for regime in REGIMES], dtype="T")
     return made | {"class": StoredArray(named, ("class",), {"long_name": "regime of motion"})}
+
+
+def coarse_name(axis: str) -> str:
+    """The name of an axis in levels that coarsen it."""
+    return f"{axis}_coarse"
+
+
+def level_dims(spec: Spec) -> tuple[str, ...]:
+    """The dimensions of a cell's variables in every level."""
+    return (*spec.dims[: spec.kept], *map(coarse_name, spec.dims[spec.kept :]))
+
+
+def multiscales(spec: Spec, levels: int) -> list[dict[str, Any]]:
+    """The attribute of the group of all levels by which viewers of pyramids find them, level 0 first."""
+    scales = [[1 if k < spec.kept else 2**level for k in range(len(spec.dims))] for level in range(levels + 1)]
+    paths = ["..", *map(str, range(1, levels + 1))]
+    datasets = [{"path": path, "scale": scale} for path, scale in zip(paths, scales, strict=True)]
+    return [{"name": "cells", "axes": list(spec.dims), "datasets": datasets}]
 
 
 def bounds_name(axis: str) -> str:

@@ -26,6 +26,8 @@ from atlas.store.store import ROOT, Header
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
+_FRAME = b"\x28\xb5\x2f\xfd"
+"""What a Zstandard frame begins with."""
 _PATIENCE_SECONDS = 10.0
 
 
@@ -39,6 +41,7 @@ class GuardedStore(WrapperStore[Any]):
         self._dims, self._end = len(header.spec.shape), "/0" * len(header.regime.extra)
         self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
         self._parts = {name: parts_of(array) for name, array in header.arrays.items()}
+        self._sizes = {name: chunk_bytes(array) for name, array in header.arrays.items()}
         self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinate_names}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
@@ -63,6 +66,9 @@ class GuardedStore(WrapperStore[Any]):
         self.chunks_read += not isinstance(byte_range, SuffixByteRequest)  # the index of a shard
         parts = self._parts.get(array, 0) if byte_range is None else 0
         whole = _is_whole_shard(found.to_bytes(), parts) if parts else _is_whole(found.to_bytes())
+        size, must = unpacked_size(found.to_bytes()), self._sizes.get(array, 0)
+        if whole and not parts and byte_range is None and None is not size != must > 0:  # a chunk of another array
+            raise self._error(key, f"is damaged (it unpacks to {size} bytes, must be {must})")
         above, _, name = array.rpartition("/")
         names = self._complete if above.partition("/")[0] == OVERVIEWS else self._checked
         if (above in TABLES or name in names) and not whole:
@@ -111,6 +117,26 @@ def parts_of(metadata: Mapping[str, Any]) -> int:
         return 0
     inner, whole = codec["configuration"]["chunk_shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
     return math.prod(n // k for n, k in zip(whole, inner, strict=True))
+
+
+def chunk_bytes(metadata: Mapping[str, Any]) -> int:
+    """The unpacked bytes of a chunk of an array, by its metadata; 0 where they are not fixed, or it has shards."""
+    try:
+        size = np.dtype(metadata["data_type"]).itemsize
+        return 0 if parts_of(metadata) else size * math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+    except (KeyError, TypeError):
+        return 0
+
+
+def unpacked_size(data: bytes) -> int | None:
+    """The unpacked size that a Zstandard frame states (RFC 8878, 3.1.1.1); None for anything else."""
+    if data[:4] != _FRAME or len(data) < 5:
+        return None
+    single, dictionary, field = data[4] >> 5 & 1, (0, 1, 2, 4)[data[4] & 3], (0, 2, 4, 8)[data[4] >> 6]
+    field, begin = field or single, 6 - single + dictionary
+    if not field or len(data) < begin + field:
+        return None
+    return int.from_bytes(data[begin : begin + field], "little") + (256 if field == 2 else 0)
 
 
 def _is_whole_shard(data: bytes, parts: int) -> bool:

@@ -26,7 +26,6 @@ class Levels:
     shape   cells of the grid along each dimension, slowest first
     tile    cells of a tile along each dimension
     side    about how many cells a chunk has along each side: a whole number of tiles
-    halved  whether a chunk has half the side of a larger tile, so that one of level 1 lies over one such tile
     least   sides of this length or less are not coarsened again
     kept    leading dimensions that no level coarsens
     """
@@ -36,7 +35,6 @@ class Levels:
     side: int = SIDE
     least: int = LEAST
     kept: int = 0
-    halved: bool = True
 
     @property
     def chunk(self) -> Index:
@@ -44,8 +42,8 @@ class Levels:
         return tuple(t if dim < self.kept else self._chunk_side(t) for dim, t in enumerate(self.tile))
 
     def _chunk_side(self, tile: int) -> int:
-        if self.halved and tile > self.side and tile % 2 == 0:
-            return tile // 2
+        if tile > self.side and tile % 2 == 0:
+            return tile // 2  # a chunk of level 1 lies over one such tile
         return tile * max(1, self.side // tile)
 
     @property

@@ -12,9 +12,9 @@ it is asked for (``atlas.query.source``).
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -25,7 +25,6 @@ from atlas.errors import ChunkError, RunError, message_of
 from atlas.overview.coarsen import (
     CODES,
     REGIME_SHOWN,
-    SHARE,
     Cells,
     Widths,
     coarsen,
@@ -33,7 +32,7 @@ from atlas.overview.coarsen import (
     halved,
     level_variables,
 )
-from atlas.overview.coordinates import level_coordinates
+from atlas.overview.coordinates import level_coordinates, level_dims, multiscales
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
@@ -41,6 +40,7 @@ from atlas.store.build import codecs, consolidate, create_whole
 from atlas.store.making import metadata_apart
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import ROOT, Header, chunk_key, open_group
+from atlas.store.tiles import encoded
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, Variable
 
@@ -50,13 +50,10 @@ MARKS = (REGIME, REGIME_SHOWN)
 _LOOKS, _PAUSE = 10, 0.2
 """A tile that a run before this one is still writing is unfinished for a moment: looks, and seconds between them."""
 
-_WHOLE, _HALVED = 1, 2
-"""Versions of levels: chunks of whole tiles, and of half a large tile. The next run makes any other version anew."""
 _MOST_OPEN = 4
 """Runs whose overviews a process keeps open."""
-_UNSTATED = {"side": 256, "least": 128, "classes": 8}
-"""The shapes of overviews made before they were stored with them."""
-
+_SHAPES = ("side", "least", "classes", "complete")
+"""Attributes of the group of all levels: those of ``Levels``, the number of regimes, and, written last, that all is."""
 _opened: dict[tuple[str, str], "Pyramid"] = {}
 
 
@@ -66,7 +63,6 @@ class Pyramid:
     root     its group, for reading; a chunk that is missing or damaged raises
     made     whether there are overviews at all
     levels   their geometry; ``side`` and ``least`` are those of overviews that are yet to be made
-    classes  the number of regimes they know; a regime that was added since has share 0
     """
 
     def __init__(self, header: Header, side: int = SIDE, least: int = LEAST) -> None:
@@ -79,15 +75,9 @@ class Pyramid:
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
-        shapes = stored or {"side": side, "least": least, "classes": CODES.size, "version": _HALVED}
-        self.classes = shapes["classes"]
+        shapes = stored or {"side": side, "least": least}
         self.levels = Levels(
-            header.spec.shape,
-            header.tile,
-            side=shapes["side"],
-            least=shapes["least"],
-            kept=header.spec.kept,
-            halved=shapes["version"] == _HALVED,
+            header.spec.shape, header.tile, side=shapes["side"], least=shapes["least"], kept=header.spec.kept
         )
         self._targets: dict[str, Any] = {}
 
@@ -113,7 +103,7 @@ class Pyramid:
     def holds(self, array: Any, name: str) -> bool:
         """Whether this store is where a Zarr array lies, by that name."""
         path = getattr(array, "store_path", None)
-        return path is not None and path.path == name and path.store in (self.root.store, self._plain)
+        return path is not None and path.path == name and path.store in (self.root.store, self._plain.store)
 
     def array(self, level: int, name: str) -> Any:
         """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
@@ -130,8 +120,6 @@ class Pyramid:
             found = np.asarray(array[block])
         if not level:
             found = self.header.leading({name: found})[name]
-        if level and name == SHARE.name and self.classes < CODES.size:
-            return np.pad(found, [(0, 0)] * (found.ndim - 1) + [(0, CODES.size - self.classes)])
         return found
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
@@ -141,28 +129,24 @@ class Pyramid:
         return {index for index in found if index is not None}
 
     def create(self) -> None:
-        """Make the groups of all levels, without a value, unless they are there and know all regimes."""
-        if self.made and self.classes == CODES.size:
+        """Make the groups of all levels, without a value, unless they are there."""
+        if self.made:
             return
-        self.made, self.classes = False, int(CODES.size)
         self._arrays.clear()
         self._targets.clear()
-        shapes = {"side": self.levels.side, "least": self.levels.least, "classes": self.classes}
+        shapes = {"side": self.levels.side, "least": self.levels.least, "classes": int(CODES.size)}
+        about = {"multiscales": multiscales(self.header.spec, self.levels.count)}
         with metadata_apart(self.header.place, GROUP) as root:
-            top = root.create_group(GROUP, attributes=shapes)
+            top = root.create_group(GROUP, attributes=shapes | about)
             for level in range(1, self.levels.count + 1):
                 self._create_level(top, level)
             for level in range(1, self.levels.count + 1):
                 consolidate(root, f"{GROUP}/{level}")
-            whole = self.levels.chunk == replace(self.levels, halved=False).chunk
-            top.attrs["version"] = _WHOLE if whole else _HALVED
+            top.attrs["complete"] = True
         self.made = True
 
-    def make(self, level: int, index: Index, held: Callable[[], None] = lambda: None) -> None:
-        """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending.
-
-        ``held`` is called before the first and the last write, and raises if another run has the store.
-        """
+    def make(self, level: int, index: Index) -> None:
+        """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
@@ -174,31 +158,32 @@ class Pyramid:
             time.sleep(_PAUSE)
         else:
             raise RunError(f"{self.header.place}: overview {level}, chunk {index}: not all that lies below it is done")
-        self._write(level, index, from_cells(arrays, names) if level == 1 else arrays, held)
+        self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
-    def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]], held: Callable[[], None]) -> bool:
+    def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
         """Write the chunk of level 1 over a tile that is written, of its arrays; False if it needs other tiles."""
         if not (self.made and self.levels.over_alone(tile)):
             return False
         names = [variable.name for variable in self.variables]
         stored = {v.name: np.asarray(arrays[v.name], dtype=v.dtype) for v in self.header.variables if v.name in names}
-        self._write(1, self.levels.over(tile), from_cells(self.header.leading(stored), names), held)
+        self._write(1, self.levels.over(tile), from_cells(self.header.leading(stored), names))
         return True
 
-    def _write(self, level: int, index: Index, below: Cells, held: Callable[[], None]) -> None:
+    def _write(self, level: int, index: Index, below: Cells) -> None:
         """Coarsen the cells of the level before that a chunk lies over, and write it, ``regime`` last."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
-        made = coarsen(below, widths, self.levels.coarsened)
-        held()
+        made, objects = coarsen(below, widths, self.levels.coarsened), dict[str, bytes]()
         for variable in self.variables:
             path = f"{GROUP}/{level}/{variable.name}"
-            if variable.name == REGIME.name:
-                held()
             if path not in self._targets:
-                self._targets[path] = self._writable[path].with_config({"write_empty_chunks": True})
-            self._targets[path][block] = made[variable.name]
+                self._targets[path] = self._plain[path]
+            if variable.name == REGIME.name:
+                self.header.place.put_all(objects)
+                objects = {}
+            objects |= encoded(self._targets[path], block, made[variable.name])
+        self.header.place.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
         """Drop the overviews of these tiles: to be done before any of them is written."""
@@ -243,18 +228,14 @@ class Pyramid:
                 chunks=tuple(map(min, self.levels.chunk, shape)) + extra,
                 dtype=variable.dtype,
                 fill_value=variable.fill,
-                dimension_names=spec.dims + variable.extra,
+                dimension_names=level_dims(spec) + variable.extra,
                 compressors=codecs(),
                 attributes=attributes,
             )
 
     @cached_property
     def _plain(self) -> Any:
-        return open_group(self.header.place, "r").store
-
-    @cached_property
-    def _writable(self) -> Any:
-        return open_group(self.header.place, "r+")
+        return open_group(self.header.place, "r")
 
 
 def opened(header: Header, run: str) -> Pyramid:
@@ -266,7 +247,9 @@ def opened(header: Header, run: str) -> Pyramid:
         while len(_opened) >= _MOST_OPEN:
             _opened.pop(next(iter(_opened)), None)
         _opened[key] = found
-    return found
+    through = copy(found)  # what it has opened, with the header whose place is to be written
+    through.header = header
+    return through
 
 
 def drop_all(header: Header) -> None:
@@ -286,17 +269,15 @@ def _named(header: Header, path: str) -> Iterator[None]:
 
 
 def _stored_shapes(root: Any) -> dict[str, int] | None:
-    """The shapes of levels that a store's overviews state; None if there are no sound overviews of a known form."""
+    """The shapes of levels that a store's overviews state; None if there are no sound ones with all regimes."""
     try:
         attributes = dict(root[GROUP].attrs) if GROUP in root else {}
-        shapes = {name: int(attributes.get(name, size)) for name, size in _UNSTATED.items()}
-        shapes["version"] = int(attributes.get("version", 0))
+        shapes = {name: int(attributes[name]) for name in _SHAPES}
     except OSError:
         raise
     except Exception:  # what is no JSON, or no metadata, may raise anything
         return None
-    known = min(shapes.values()) > 0 and shapes["classes"] <= CODES.size
-    return shapes if shapes["version"] in (_WHOLE, _HALVED) and known else None
+    return shapes if min(shapes.values()) > 0 and shapes["classes"] == CODES.size else None
 
 
 def level_key(level: int, variable: Variable, index: Index) -> str:

@@ -18,30 +18,27 @@ class Overviews:
     """The overviews of a store that a run writes.
 
     At the beginning it makes the groups of all levels, and drops what lies over unfinished tiles and over ``pending``
-    ones, which are finished and are to be written again. ``held`` is called before each write, and raises if another
-    run has the store. ``side`` and ``least`` are those of ``Levels``; a store that has overviews keeps its own.
+    ones, which are finished and are to be written again. ``side`` and ``least`` are those of ``Levels``; a store that
+    has overviews keeps its own.
     """
 
     def __init__(
         self,
         header: Header,
         pending: Iterable[Index] = (),
-        held: Callable[[], None] = lambda: None,
         *,
         side: int = SIDE,
         least: int = LEAST,
     ) -> None:
-        self._header, self._held = header, held
+        self._header = header
         self._pyramid = Pyramid(header, side, least)
         self.levels = range(1, self._pyramid.levels.count + 1)
         if not self.levels:
             return
-        held()
         self._pyramid.create()
         stale = np.ones(header.tiling.grid, dtype=bool)
         for tile in done_tiles(header) - set(pending):
             stale[tile] = False
-        held()
         self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
 
     def __bool__(self) -> bool:
@@ -67,7 +64,7 @@ class Overviews:
             for done, index in enumerate(missing):
                 report(done, len(missing))
                 try:
-                    self._pyramid.make(level, index, self._held)
+                    self._pyramid.make(level, index)
                 except (RunError, ChunkError):
                     raise
                 except (OSError, ValueError) as error:

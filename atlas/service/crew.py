@@ -76,12 +76,16 @@ class Crew:
                 waiting = "" if workers.threads else "no worker left: waiting for one"
                 self._report(doing(), workers.trouble or waiting)
 
-            for outcome in force.outcomes(jobs, tick):
-                if isinstance(outcome, TileFailure):
-                    kept = "what is found is kept, and the same command resumes"
-                    raise RunError(f"a task failed: {outcome.message}; {kept}")
-                take(outcome)
-                self._report(doing())
+            try:
+                for outcome in force.outcomes(jobs, tick):
+                    if isinstance(outcome, TileFailure):
+                        kept = "what is found is kept, and the same command resumes"
+                        raise RunError(f"a task failed: {outcome.message}; {kept}")
+                    take(outcome)
+                    self._report(doing())
+            except RunError:
+                self.header.place.confirm()  # if the claim was taken, workers refuse for that reason
+                raise
 
     def _report(self, progress: Progress, trouble: str = "") -> None:
         """Report how far the jobs are; in a log once every few seconds."""

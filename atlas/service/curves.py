@@ -105,6 +105,7 @@ def find_curves(
         client = joined(client, options, stack)
         workers = worker_count(client, options)
         claim = stack.enter_context(claimed_place(header.place, options))
+        header = header.at(claim.guard(header.place))
         crew = Crew(header, kernels_for(header.spec.record, ORBITS), options, claim, stack, workers, client)
         return _Coordinator(header, search, digest, crew).run()
 
@@ -141,7 +142,6 @@ class _Coordinator:
             self.crew.do(do_and_keep, jobs, self._count, self._progress)
             self.search.take([read_part(self.header, name) for name in tasks])
         found = finished(self.search)
-        self.crew.claim.confirm(self.header.place)
         drop_family(self.header, MARGIN)  # margins are to the curves before
         write_curves(self.header, found)
         drop_parts(self.header, CURVES)

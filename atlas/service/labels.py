@@ -71,6 +71,5 @@ def label_attractors(
             prepare_kernels(options.report, *kernels_for(header.spec.record, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
             found = labels_of(header)
-            claim.confirm(header.place)
-            write_labels(header, found)
+            write_labels(header.at(claim.guard(header.place)), found)
         return LabelSummary(str(header.place), found.count, time.monotonic() - begin)

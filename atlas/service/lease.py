@@ -22,7 +22,7 @@ from atlas.errors import InputError, NetworkError, RunError, one_line
 from atlas.service.process import is_name, is_running, this_process
 from atlas.service.timing import TIMING, Timing
 from atlas.store.location import Place
-from atlas.store.sidecar import CLAIM, Notes, claim_token, notes_of
+from atlas.store.sidecar import CLAIM, Notes, note_fence
 
 ENDED = "ended"
 """The note of how the last submitted run ended."""
@@ -134,14 +134,19 @@ class Claim:
         if self._record.cancelled:
             raise RunError("stopped by atlas cancel; finished tiles are kept, and the same command resumes from them")
 
-    def confirm(self, place: Place) -> None:
-        """As ``check``, and by one read of the store's claim: before each write that is not a worker's.
+    def guard(self, place: Place) -> Place:
+        """The claimed place behind a fence: as ``check``, and one read of the claim, before each write and removal.
 
         A process that slept since the last beat may not know yet that it was replaced.
         """
-        self.check()
-        if claim_token(notes_of(place)) != self.token:
-            raise RunError(f"{place}: this run has lost its claim of the store; finished tiles are kept")
+        lost = "this run has lost its claim of the store: another run has taken it; finished tiles are kept"
+        look = note_fence(place, CLAIM, self.token, RunError, lost)
+
+        def fence() -> None:
+            self.check()
+            look()
+
+        return place.behind(fence)
 
     def release(self) -> None:
         """Free the store."""

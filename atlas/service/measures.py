@@ -123,6 +123,7 @@ def measure_attractors(
         workers = worker_count(client, options) if families else 0
         client = joined(client, options, stack) if families else None
         claim = stack.enter_context(claimed_place(header.place, options))
+        header = header.at(claim.guard(header.place))
         if read_measures(header).requests != before.requests:  # what it has found must not be lost
             raise RunError(f"{header.place}: another run has measured it meanwhile; run the same command again")
         found = Stored(dict(stored.arrays), dict(stored.requests))
@@ -134,7 +135,6 @@ def measure_attractors(
             found.arrays.update(job.run(families, _digest({name: wanted[name] for name in families})))
             busy, tasks = job.processor_seconds, job.tasks
         found.requests.update({family: wanted[family] for family in missing})
-        claim.confirm(header.place)
         ordered = {name: found.arrays[name] for name in MEASURES if name in found.arrays}
         write_measures(header, Stored(ordered, found.requests))
         drop_parts(header, STABILITY)

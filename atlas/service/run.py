@@ -22,7 +22,7 @@ from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
-from atlas.store.added import add_allowances, add_records
+from atlas.store.added import add_allowances
 from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.location import Place, place_of, waiting
 from atlas.store.making import check_run, remove_half_made
@@ -96,12 +96,11 @@ def complete(
         if header is None:
             _tile(spec, place, workers)
         claim = stack.enter_context(claimed_place(place, options))
-        place = waiting(place, options.patience)
+        place = claim.guard(waiting(place, options.patience))
         header = find(place)  # once more: before the claim another run may have made it
         _check(spec, place, header, options, origin, run_id)
         if header is None:
             options.report(Progress("making the store"))
-            claim.confirm(place)
             create(place, spec, _tile(spec, place, workers), origin, run_id)
             header = read_header(place)
         run = _Run(header, workers, claim, options)
@@ -164,10 +163,6 @@ class _Run:
             self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
             self.totals = Totals(plan, plan.tiling.count, plan.tiling.cells, int(self.stored.done.sum()), cells)
 
-    def held(self) -> None:
-        """Raise RunError if another run has the store; called before each write."""
-        self.claim.confirm(self.header.place)
-
     def begin(self) -> None:
         """Give the store the arrays that it lacks, and drop the overviews of tiles that are solved again."""
         totals, retry, stage = self.totals, self.options.retry, "starting"
@@ -178,12 +173,10 @@ class _Run:
             if self.header.place.local is not None:
                 refuse_shortage(totals.plan, self.header.place.local, int(self.due.sum()))
         self.report(stage)
-        self.held()
-        self.header = add_records(self.header)
         if retry is not None:
             add_allowances(self.header, retry.raises)
         again = {*_indices(self.due)} if retry is not None else self.replaced
-        self.overviews = Overviews(self.header, again, self.held)
+        self.overviews = Overviews(self.header, again)
         self.records = RunRecords(self.header, self.stored, self.due)
 
     @property
@@ -217,6 +210,9 @@ class _Run:
         except KeyboardInterrupt:
             self.report("interrupted, dropping the tiles under way")
             raise
+        except RunError:
+            header.place.confirm()  # if the claim was taken, workers refuse for that reason
+            raise
 
     def _make(self, force: Workforce[Job, Receipt | Made], jobs: list[Job]) -> None:
         """Have workers do other jobs than tiles. A failed overview chunk is left to ``finish``, which says why."""
@@ -238,7 +234,7 @@ class _Run:
     def finish(self) -> None:
         """The end: overviews that no worker has made, and all records in one chunk."""
         self.overviews.finish(lambda done, of: self.report(f"writing overviews: {done} of {of} parts"))
-        self.records.compact(self.held, lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
+        self.records.compact(lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
 
     def report(self, stage: str) -> None:
         """Report where the run is."""

@@ -211,8 +211,7 @@ class Spec:
         """
         try:
             kept, digest = json.loads(ds.attrs["spec"]), ds.attrs["digest"]
-            if ds.attrs["format_version"] > 1:
-                kept = with_values(kept, {name: ds[name].values.tolist() for name in outlined(kept)})
+            kept = with_values(kept, {name: ds[name].values.tolist() for name in outlined(kept)})
         except (KeyError, TypeError, ValueError):
             raise InputError("this dataset lacks the spec of its atlas, or a coordinate") from None
         if resolved_digest(kept) != digest:

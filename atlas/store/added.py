@@ -1,26 +1,14 @@
-"""What a store gets after it was made: records, allowances, and coordinates that are written again."""
+"""What a store gets after it was made: allowances."""
 
 import json
 from collections.abc import Iterable
 from dataclasses import replace
 
 from atlas.store.axes import ROOT
-from atlas.store.build import codecs, consolidate, create_variable
+from atlas.store.build import consolidate, create_variable
 from atlas.store.location import Place
-from atlas.store.record import create_arrays
-from atlas.store.schema import ALLOWANCES, Allowance, variable_attributes
-from atlas.store.store import ZOOM, Header, open_group, read_header
-
-
-def add_records(header: Header) -> Header:
-    """The header of a store with arrays for records; a store of an earlier version gets them here."""
-    if header.record is not None:
-        return header
-    root = open_group(header.place, "r+")
-    create_arrays(root, (*header.variables, *ALLOWANCES), header.spec.dims, header.tiling.grid, codecs(), added=True)
-    consolidate(root)
-    _leave_out(header.place, f"{ZOOM}/")
-    return read_header(header.place)
+from atlas.store.schema import Allowance, variable_attributes
+from atlas.store.store import ZOOM, Header, open_group
 
 
 def add_allowances(header: Header, raised: Iterable[Allowance]) -> None:

@@ -1,7 +1,6 @@
 """The values of a store's axes, or of the columns of its points: they are in its coordinates, not in its attributes.
 
 Values that are not evenly spaced, and so cannot be made again from the attributes, have a copy beside their coordinate.
-Stores of format version 1 have all values in their attributes too, and no copies.
 """
 
 import itertools

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from atlas.spec.spec import Spec
-from atlas.store.axes import copies
+from atlas.store.axes import ROOT, copies
 from atlas.store.location import LocalPlace
 from atlas.store.machine import MACHINES
 from atlas.store.record import create_arrays
@@ -19,6 +19,7 @@ from atlas.store.schema import (
     root_attributes,
     variable_attributes,
 )
+from atlas.store.spare import SPARE, packed_spare
 from atlas.store.tiling import Tiling, part_side
 from workers.results import Variable
 
@@ -41,6 +42,7 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
         create_variable(group, variable, spec, tiling, variable_attributes(variable, [*spec.parameters, *spec.points]))
     create_arrays(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
     consolidate(group)
+    LocalPlace(path).put(SPARE, packed_spare((path / ROOT).read_bytes()))
 
 
 def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:

@@ -5,11 +5,11 @@ or looked for, and a write under a condition, which an object store has in place
 """
 
 import os
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 from urllib.parse import urlsplit
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
 """Schemes of URLs that a store may have, besides ``file``: the ones that obstore supports."""
 _ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT", "GOOGLE_BASE_URL", "AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT")
+_SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
+"""What settings of a client begin with in the environment."""
 AT_ONCE = 64
 """Requests under way together where many objects of a server are read: it answers all as soon as one."""
 _T = TypeVar("_T")
@@ -69,7 +71,19 @@ def _place_at(path: Path) -> Place:
 
 def waiting(place: Place, patience: float) -> Place:
     """The same place, with another patience where it is at a URL."""
-    return replace(place, patience=patience) if isinstance(place, ObjectPlace) else place
+    return replace(place, patience=patience).behind(place.fence) if isinstance(place, ObjectPlace) else place
+
+
+@lru_cache(maxsize=16)
+def _client(url: str, settings: tuple[tuple[str, str], ...], process: int) -> "ObjectStore":
+    """The client of a URL under these settings. It tries everything once: ``persist`` knows when to try again."""
+    from obstore.store import from_url
+
+    options: dict[str, Any] = {"retry_config": {"max_retries": 0}}
+    endpoints = (value for name, value in settings if name in _ENDPOINTS)
+    if any(text.startswith("http://") for text in (url, *endpoints)):
+        options["client_options"] = {"allow_http": True}  # the URL says http explicitly
+    return from_url(url, **options)
 
 
 @dataclass(frozen=True)
@@ -85,15 +99,14 @@ class ObjectPlace(Place):
     def __str__(self) -> str:
         return self.url
 
-    @cached_property
+    @property
     def client(self) -> "ObjectStore":
-        """obstore's own object, which Zarr takes too. It tries everything once: ``persist`` knows when to try again."""
-        from obstore.store import from_url
+        """obstore's own object, which Zarr takes too: one of each place in a process."""
+        settings = {name: value for name, value in os.environ.items() if name.upper().startswith(_SETTINGS)}
+        return _client(self.url, tuple(sorted(settings.items())), os.getpid())
 
-        options: dict[str, Any] = {"retry_config": {"max_retries": 0}}
-        if any(text.startswith("http://") for text in (self.url, *(os.environ.get(name, "") for name in _ENDPOINTS))):
-            options["client_options"] = {"allow_http": True}  # the URL says http explicitly
-        return from_url(self.url, **options)
+    def inner(self, folder: str) -> "ObjectPlace":
+        return replace(self, url=f"{self.url}/{folder}").behind(self.fence)
 
     def get(self, key: str) -> bytes | None:
         found = self.get_tagged(key)
@@ -127,7 +140,18 @@ class ObjectPlace(Place):
     def put(self, key: str, data: bytes) -> None:
         import obstore
 
-        self._persist(lambda: obstore.put(self.client, key, data))
+        def once() -> None:
+            self.confirm()  # at each attempt: an outage may have lasted
+            obstore.put(self.client, key, data)
+
+        self._persist(once)
+
+    def put_all(self, objects: Mapping[str, bytes]) -> None:
+        """See Place. The fence is called once, since all requests begin together."""
+        self.confirm()
+        unfenced = self.behind(None)
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            list(pool.map(unfenced.put, objects.keys(), objects.values()))
 
     def put_new(self, key: str, data: bytes) -> bool:
         from obstore.exceptions import AlreadyExistsError
@@ -144,8 +168,28 @@ class ObjectPlace(Place):
     def remove(self, key: str) -> None:
         import obstore
 
+        def once() -> None:
+            self.confirm()
+            obstore.delete(self.client, key)
+
         with suppress(FileNotFoundError):
-            self._persist(lambda: obstore.delete(self.client, key))
+            self._persist(once)
+
+    def remove_once(self, key: str) -> bool:
+        """Remove an object by one request; False if its answer is not that it is gone.
+
+        It is not made again: after a lost answer somebody else may have put another object of that key.
+        """
+        import obstore
+        from obstore.exceptions import BaseError
+
+        try:
+            obstore.delete(self.client, key)
+        except FileNotFoundError:
+            return True
+        except (BaseError, OSError):
+            return False
+        return True
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
         wanted = list(keys)
@@ -157,8 +201,13 @@ class ObjectPlace(Place):
         import obstore
 
         unwanted = list(keys)
+
+        def once() -> None:
+            self.confirm()
+            obstore.delete(self.client, unwanted)
+
         try:
-            self._persist(lambda: obstore.delete(self.client, unwanted))
+            self._persist(once)
         except FileNotFoundError:  # Google's and Azure's stores stop there, even where a lost answer removed it
             with ThreadPoolExecutor(AT_ONCE) as pool:
                 list(pool.map(self.remove, unwanted))
@@ -180,6 +229,7 @@ class ObjectPlace(Place):
 
         def once() -> bool:
             nonlocal failed
+            self.confirm()
             try:
                 obstore.put(self.client, key, data, mode=mode, use_multipart=False)
             except refusals:

@@ -7,8 +7,7 @@ import os
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +18,14 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.axes import ROOT
 from atlas.store.build import build, consolidate
-from atlas.store.location import AT_ONCE, LocalPlace, Place
+from atlas.store.location import LocalPlace, Place
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import Origin, coordinate_names
+from atlas.store.spare import remedy
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES
+from workers.results import REGIME
 
 if TYPE_CHECKING:
     from atlas.store.store import Header
@@ -66,7 +67,7 @@ def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
             "their numbers do not mix: choose another path"
         )
     # Without its values where the digest says so, since these may be damaged.
-    if not (header.format_version > 1 and header.digest == spec.digest) and header.spec.digest != spec.digest:
+    if header.digest != spec.digest and header.spec.digest != spec.digest:
         raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
     if header.unknown:
         names = ", ".join(variable.name for variable in header.unknown)
@@ -80,9 +81,11 @@ def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
 
 
 def _refuse_foreign(place: Place, spec: Spec) -> None:
-    """InputError if something lies at a URL that no creation cut short has left there."""
+    """InputError if something lies at a URL that no creation cut short has left there, such as finished tiles."""
     ours = {MACHINES, TILES} | _names(spec)
     for key in place.list_keys():
+        if key.startswith(f"{REGIME.name}/c/"):
+            raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
 
@@ -97,7 +100,7 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
         with tempfile.TemporaryDirectory() as folder:
             built = LocalPlace(Path(folder) / "store")
             build(built.path, spec, tile, origin, run_id)
-            _put_all(built, place, [key for key in built.list_keys() if key != ROOT])
+            place.put_all(built.get_all(key for key in built.list_keys() if key != ROOT))
             if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
                 raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
         return
@@ -108,6 +111,7 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
         if building.with_name(building.name.swapcase()).exists():
             refuse_equal_names(path, spec)
         build(building, spec, tile, origin, run_id)
+        place.confirm()
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)
@@ -147,14 +151,9 @@ def metadata_apart(place: Place, group: str) -> Iterator[Any]:
         yield root
         consolidate(root)
         made = {key for key in built.list_keys() if key.partition("/")[0] == group}
-        _put_all(built, place, made - {f"{group}/{ROOT}"})
+        place.put_all(built.get_all(made - {f"{group}/{ROOT}"}))
         for key in (f"{group}/{ROOT}", ROOT):
             place.put(key, (built.path / key).read_bytes())
-
-
-def _put_all(built: LocalPlace, place: Place, keys: Iterable[str]) -> None:
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        list(pool.map(lambda key: place.put(key, (built.path / key).read_bytes()), keys))
 
 
 def _check_writable(place: Place) -> None:

@@ -3,17 +3,41 @@
 import errno
 import os
 import uuid
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
+
+Fence = Callable[[], None]
+"""Raises an error once a place is no longer its holder's to write."""
 
 
 class Place:
     """A root that keys such as ``regime/c/0/1`` lie under. Errors of any network are OSErrors. ``str`` is its name.
 
-    What is not overridden is that of a place that is read only.
+    A place behind a ``fence`` calls it right before each write and each removal, so that a process that has lost its
+    claim of a store changes nothing more there, whatever it was about to do. What is not overridden is that of a place
+    that is read only.
     """
+
+    fence: Fence | None = None
+
+    def behind(self, fence: Fence | None) -> Self:
+        """The same place, which calls ``fence`` before it changes anything; None takes its fence away."""
+        fenced = copy(self)
+        object.__setattr__(fenced, "fence", fence)  # no field: two views of one place are equal
+        return fenced
+
+    def inner(self, folder: str) -> "Place":
+        """The place of a store within this one, behind the same fence. ValueError if this one cannot be written."""
+        raise ValueError(f"{self}: nothing can be kept in a packed store")
+
+    def confirm(self) -> None:
+        """Raise what the fence raises if this place may no longer be written; nothing without a fence."""
+        if self.fence is not None:
+            self.fence()
 
     @property
     def local(self) -> Path | None:
@@ -43,6 +67,11 @@ class Place:
     def put(self, key: str, data: bytes) -> None:
         """Write an object whole, in place of any before it."""
         raise self._read_only()
+
+    def put_all(self, objects: Mapping[str, bytes]) -> None:
+        """Write objects, in no order, all at once if each takes a while."""
+        for key, data in objects.items():
+            self.put(key, data)
 
     def put_new(self, key: str, data: bytes) -> bool:
         """Write an object if there is none of that key; else write nothing and return False."""
@@ -90,6 +119,9 @@ class LocalPlace(Place):
             return None
         return found.st_ino, found.st_mtime_ns, found.st_size  # a write puts another file in its place
 
+    def inner(self, folder: str) -> "LocalPlace":
+        return LocalPlace(self.path / folder).behind(self.fence)
+
     def put(self, key: str, data: bytes) -> None:
         with self._written(key, data) as written:
             os.replace(written, self.path / key)
@@ -103,6 +135,7 @@ class LocalPlace(Place):
         return True
 
     def remove(self, key: str) -> None:
+        self.confirm()
         (self.path / key).unlink(missing_ok=True)
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
@@ -118,6 +151,7 @@ class LocalPlace(Place):
         written = target.with_name(f"{target.name}.{uuid.uuid4().hex}.partial")
         try:
             written.write_bytes(data)
+            self.confirm()
             yield written
         finally:
             written.unlink(missing_ok=True)

@@ -3,7 +3,6 @@
 It is a row of numbers, the chunk of its tile in the array ``tiles/record``. The digest reveals exchanged chunks; the
 counts say what an atlas holds without reading its cells. Columns have fixed places, with room for regimes and reasons
 of later versions: here a row that uses this room does not add up to its tile, which is then counted from its chunks.
-Stores of earlier versions have digests alone, in ``tiles/digest``.
 """
 
 import hashlib
@@ -21,11 +20,9 @@ from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES, Variable
 
 TILES = "tiles"
-DIGESTS, RECORD, RECORDS = f"{TILES}/digest", f"{TILES}/record", f"{TILES}/records"
+RECORD, RECORDS = f"{TILES}/record", f"{TILES}/records"
 COVERED = "variables"
 """The attribute with the names of the variables in a digest, in their order."""
-ADDED = "added"
-"""The attribute of a store in which tiles were finished before it had records."""
 _ROOM = {"cells": 16, "area": 16, "reason": 32}
 DIGEST = slice(0, 2)
 CELLS = slice(2, 2 + len(REGIMES))
@@ -103,7 +100,7 @@ def record_index(key: str, grid: Index) -> Index | None:
 
 
 def create_arrays(
-    root: Any, variables: Iterable[Variable], dims: tuple[str, ...], grid: Index, codecs: list[Any], added: bool = False
+    root: Any, variables: Iterable[Variable], dims: tuple[str, ...], grid: Index, codecs: list[Any]
 ) -> None:
     """Make the arrays of a store's records: one with a chunk for each tile, and one with a single chunk."""
     from zarr.codecs import Crc32cCodec
@@ -114,7 +111,6 @@ def create_arrays(
     columns[AREAS] = [f"area {regime.name}" for regime in REGIMES]
     columns[BY_REASON] = [f"reason {reason.name}" for reason in REASONS]
     described: dict[str, Any] = {"units": "1", "columns": columns, COVERED: [variable.name for variable in variables]}
-    described |= {ADDED: True} if added else {}
     group = root.require_group(TILES)
     for name, chunk, packing, meant in (
         ("record", (1,) * len(grid), [Crc32cCodec()], "digest and counts of a tile, as its worker wrote them"),

@@ -14,7 +14,7 @@ from a handful of objects. No kill leaves a wrong record of a finished tile:
 - A compaction that has a row of every tile, with no single record beside it, says that all tiles are done.
 
 Rows that are missing, damaged or do not add up to the cells of their tile count as absent: such tiles are counted from
-their chunks, like all tiles of a store of an earlier version.
+their chunks.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
 from atlas.store.record import (
-    ADDED,
     BY_REASON,
     CELLS,
     RECORD,
@@ -98,7 +97,7 @@ class Records:
     def _whole(self) -> Rows | None:
         """The compaction, if it has all tiles and nothing is newer; None on a disk, where listing is cheap."""
         on_disk = self.header.place.local is not None
-        if on_disk or self._listed is not None or self.header.record is None or single_records(self.header):
+        if on_disk or self._listed is not None or single_records(self.header):
             return None
         rows = self._compacted()
         return rows if add_up(rows, self._sizes).all() else None
@@ -119,8 +118,6 @@ class Records:
     def _read(self) -> Rows:
         """The rows of the compaction, with single records in their places."""
         done = self.done  # before the records: each finished tile then has its own
-        if self.header.record is None:
-            return np.zeros((*done.shape, WIDTH))
         for _ in range(_LOOKS):
             self.single = single_records(self.header)
             rows = self._compacted()
@@ -131,7 +128,7 @@ class Records:
             found = self.header.place.get_all(wanted)
             if found.keys() == wanted.keys():
                 break
-        if empty and without.any() and ADDED not in self.header.record["attributes"]:
+        if empty and without.any():
             self.damaged.setdefault(RECORDS, "is missing")
         for key, data in found.items():
             row = unpacked(data)
@@ -172,11 +169,8 @@ class RunRecords:
     def _uncounted(self) -> NDArray[np.bool_]:
         return self._done & ~self._rows.any(axis=-1)
 
-    def compact(self, held: Callable[[], None], on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Collect all records in one chunk. Tiles without one are counted; ``on_wait`` is called with their number.
-
-        ``held`` is called before each write, and raises if another run has the store.
-        """
+    def compact(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
+        """Collect all records in one chunk. Tiles without one are counted; ``on_wait`` is called with their number."""
         uncounted = _indices(self._uncounted & ~self._open)
         if uncounted:
             on_wait(len(uncounted))
@@ -184,29 +178,25 @@ class RunRecords:
             if not isinstance(row, ChunkError):
                 self._rows[index] = row
         if self._new or uncounted:
-            write_compaction(self._header, self._rows, ~self._open, held)
+            write_compaction(self._header, self._rows, ~self._open)
 
 
 def put_together(header: Header) -> None:
     """Collect all records of a store on which no run is at work."""
     none = np.zeros(header.tiling.grid, dtype=bool)
-    RunRecords(header, Records(header, done_tiles(header)), none).compact(lambda: None)
+    RunRecords(header, Records(header, done_tiles(header)), none).compact()
 
 
-def write_compaction(
-    header: Header, rows: Rows, settled: NDArray[np.bool_], held: Callable[[], None] = lambda: None
-) -> None:
+def write_compaction(header: Header, rows: Rows, settled: NDArray[np.bool_]) -> None:
     """Write all rows as one chunk, then remove the single records of ``settled`` tiles that have a row in it."""
-    held()
     _compaction(header, "r+").with_config({"write_empty_chunks": True})[...] = rows
     counts = settled & add_up(rows, header.tiling.sizes())
-    held()
     header.place.remove_all([record_key(index) for index in single_records(header) if counts[index]])
 
 
 def read_record(header: Header, index: Index) -> Rows | None:
     """The single record of a tile, None if there is none or it is damaged."""
-    data = None if header.record is None else header.place.get(record_key(index))
+    data = header.place.get(record_key(index))
     return None if data is None else unpacked(data)
 
 

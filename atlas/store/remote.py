@@ -1,11 +1,15 @@
-"""Zarr's own store of a place. At a URL it waits for the server; damage of a zip file is an OSError."""
+"""Zarr's own store of a place. At a URL it waits for the server; damage of a zip file is an OSError.
 
+Behind a fence it confirms each write and each removal.
+"""
+
+import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from zarr.abc.store import ByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
-from zarr.storage import LocalStore, ObjectStore, ZipStore
+from zarr.storage import LocalStore, ObjectStore, WrapperStore, ZipStore
 
 from atlas.store.archive import ZipPlace, reading
 from atlas.store.location import ObjectPlace, Place
@@ -92,8 +96,47 @@ class PackedStore(ZipStore):
             return await super().get_partial_values(prototype, key_ranges)
 
 
-def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | PackedStore":
+class FencedStore(WrapperStore[Any]):
+    """Zarr's store of a place behind a fence, for writing."""
+
+    def __init__(self, store: Any, place: Place) -> None:
+        super().__init__(store)
+        self._place = place
+
+    def _with_store(self, store: Any) -> Self:
+        return type(self)(store, self._place)
+
+    async def set(self, key: str, value: Buffer) -> None:
+        await self._confirm()
+        await self._store.set(key, value)
+
+    async def set_if_not_exists(self, key: str, value: Buffer) -> None:
+        await self._confirm()
+        await self._store.set_if_not_exists(key, value)
+
+    async def _set_many(self, values: Iterable[tuple[str, Buffer]]) -> None:
+        await asyncio.gather(*(self.set(key, value) for key, value in values))
+
+    async def delete(self, key: str) -> None:
+        await self._confirm()
+        await self._store.delete(key)
+
+    async def delete_dir(self, prefix: str) -> None:
+        await self._confirm()
+        await self._store.delete_dir(prefix)
+
+    async def clear(self) -> None:
+        await self._confirm()
+        await self._store.clear()
+
+    async def _confirm(self) -> None:
+        await asyncio.to_thread(self._place.confirm)  # it reads a note, perhaps from a server
+
+
+def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | PackedStore | FencedStore":
     """Zarr's store of a place; OSError for a zip file that is to be written."""
+    if place.fence is not None and not read_only:
+        return FencedStore(zarr_store(place.behind(None), read_only), place)
     if isinstance(place, ZipPlace):
         if not read_only:
             place.remove("")

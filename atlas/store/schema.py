@@ -16,8 +16,8 @@ from workers.model.parameter import Parameter
 from workers.results import ATTRACTOR, REASON, REASONS, REGIME, REGIMES, Variable
 
 FORMAT = "impact-atlas"
-FORMAT_VERSION = 2
-"""Version 1 has the values of all axes in the spec of its attributes, see ``store.axes``; it is read as it is."""
+FORMAT_VERSION = 1
+"""The only one that is read."""
 OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
 COMPONENT = "component"

@@ -1,11 +1,13 @@
 """Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write.
 
-A run claims a store by a note. Notes are files next to a folder, and objects next to a store at a URL.
+A run claims a store by a note, and an attempt at a tile claims the tile by one. Notes are files next to a folder, and
+objects next to a store at a URL.
 """
 
 import json
 import os
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -13,16 +15,21 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from atlas.errors import InputError
+import google_crc32c
+
+from atlas.errors import InputError, RunError
 from atlas.platform import file_lock
 from atlas.store.archive import ZipPlace
 from atlas.store.location import ObjectPlace, Place, place_of
+from atlas.store.place import Fence
 
 CLAIM = "claim"
 """The note by which one run at a time has the store."""
-_LOCK = ".lock"
+_LOCK, _PARTIAL = ".lock", ".partial"
 _LOOKS, _BETWEEN_LOOKS = 100, 0.01
-"""How often to read a note that its maker has opened and not yet written, and the seconds between two reads."""
+"""How often to read a note that is being written in place, and the seconds between two reads."""
+_BLOCK, _END = 4096, 18
+"""Bytes that the length of a note's file is a multiple of; bytes at its end: length and checksum of the text."""
 
 
 class Notes(Protocol):
@@ -35,10 +42,7 @@ class Notes(Protocol):
         """Write a note if it is absent (``expected`` None) or holds the expected bytes; False, unwritten, if not."""
 
     def remove(self, name: str, expected: bytes) -> bool:
-        """Remove a note that holds the expected bytes; False if it does not."""
-
-    def drop(self, name: str) -> None:
-        """Remove a note, whatever it holds: only for its maker, if nobody else would put another one."""
+        """Remove a note that holds the expected bytes; False if it does not. Only for its maker."""
 
     def clear(self, keep: str) -> None:
         """Remove all notes but one: only for who holds that one."""
@@ -60,8 +64,40 @@ def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
 
 def claim_token(notes: Notes) -> str:
     """The token of the run that has claimed a store, by one read; empty if there is none or it is damaged."""
+    return _token(notes.read(CLAIM))
+
+
+def note_fence(store: Place, name: str, token: str, error: type[RunError], lost: str) -> Fence:
+    """A fence that raises ``error``, which says what is ``lost``, unless a note of a store holds a token: one read."""
+    notes = notes_of(store)
+
+    def check() -> None:
+        if _token(notes.read(name)) != token:
+            raise error(f"{store}: {lost}")
+
+    return check
+
+
+def put_token(notes: Notes, name: str) -> tuple[str, bool]:
+    """Put a new token into a note, whatever it holds; the token, and whether there was no note."""
+    token, found = uuid.uuid4().hex, None
+    while not notes.put(name, _note_of(token), expected=found):
+        found = notes.read(name)
+    return token, found is None
+
+
+def remove_token(notes: Notes, name: str, token: str) -> None:
+    """Remove a note that holds this token."""
+    notes.remove(name, _note_of(token))
+
+
+def _note_of(token: str) -> bytes:
+    return json.dumps({"token": token}).encode()
+
+
+def _token(note: bytes | None) -> str:
     try:
-        return str(json.loads(notes.read(CLAIM) or b"{}").get("token", ""))
+        return str(json.loads(note or b"{}").get("token", ""))
     except (ValueError, AttributeError, RecursionError):
         return ""
 
@@ -70,84 +106,85 @@ def claim_token(notes: Notes) -> str:
 class Folder:
     """Notes as files of a folder. The folder's lock, held for an instant, makes a conditional write atomic.
 
-    Notes are overwritten in place, which needs no room: a run on a full disk keeps its claim.
+    A file has a length that is a multiple of _BLOCK and ends in a checksum. It appears whole, by a rename; where there
+    is no room for a second file, or the system lets no open file be replaced, it is overwritten in place. So whoever
+    reads needs no lock: a text that contradicts its checksum is being written, and is read again.
     """
 
     path: Path
 
     def read(self, name: str) -> bytes | None:
-        """See Notes. An empty file is a note being made: it is waited for, unless its maker was killed there."""
+        """See Notes. Empty for a note that stays damaged."""
         for _ in range(_LOOKS):
-            if not (self.path / name).exists():
+            try:
+                found = _text((self.path / name).read_bytes())
+            except (FileNotFoundError, NotADirectoryError):
                 return None
-            with self._locked():
-                data = self._bytes(name)
-            if data != b"":
-                break
+            except PermissionError:  # Windows: it is just being replaced
+                found = None
+            if found is not None:
+                return found
             time.sleep(_BETWEEN_LOOKS)
-        return data
+        return b""
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
-        if expected is None:
-            return self._create(name, data)
-        if not (self.path / name).exists():
-            return False
-        with self._locked():
-            if self._bytes(name) != expected:
+        while True:
+            if expected is None:
+                self.path.mkdir(parents=True, exist_ok=True)
+            elif not (self.path / name).exists():
                 return False
-            with open(self.path / name, "r+b", buffering=0) as file:
-                file.write(data)
-                file.truncate()
-            return True
+            with suppress(FileNotFoundError), self._locked():  # another may just have removed the folder
+                return self.read(name) == expected and self._write(name, _file_of(data), new=expected is None)
 
     def remove(self, name: str, expected: bytes) -> bool:
         """See Notes."""
         if not (self.path / name).exists():
             return False
-        with self._locked():
-            if self._bytes(name) != expected:
+        with self._locked(tidy=True):
+            if self.read(name) != expected:
                 return False
             (self.path / name).unlink()
             return True
-
-    def drop(self, name: str) -> None:
-        """See Notes."""
-        if (self.path / name).exists():
-            with self._locked():
-                (self.path / name).unlink(missing_ok=True)
 
     def clear(self, keep: str) -> None:
         for file in self.path.glob("*"):
             if file.name not in (keep, _LOCK):
                 file.unlink(missing_ok=True)
 
-    def _bytes(self, name: str) -> bytes | None:
+    def _write(self, name: str, data: bytes, new: bool) -> bool:
+        """Write a file; a ``new`` one if there is none, else False."""
+        target, whole = self.path / name, self.path / f"{name}.{uuid.uuid4().hex}{_PARTIAL}"
         try:
-            return (self.path / name).read_bytes()
+            whole.write_bytes(data)
+            os.link(whole, target) if new else os.replace(whole, target)
+        except FileExistsError:
+            return False
         except FileNotFoundError:
-            return None
-
-    def _create(self, name: str, data: bytes) -> bool:
-        while True:
-            self.path.mkdir(parents=True, exist_ok=True)
-            with suppress(FileNotFoundError), self._locked():  # another may just have removed the folder
-                try:
-                    file = open(self.path / name, "xb", buffering=0)  # noqa: SIM115
-                except FileExistsError:
-                    return False
-                try:
-                    with file:
-                        file.write(data)
-                except OSError:
-                    (self.path / name).unlink()
-                    raise
+            raise
+        except OSError:  # no room for a second file, no links, or a file that is open on Windows
+            with suppress(FileExistsError):
+                self._overwrite(target, data, new)
                 return True
+            return False
+        finally:
+            whole.unlink(missing_ok=True)
+        return True
+
+    def _overwrite(self, target: Path, data: bytes, new: bool) -> None:
+        with open(target, "xb" if new else "r+b", buffering=0) as file:
+            try:
+                file.write(data)
+                file.truncate()
+            except OSError:
+                if new:
+                    target.unlink()
+                raise
 
     @contextmanager
-    def _locked(self) -> Iterator[None]:
-        """Alone with the notes; on a file system without locks a race of microseconds remains.
+    def _locked(self, tidy: bool = False) -> Iterator[None]:
+        """Alone with those who write notes; on a file system without locks a race of microseconds remains.
 
-        The folder goes with its last note, and its lock with it.
+        With ``tidy`` the folder goes with its last note, and its lock with it.
         """
         lock = file_lock(self.path / _LOCK)
         with suppress(OSError):
@@ -156,19 +193,40 @@ class Folder:
             yield
         finally:
             with suppress(OSError):
-                if lock.is_locked and [file.name for file in self.path.iterdir()] == [_LOCK]:
-                    (self.path / _LOCK).unlink()
+                files = list(self.path.iterdir()) if tidy and lock.is_locked else []
+                if files and all(file.name == _LOCK or file.suffix == _PARTIAL for file in files):
+                    for file in files:
+                        file.unlink(missing_ok=True)
             lock.release()
-            with suppress(OSError):
-                self.path.rmdir()
+            if tidy:
+                with suppress(OSError):
+                    self.path.rmdir()
+
+
+def _file_of(text: bytes) -> bytes:
+    """The file of a note, which begins with its text."""
+    length = -(-(len(text) + _END) // _BLOCK) * _BLOCK
+    end = f"\n{len(text):08x} {google_crc32c.value(text):08x}".encode()
+    return text.ljust(length - _END) + end
+
+
+def _text(file: bytes) -> bytes | None:
+    """The inverse; None for a file that is not whole."""
+    try:
+        length, checksum = (int(part, 16) for part in file[-_END:].split())
+    except ValueError:
+        return None
+    text = file[:length]
+    whole = len(file) % _BLOCK == 0 and len(text) == length and google_crc32c.value(text) == checksum
+    return text if whole else None
 
 
 @dataclass(frozen=True)
 class UrlNotes:
     """Notes as small objects under one prefix.
 
-    An object store makes each write one act (If-None-Match, If-Match). It has no removal under a condition, so that a
-    note that was removed under one is empty, which reads and counts as none.
+    An object store makes each write one act (If-None-Match, If-Match). It has no removal under a condition: a note is
+    removed by one request right after a look at it, or is left empty, which reads and counts as none.
     """
 
     place: ObjectPlace
@@ -183,13 +241,12 @@ class UrlNotes:
         return found is not None and found[0] == (expected or b"") and self.place.put_if(name, data, found[1])
 
     def remove(self, name: str, expected: bytes) -> bool:
-        return self.put(name, b"", expected)
+        if self.read(name) != expected:
+            return False
+        return self.place.remove_once(name) or self.put(name, b"", expected)
 
     def clear(self, keep: str) -> None:
         self.place.remove_all(name for name in self.place.list_keys() if name != keep)
-
-    def drop(self, name: str) -> None:
-        self.place.remove(name)
 
 
 def notes_at_url(store: ObjectPlace) -> UrlNotes:

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
 from atlas.store.location import Place, place_of
 from atlas.store.making import is_free, make_store, refused
-from atlas.store.record import DIGESTS, RECORD
+from atlas.store.record import RECORD
 from atlas.store.schema import (
     ALLOWANCES,
     FORMAT,
@@ -28,6 +29,7 @@ from atlas.store.schema import (
     coordinates,
     variable_of,
 )
+from atlas.store.spare import read_spare, remedy
 from atlas.store.tiling import Tiling, chunk_index
 from workers.results import ATTRACTOR, REGIME, Variable, leading
 
@@ -44,9 +46,9 @@ ZOOM = "zoom"
 class Header:
     """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
 
-    ``outline`` is its spec, without the values of axes and points except in format version 1. ``arrays`` are the
-    metadata of its root's arrays by name, in the root's copy, ``groups`` the names of its groups there; ``record``, the
-    metadata of the array of the tiles' records, None in a store of an earlier version.
+    ``outline`` is its spec, without the values of axes and points. ``arrays`` are the metadata of its root's arrays by
+    name, in the root's copy, ``record`` those of the array of the tiles' records, and ``groups`` the names of its
+    groups there.
     """
 
     place: Place
@@ -55,10 +57,15 @@ class Header:
     run_id: str
     solver_version: int
     arrays: Mapping[str, Mapping[str, Any]] = field(repr=False)
+    record: Mapping[str, Any] = field(repr=False)
     origin: Origin | None = None
-    record: Mapping[str, Any] | None = field(default=None, repr=False)
     groups: frozenset[str] = frozenset()
-    format_version: int = FORMAT_VERSION
+
+    def at(self, place: Place) -> "Header":
+        """The same header, with all that is known of the store, for writing it through another view of its place."""
+        other = copy(self)
+        object.__setattr__(other, "place", place)
+        return other
 
     @property
     def path(self) -> Path:
@@ -75,32 +82,29 @@ class Header:
         InputError if this version cannot read it, and where the store's cells differ from the spec's.
         """
         try:
-            whole = self.format_version == 1
-            spec = Spec.from_resolved(self.outline) if whole else Spec.from_outline(self.outline, lambda: self.values)
+            spec = Spec.from_outline(self.outline, lambda: self.values)
         except (InputError, KeyError, TypeError) as error:
             raise InputError(f"{self.place}: its spec cannot be read by this version: {error}") from None
         shape = self.arrays[REGIME.name].get("shape")
         if not isinstance(shape, list | tuple) or tuple(shape[: len(spec.shape)]) != spec.shape:
             found = f"{REGIME.name} has shape {shown(shape)}, must be {spec.shape}"
-            raise InputError(f"{self.place}: its metadata are damaged: {found}")
+            raise InputError(f"{self.place}: its metadata are damaged: {found}: {remedy(self.place)}")
         return spec
 
     @cached_property
     def values(self) -> Values:
         """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
-        if self.format_version == 1:
-            return self.spec.points or {axis.name: axis.values for axis in self.spec.axes}
         return read_values(self.place, self.outline, self.digest)
 
     @property
     def copies(self) -> dict[str, bytes]:
         """The copies of coordinates that the store has, by their keys: see ``store.axes``."""
-        return {} if self.format_version == 1 else copies(self.spec)
+        return copies(self.spec)
 
     @property
     def resolved(self) -> Mapping[str, Any]:
         """The resolved spec as the store has it. ChunkError if its values are damaged."""
-        return self.outline if self.format_version == 1 else with_values(self.outline, self.values)
+        return with_values(self.outline, self.values)
 
     @property
     def tile(self) -> tuple[int, ...]:
@@ -134,11 +138,11 @@ class Header:
 
     @cached_property
     def writable(self) -> Mapping[str, Any]:
-        """The Zarr arrays of cells and digests for writing, by name, opened once; RunError if it is another store."""
-        group: Any = open_group(self.place, "r+", consolidated=True)  # one request for all arrays
+        """The Zarr arrays of cells by name, opened once; RunError if it is another store."""
+        group: Any = open_group(self.place, "r", consolidated=True)  # one request for all arrays
         if group.attrs.get("run_id") != self.run_id:
             raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
-        names = (*(each.name for each in (*ALLOWANCES, *self.variables)), DIGESTS)
+        names = (each.name for each in (*ALLOWANCES, *self.variables))
         return {name: array for name in names if (array := group.get(name)) is not None}
 
     @cached_property
@@ -194,41 +198,46 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
 
 
 def _read_header(place: Place) -> Header:
-    foreign = InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
     content = place.get(ROOT)
-    if content is None:
-        path = place.path if isinstance(place, ZipPlace) else place.local
-        raise foreign if path is not None and path.exists() else InputError(f"{place}: no such store")
-    attrs: Any = {}
     try:
-        root = json.loads(content)
+        root = json.loads(content or b"")
         attrs = root["attributes"]
-        if attrs.get("format") != FORMAT:
-            raise foreign
-        found = attrs["format_version"]
-        if found not in (1, FORMAT_VERSION):
-            raise InputError(f"{place}: format version {found}, this program reads versions 1 and {FORMAT_VERSION}")
-        regime = json.loads(place.get(f"{REGIME.name}/{ROOT}") or b"")  # its own: by it tiles are cut and done
-        copies = (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
-        header = Header(
-            place=place,
-            outline=json.loads(attrs["spec"]),
-            digest=attrs["digest"],
-            run_id=attrs["run_id"],
-            solver_version=attrs["solver_version"],
-            arrays={**_array_metadata(place, root.get("consolidated_metadata")), REGIME.name: regime},
-            origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
-            record=copies.get(RECORD),
-            groups=frozenset(key for key, node in copies.items() if node["node_type"] == "group" and "/" not in key),
-            format_version=found,
-        )
-        _ = header.tile
-    except InputError:
-        raise
+        ours = attrs.get("format") == FORMAT
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        if isinstance(attrs, dict) and attrs.get("format") == FORMAT:
-            raise InputError(f"{place}: its metadata are damaged: {error}") from None
-        raise foreign from None
+        if read_spare(place) is not None:
+            what = f"is damaged ({message_of(error)})" if content else "is missing"
+            raise InputError(f"{place}: {ROOT} {what}: {remedy(place)}") from None
+        path = place.path if isinstance(place, ZipPlace) else place.local
+        if content is None and not (path is not None and path.exists()):
+            raise InputError(f"{place}: no such store") from None
+        ours = False
+    if not ours:
+        raise InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
+    if attrs.get("format_version") != FORMAT_VERSION:
+        found = shown(attrs.get("format_version"))
+        raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
+    try:
+        regime = json.loads(place.get(f"{REGIME.name}/{ROOT}") or b"")  # its own: by it tiles are cut and done
+        return header_by(place, root, regime)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(f"{place}: its metadata are damaged: {message_of(error)}: {remedy(place)}") from None
+
+
+def header_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) -> Header:
+    """The header of a store by the metadata of its root and of its regimes."""
+    attrs, copies = root["attributes"], (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
+    header = Header(
+        place=place,
+        outline=json.loads(attrs["spec"]),
+        digest=attrs["digest"],
+        run_id=attrs["run_id"],
+        solver_version=attrs["solver_version"],
+        arrays={**_array_metadata(place, root.get("consolidated_metadata")), REGIME.name: regime},
+        origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
+        record=copies[RECORD],
+        groups=frozenset(key for key, node in copies.items() if node["node_type"] == "group" and "/" not in key),
+    )
+    _ = header.tile
     return header
 
 
@@ -286,12 +295,6 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
         except Exception as error:  # what is no JSON, or no metadata, may raise anything
             raise ChunkError(header.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
     return found
-
-
-def open_digests(header: Header, consolidated: bool = False) -> Any | None:
-    """The Zarr array of the digests of the tiles, None in a store made before there were any."""
-    group = open_group(header.place, "r", consolidated)
-    return group.get(DIGESTS, None)
 
 
 def open_group(place: Place, mode: Literal["r", "r+"], consolidated: bool = False) -> "zarr.Group":

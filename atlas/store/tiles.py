@@ -4,20 +4,18 @@ import errno
 import io
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from atlas.errors import ChunkError, message_of
 from atlas.spec.spec import Slices
-from atlas.store.location import Place
 from atlas.store.machine import this_machine
 from atlas.store.machines import record_machine
 from atlas.store.record import (
     COVERED,
     DIGEST,
-    DIGESTS,
     WIDTH,
     Rows,
     counted_row,
@@ -35,66 +33,70 @@ REPLACED = f"{REGIME.name}/replaced/"
 """Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
 
 
-def write_tile(
-    header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray], held: Callable[[], None] = lambda: None
-) -> Rows:
-    """Write a tile as whole chunks and return its record. ``regime`` is last, and with it the tile is done.
+def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+    """Write a tile as whole objects and return its record. ``regime`` is last, and with it the tile is done.
 
-    The record comes right before. A finished tile that is written again stays as it is until its new contents lie
-    beside it in one object. It is unfinished while its chunks are written, so that a kill leaves no mixture of two
-    solutions; then ``finish_replacement`` writes them from that object.
-
-    ``held`` raises if another run has the store. It is called before the first write and before the last; of a
-    finished tile before each, since another run may give its cells other results.
+    The record comes right before. No object is removed before it is written. A finished tile that is written again
+    stays as it is until its new contents lie beside it in one object. It is unfinished while its objects are written,
+    so that a kill leaves no mixture of two solutions; then ``finish_replacement`` writes them from that object.
     """
-    to = header.writable
-    held()
+    to, place = header.writable, header.place
     record_machine(header, this_machine())
     arrays = {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
     row = record_of(header, index, arrays)
     replaced = is_done(header, index)
-    check = held if replaced else lambda: None
     if replaced:
-        header.place.put(_replacement_key(index), _packed(arrays))
-        held()
+        place.put(_replacement_key(index), _packed(arrays))
         drop_tile(header, index)
-    if DIGESTS in to:  # a store of an earlier version
-        check()
-        digest = digest_of(index, covered_variables(header, to[DIGESTS].attrs), arrays)
-        _write(header.place, to[DIGESTS], index, np.uint64(digest))
+    objects: dict[str, bytes] = {}
     for variable in (*(each for each in ALLOWANCES if each.name in to), *header.variables):
+        made = encoded(to[variable.name], block(to[variable.name], index), arrays[variable.name], variable.sparse)
         if variable.name == REGIME.name:
-            held()
+            place.put_all(objects)
             put_record(header, index, row)
-        check()
-        _write(header.place, to[variable.name], index, arrays[variable.name], variable.sparse)
+            place.put_all(made)
+        elif not made:  # sparse, and here without a value
+            place.remove(chunk_key(variable, index))
+        objects |= made
     if replaced:
-        header.place.remove(_replacement_key(index))
+        place.remove(_replacement_key(index))
     return row
 
 
+def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
+    """The objects, by key, that a Zarr array has where these values fill a block of whole objects.
+
+    An object of nothing but fill values is among them unless ``sparse``, so that a missing one is a missing result.
+    """
+    from zarr import Array, AsyncArray
+    from zarr.storage import MemoryStore, StorePath
+
+    objects: dict[str, Any] = {}
+    apart = AsyncArray(array.metadata, StorePath(MemoryStore(objects), array.path))  # nothing there to be read
+    Array(apart).with_config({"write_empty_chunks": not sparse})[block] = values
+    return {key: data.to_bytes() for key, data in objects.items()}
+
+
 def record_of(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """The record of a tile with these arrays, ``ALLOWANCES`` among them; in a store without records, no digest."""
+    """The record of a tile with these arrays, ``ALLOWANCES`` among them."""
     row = counted_row(header.spec, header.tiling.at(index).slices, header.leading(arrays))
-    if header.record is not None:
-        covered = covered_variables(header, header.record["attributes"])
-        row[DIGEST] = halves(digest_of(index, covered, arrays))
+    covered = covered_variables(header, header.record["attributes"])
+    row[DIGEST] = halves(digest_of(index, covered, arrays))
     return row
 
 
 def put_record(header: Header, index: tuple[int, ...], row: Rows) -> None:
-    """Write the record of a tile; nothing in a store that has no room for it."""
-    if header.record is not None:
-        header.place.put(record_key(index), packed(row))
+    """Write the record of a tile."""
+    header.place.put(record_key(index), packed(row))
 
 
-def finish_replacement(header: Header, index: tuple[int, ...], held: Callable[[], None] = lambda: None) -> bool:
+def finish_replacement(header: Header, index: tuple[int, ...]) -> bool:
     """Write a tile from what ``write_tile`` put beside it and did not live to write; False if there is nothing."""
     key = _replacement_key(index)
     packed = header.place.get(key)
     arrays = _unpacked(packed) if packed is not None else None
     if arrays is not None:
-        write_tile(header, index, arrays, held)
+        write_tile(header, index, arrays)
     if packed is not None:
         header.place.remove(key)
     return arrays is not None
@@ -164,14 +166,6 @@ def block(array: Any, index: tuple[int, ...]) -> Slices:
 def object_shape(array: Any) -> tuple[int, ...]:
     """The cells of an array in one object: a shard, or a chunk where there are no shards."""
     return tuple(array.shards or array.chunks)
-
-
-def _write(place: Place, array: Any, index: tuple[int, ...], values: Any, sparse: bool = False) -> None:
-    """Write a tile's object; one of nothing but fill values too, so that a missing one is always a missing result."""
-    if array.shards:  # Zarr would read what is there, which may be damaged
-        whole = (*index, *(0 for _ in array.shape[len(index) :]))
-        place.remove(f"{array.path}/{array.metadata.encode_chunk_key(whole)}")
-    array.with_config({"write_empty_chunks": not sparse})[block(array, index)] = values
 
 
 def _replacement_key(index: tuple[int, ...]) -> str:

@@ -8,11 +8,10 @@ import json
 import shutil
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 from atlas.store.archive import ZipPlace
-from atlas.store.location import LocalPlace, ObjectPlace, Place
+from atlas.store.location import Place
 from atlas.store.store import ROOT, ZOOM, Header
 from workers.results import REGIME
 
@@ -24,12 +23,7 @@ FILE_BLOCK = 4096
 
 def sheet_place(header: Header, plane: str, sheet: str) -> Place:
     """Where a sheet of a plane lies, made or not; ValueError for a store that cannot have any."""
-    place, key = header.place, f"{ZOOM}/{plane}/{sheet}"
-    if isinstance(place, LocalPlace):
-        return LocalPlace(place.path / key)
-    if isinstance(place, ObjectPlace):
-        return replace(place, url=f"{place.url}/{key}")
-    raise ValueError(f"{place}: nothing can be kept in a packed store")
+    return header.place.inner(f"{ZOOM}/{plane}/{sheet}")
 
 
 def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None:
@@ -93,6 +87,7 @@ def drop_sheet(header: Header, plane: str, sheet: str) -> None:
     for some in (done, {*keys} - {*done, *last}, last):
         header.place.remove_all(some)
     if header.place.local is not None:
+        header.place.confirm()
         shutil.rmtree(header.place.local / root, ignore_errors=True)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from atlas.errors import NetworkError
 from atlas.spec.spec import Slices
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import notes_of, put_token, remove_token
 from atlas.store.store import Header, is_done
 from atlas.store.tiles import finish_replacement
 from atlas.task.isolated import solve_isolated
@@ -21,7 +21,6 @@ from atlas.task.task import (
     Receipt,
     file_errors,
     header_of,
-    held,
     label_basins,
     make_chunk,
     receipt_of,
@@ -44,26 +43,30 @@ def run_job(job: Job) -> Receipt:
 
     NetworkError if the store does not answer within the job's patience.
 
-    While it runs, a note of the store says so. A job that finds that note is the second attempt at a tile whose first
-    did not live to remove it. It solves the tile part by part, each in a process of its own: a tile that kills its
-    process takes no second worker with it, and only the cells of a part that kills again are marked failed.
+    While it runs, a note of the store says so, with the token of this attempt. A job that finds that note is the second
+    attempt at a tile whose first did not live to remove it, or lives where its run cannot reach it. With its own token
+    in the note nothing more is written by the first. It solves the tile part by part, each in a process of its own: a
+    tile that kills its process takes no second worker with it, and only the cells of a part that kills again are marked
+    failed.
     """
     with file_errors(job.store):
         header = header_of(job)
-        notes, name = notes_of(header.place), "started-" + "-".join(map(str, job.index))
+        notes = notes_of(header.place)
         if job.replaced:
-            finish_replacement(header, job.index, held(header, job))
+            finish_replacement(header, job.index)
         if job.retry is None and is_done(header, job.index):  # its worker died after it was written, before its report
             solved = np.full(header.tiling.at(job.index).shape, not job.replaced)
             receipt = receipt_of(header, job.index, stored_tile(header, job.index), solved)
             return replace(receipt, taken=int((~solved).sum()), record=stored_record(header, job.index))
-        first = notes.put(name, b"1", expected=None)
+        token, first = put_token(notes, job.note)
+        job = replace(job, attempt=token)
+        header = header_of(job)
     try:
         return solve_and_write(job) if first else _solve_apart(header, job)
     finally:
         if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
             with file_errors(job.store):
-                notes.drop(name)
+                remove_token(notes, job.note, token)
 
 
 def _solve_apart(header: Header, job: Job) -> Receipt:

@@ -1,6 +1,6 @@
 """The last step of an atlas of basins: labels of attractors that the reference set missed, and the table of all."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,12 +20,11 @@ POINTS = 256
 """Section states of each attractor in the table."""
 
 
-def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> None:
+def complete_basins(header: Header) -> None:
     """Give every initial state its last label, and write the table of the attractors.
 
     Cells are labelled in the order of the plane, so that tiles, workers and interruptions decide no label. Nothing is
-    done while tiles are missing, or if all is done. ``held`` is called before each write, and raises if another run has
-    the store.
+    done while tiles are missing, or if all is done.
     """
     from workers.attractors.basins import Table, added, fixed_values
 
@@ -50,11 +49,10 @@ def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> 
             if beyond[part].any():
                 arrays = read_tile(header, index)
                 arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
-                write_tile(header, index, arrays, held)
+                write_tile(header, index, arrays)
     regimes = (read_tile(header, index, [REGIME.name])[REGIME.name] for index in tiles)
     solved = sum(int((regime != INVALID).sum()) for regime in regimes)
     columns = _columns(header, table, labels, solved)
-    held()
     write_table(header, ATTRACTORS, columns, {"title": "attractors by their labels"})
 
 

@@ -7,7 +7,7 @@ from atlas.store.outage import LONG
 from atlas.store.parts import get_part, put_part
 from atlas.store.store import Header
 from atlas.task.compile import compile_once
-from atlas.task.task import RefusedError, check_claim, checked_header, file_errors
+from atlas.task.task import RefusedError, checked_header, file_errors, guarded
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,15 @@ class Site:
     claim: str = ""
 
     def header(self) -> Header:
-        """The header of the store, see ``checked_header``."""
+        """The header of the store, see ``checked_header``, behind the fence of the run's claim."""
         with file_errors(self.store):
-            return checked_header(self.store, self.run_id, self.solver_version, self.patience)
+            header = checked_header(self.store, self.run_id, self.solver_version, self.patience)
+            _ = header.spec  # read once for all jobs
+            return header.at(guarded(header.place, self.claim))
 
     def keep(self, header: Header, group: str, name: str, data: bytes) -> None:
         """Keep a part of a group."""
         with file_errors(self.store):
-            check_claim(header.place, self.claim)
             put_part(header, group, name, data)
 
 

@@ -15,9 +15,10 @@ from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import Place, place_of
 from atlas.store.outage import BRIEF, LONG
+from atlas.store.place import Fence
 from atlas.store.records import read_record, single_records
 from atlas.store.schema import extra_sizes
-from atlas.store.sidecar import claim_token, notes_of
+from atlas.store.sidecar import CLAIM, note_fence
 from atlas.store.store import ROOT, Header, is_done, read_header
 from atlas.store.tiles import finish_replacement, read_tile, write_tile
 from atlas.store.tiling import PART, Tiling
@@ -58,7 +59,8 @@ class Job:
     last labels of basins. ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one.
     ``replaced`` says that a killed attempt left the tile's new contents beside it. ``patience`` is how many seconds to
     wait for a store at a URL that does not answer. ``claim`` is the token of the run's claim of the store: a job whose
-    run has lost the claim writes nothing. A job done by hand has none.
+    run has lost the claim writes nothing. A job done by hand has none. ``attempt`` is the token of this attempt at the
+    tile, which ``attempt.run_job`` gives it: of two attempts that live the first writes nothing more.
     """
 
     index: tuple[int, ...]
@@ -70,6 +72,12 @@ class Job:
     claim: str = ""
     level: int = 0
     replaced: bool = False
+    attempt: str = ""
+
+    @property
+    def note(self) -> str:
+        """The name of the note that holds the token of the present attempt at the tile."""
+        return "started-" + "-".join(map(str, self.index))
 
 
 @dataclass(frozen=True)
@@ -114,7 +122,7 @@ def make_chunk(job: Job) -> Made:
     with file_errors(job.store):
         header = header_of(job)
         try:
-            opened(header, job.claim).make(job.level, job.index, held(header, job))
+            opened(header, job.claim).make(job.level, job.index)
         except RefusedError:
             raise
         except (RunError, ValueError) as error:  # damage below is not the worker's fault
@@ -126,7 +134,7 @@ def label_basins(job: Job) -> Made:
     """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
     with file_errors(job.store):
         header = header_of(job)
-        complete_basins(header, held(header, job))
+        complete_basins(header)
         # All of them: an attempt that died may have written a tile again.
         return Made(job.index, tuple((index, stored_record(header, index)) for index in single_records(header)))
 
@@ -207,26 +215,36 @@ def _solve_part(spec: Spec, job: Job, slices: Slices, stored: Arrays, solved: np
 
 
 def commit(header: Header, job: Job, arrays: Arrays) -> tuple[float, ...]:
-    """Write a tile, unless the job's run has lost its claim, and the overview over it alone; return its record.
+    """Write a tile, unless the job may not any more, and the overview over it alone; return its record.
 
-    One case is not excluded: a worker that stands still between a look at the claim and the write that follows, until
-    another run has replaced the claim. In a retry it then writes one chunk, else the bits of the other run.
+    One case is not excluded: a worker that stands still between a look at the notes and the write that follows, until
+    another run or another attempt has written the tile. In a retry it then writes one object, else the same bits.
     """
     header = header_of(job)  # it may be another store by now
-    record = write_tile(header, job.index, arrays, held(header, job))
-    opened(header, job.claim).make_over(job.index, arrays, held(header, job))
+    record = write_tile(header, job.index, arrays)
+    opened(header, job.claim).make_over(job.index, arrays)
     return tuple(record.tolist())
 
 
-def held(header: Header, job: Job) -> Callable[[], None]:
-    """A function that raises RefusedError if the job's run has lost its claim of the store, by one read a call."""
-    return partial(check_claim, header.place, job.claim)
+def guarded(place: Place, claim: str, note: str = "", attempt: str = "") -> Place:
+    """A place behind the fence of a job: its run has the claim, and a tile's note holds the token of the attempt.
 
+    Without a token nothing is looked at. RefusedError where another run has the claim; RunError where there was another
+    attempt, since nothing is wrong with this worker.
+    """
+    fences: list[Fence] = []
+    if claim:
+        lost = "the run of this tile has lost its claim of the store; nothing more is written"
+        fences.append(note_fence(place, CLAIM, claim, RefusedError, lost))
+    if attempt:
+        lost = "another attempt at this tile has begun; nothing more is written"
+        fences.append(note_fence(place, note, attempt, RunError, lost))
 
-def check_claim(place: Place, token: str) -> None:
-    """Raise RefusedError if another token has the claim of a store; one read, none for an empty token."""
-    if token and claim_token(notes_of(place)) != token:
-        raise RefusedError(f"{place}: the run of this tile has lost its claim of the store; nothing more is written")
+    def fence() -> None:
+        for each in fences:
+            each()
+
+    return place.behind(fence) if fences else place
 
 
 def prepare(job: Job) -> None:
@@ -237,8 +255,10 @@ def prepare(job: Job) -> None:
 
 
 def header_of(job: Job) -> Header:
-    """The header of a job's store, see ``checked_header``."""
-    return checked_header(job.store, job.run_id, job.solver_version, job.patience)
+    """The header of a job's store, see ``checked_header``, behind the fence of the job."""
+    header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+    _ = header.spec, header.writable  # read once for all jobs
+    return header.at(guarded(header.place, job.claim, job.note, job.attempt))
 
 
 def forget(store: str, run_id: str, patience: float) -> None:
@@ -294,7 +314,7 @@ def finished_tile(header: Header, job: Job) -> Arrays:
     try:
         return stored_tile(header, job.index)
     except ChunkError:
-        if not finish_replacement(header, job.index, held(header, job)):
+        if not finish_replacement(header, job.index):
             raise
         return stored_tile(header, job.index)
 

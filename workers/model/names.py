@@ -28,5 +28,5 @@ NAMES = frozenset((
 
 
 def is_taken(name: str) -> bool:
-    """Whether the name is one of an atlas's own, such as of the bounds of coarse cells along an axis."""
-    return name in NAMES or name.endswith("_bounds")
+    """Whether the name is one of an atlas's own, such as of coarse cells along an axis and their bounds."""
+    return name in NAMES or name.endswith(("_bounds", "_coarse"))

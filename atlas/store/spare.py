@@ -1,0 +1,119 @@
+"""The spare of a store's metadata: the root's as they were made, spec and all arrays among them, in a second object.
+
+What is derived from the spec can so be written again whichever object is lost: the root's metadata from the spare, the
+spare from the root's. It lies in the folder of an array, where no reader of Zarr groups comes across it.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from atlas.errors import message_of, shown
+from atlas.store.axes import ROOT
+from atlas.store.place import Place
+from atlas.store.schema import COMPONENT, OVERVIEWS
+
+SPARE = f"{COMPONENT}/spare"
+"""The key of the spare: a checksum in the first line, then the root's metadata."""
+Json = Mapping[str, Any]
+
+
+def packed_spare(root: bytes) -> bytes:
+    """The spare of these metadata of a root."""
+    return hashlib.sha256(root).hexdigest().encode() + b"\n" + root
+
+
+def read_spare(place: Place) -> dict[str, Any] | None:
+    """The root's metadata by the spare of a store; None if it is missing or damaged."""
+    checksum, _, root = (place.get(SPARE) or b"").partition(b"\n")
+    return dict(json.loads(root)) if hashlib.sha256(root).hexdigest().encode() == checksum else None
+
+
+def remedy(place: Place) -> str:
+    """How metadata that are missing, damaged or wrong are mended, in words."""
+    return f"atlas verify --repair {place} writes them again"
+
+
+def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
+    """The metadata of all arrays and groups that a root's metadata have copies of, by their keys."""
+    nodes = (root.get("consolidated_metadata") or {}).get("metadata", {})
+    return {f"{name}/{ROOT}": node for name, node in nodes.items()}
+
+
+def spare_faults(place: Place, spare: Json) -> dict[str, str]:
+    """What of a store's metadata is missing, damaged or not as its spare has it, in words by the keys."""
+    faults = {}
+    for key, right in {ROOT: spare, **nodes_of(spare)}.items():
+        fault = next(_faults(place.get(key), right, whole=key != ROOT), None)
+        if fault:
+            faults[key] = fault
+    return faults
+
+
+def mend_by_spare(place: Place, spare: Json, keys: Mapping[str, str]) -> None:
+    """Write these metadata as the spare has them, and the root's with copies of all that there is."""
+    nodes = nodes_of(spare)
+    for key in keys:
+        if key != ROOT:
+            place.put(key, json.dumps(alone(nodes[key])).encode())
+    copy_metadata(place, spare)
+
+
+def copy_metadata(place: Place, root: Json) -> None:
+    """Write a root's metadata with copies of the metadata of its arrays and groups as these have them now.
+
+    Such are the ones that ``root`` has copies of, or the root that is there, and those of the levels of overviews.
+    """
+    try:
+        there = nodes_of(json.loads(place.get(ROOT) or b""))
+    except (ValueError, AttributeError, TypeError, RecursionError):
+        there = {}
+    levels = {key for key in place.list_keys(f"{OVERVIEWS}/") if key.endswith(f"/{ROOT}")}
+    keys = sorted({*nodes_of(root), *there, *levels})
+    copies = {}
+    for key, data in sorted(place.get_all(keys).items()):
+        try:
+            node = alone(json.loads(data))
+            copies[key.removesuffix(f"/{ROOT}")] = node | (_copies({}) if node.get("node_type") == "group" else {})
+        except (ValueError, AttributeError, RecursionError):
+            continue  # damaged: whoever checks it says so
+    place.put(ROOT, json.dumps(alone(root) | _copies(copies)).encode())
+
+
+def _copies(nodes: Json) -> dict[str, Any]:
+    return {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": nodes}}
+
+
+def alone(metadata: Json) -> dict[str, Any]:
+    """Metadata without copies of others."""
+    return {name: value for name, value in metadata.items() if name != "consolidated_metadata"}
+
+
+def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
+    """What is wrong with an object of metadata: ``whole``, or a root's, of which attributes and copies are compared."""
+    if data is None:
+        yield "is missing"
+        return
+    try:
+        found = alone(json.loads(data))
+    except (ValueError, AttributeError, RecursionError) as error:
+        yield f"is damaged ({message_of(error)})"
+        return
+    try:
+        copies = {} if whole else nodes_of(json.loads(data))
+    except (AttributeError, TypeError) as error:
+        yield f"is damaged ({message_of(error)})"
+        return
+    attributes = found.get("attributes")
+    if not isinstance(attributes, dict):
+        yield "is damaged (it has no attributes)"
+        return
+    pairs = [(f"attribute {name}", attributes.get(name), value) for name, value in right["attributes"].items()]
+    if whole:
+        fields = [name for name in alone(right) if name != "attributes"]
+        pairs = [(name, found.get(name), right[name]) for name in fields] + pairs
+    yield from (f"has {name} {shown(value)}, must be {shown(must)}" for name, value, must in pairs if value != must)
+    if not whole:
+        wrong = (key for key, node in nodes_of(right).items() if alone(copies.get(key, {})) != alone(node))
+        yield from (f"has consolidated metadata that differ from those of {key}" for key in wrong)

@@ -1,0 +1,147 @@
+"""Two attempts at one tile that live at the same time: their worker was given up, and was only cut off or asleep.
+
+Truth: the bytes of the store before and after.
+"""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from atlas import Spec
+from atlas.errors import RunError
+from atlas.store.location import LocalPlace
+from atlas.store.schema import extra_sizes
+from atlas.store.sidecar import notes_of
+from atlas.store.store import Header, chunk_key, create, done_tiles, read_header
+from atlas.store.tiles import read_tile, write_tile
+from atlas.task import attempt
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, header_of, solve_cells, stored_cells
+from tests.planes import plane_of
+from workers import tile as solving
+from workers.results import empty_results
+
+
+@pytest.fixture
+def header(tmp_path: Path) -> Header:
+    return create(tmp_path / "out.zarr", plane_of(), (2, 3))
+
+
+def job_of(header: Header) -> Job:
+    return Job((1, 1), str(header.place), header.run_id, header.solver_version)
+
+
+class Sleeper:
+    """A first attempt at a tile, in a thread, that falls asleep where ``asleep`` is called."""
+
+    def __init__(self, job: Job) -> None:
+        self._sleeping, self._awake, self.error = threading.Event(), threading.Event(), ""
+        self._thread = threading.Thread(target=self._run, args=[job])
+
+    def start(self) -> None:
+        self._thread.start()
+        assert self._sleeping.wait(60)
+
+    def asleep(self) -> None:
+        if threading.current_thread() is self._thread and not self._sleeping.is_set():
+            self._sleeping.set()
+            assert self._awake.wait(60)
+
+    def wake(self) -> None:
+        self._awake.set()
+        self._thread.join()
+
+    def _run(self, job: Job) -> None:
+        try:
+            run_job(job)
+        except RunError as error:
+            self.error = str(error)
+
+
+def before_it_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = solving.solve_tile
+
+    def slow(*given: Any) -> Any:
+        found = whole(*given)
+        sleeper.asleep()
+        return found
+
+    monkeypatch.setattr(solving, "solve_tile", slow)
+
+
+def between_two_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = LocalPlace.put
+
+    def slow(place: LocalPlace, key: str, data: bytes) -> None:
+        whole(place, key, data)
+        if key.startswith("largest/c"):
+            sleeper.asleep()
+
+    monkeypatch.setattr(LocalPlace, "put", slow)
+
+
+SUPERSEDED = "another attempt at this tile has begun; nothing more is written"
+
+
+@pytest.mark.parametrize(("when", "error"), [(before_it_writes, ""), (between_two_writes, SUPERSEDED)])
+def test_an_attempt_that_sleeps_while_another_does_its_tile_writes_nothing_more(
+    header: Header, monkeypatch: pytest.MonkeyPatch, when: Callable[[Sleeper, pytest.MonkeyPatch], None], error: str
+) -> None:
+    """The second ends before the first wakes, so that its note is gone; one that has not begun to write is content."""
+    job = job_of(header)
+    sleeper = Sleeper(job)
+    when(sleeper, monkeypatch)
+    sleeper.start()
+
+    def here(job: Job, slices: Any) -> Any:
+        known = stored_cells(header_of(job), job, slices)
+        return solve_cells(header.spec, job, slices, *known)
+
+    monkeypatch.setattr(attempt, "solve_isolated", here)
+    assert run_job(job).cells > 0
+    before = {key: header.place.version(key) for key in header.place.list_keys()}
+    sleeper.wake()
+    assert sleeper.error.endswith(error)
+    assert {key: header.place.version(key) for key in header.place.list_keys()} == before
+    assert done_tiles(header) == {(1, 1)}
+    read_tile(header, (1, 1))
+
+
+def test_the_note_of_a_second_attempt_is_left_by_the_first(header: Header, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = job_of(header)
+    sleeper = Sleeper(job)
+    before_it_writes(sleeper, monkeypatch)
+    sleeper.start()
+    notes = notes_of(header.place)
+    assert notes.put(job.note, b'{"token": "second"}', expected=notes.read(job.note))
+    sleeper.wake()
+    assert sleeper.error.endswith(SUPERSEDED)
+    assert notes.read(job.note) == b'{"token": "second"}'
+    assert done_tiles(header) == set()
+
+
+@pytest.mark.parametrize("side", [60, 128], ids=["chunks", "shards"])
+def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: int
+) -> None:
+    """As a first attempt that was cut off has left them: all but the regime, or all of them."""
+    axes = {name: {"start": 0.1, "stop": 0.5, "num": side} for name in ("omega", "b")}
+    header = create(tmp_path / "large.zarr", Spec("two-mass", axes), (side, side))
+    arrays = empty_results(header.spec.variables, (side, side), extra_sizes(header.spec))
+    write_tile(header, (0, 0), arrays)
+    header.place.remove(chunk_key(header.regime, (0, 0)))
+    removed: list[str] = []
+    monkeypatch.setattr(LocalPlace, "remove", lambda _, key: removed.append(key))
+    whole = LocalPlace.put
+
+    def put(place: LocalPlace, key: str, data: bytes) -> None:
+        assert place.exists(key) or key == chunk_key(header.regime, (0, 0))
+        whole(place, key, data)
+
+    monkeypatch.setattr(LocalPlace, "put", put)
+    write_tile(header, (0, 0), arrays)
+    assert not {*removed} - {chunk_key(each, (0, 0)) for each in header.variables if each.sparse}
+    assert (0, 0) in done_tiles(read_header(header.path))

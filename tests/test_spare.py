@@ -1,0 +1,135 @@
+"""Metadata that are lost, damaged or wrong: named with their fault and the remedy, and written again by a repair.
+
+Truth: the store before the damage, byte for byte, or as xarray reads it.
+"""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import atlas
+from atlas.check.verify import verify
+from atlas.errors import ChunkError, InputError
+from atlas.store.spare import SPARE
+from atlas.store.store import create, read_header
+from atlas.store.tiles import write_tile
+from tests.planes import plane_of
+from workers import solve_tile
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    header = create(tmp_path_factory.mktemp("made") / "whole.zarr", plane_of((5, 7)), (5, 7))
+    cells = header.spec.cell_params((slice(0, 5), slice(0, 7)))
+    write_tile(header, (0, 0), solve_tile("two-mass", cells, header.spec.settings))
+    verify(header.path, sample=0, repair=True)  # collects its record
+    assert verify(header.path, sample=0).fine
+    return header.path
+
+
+@pytest.fixture
+def whole(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "whole.zarr"))
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    found = json.loads(path.read_text())
+    change(found)
+    path.write_text(json.dumps(found))
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "the root is gone": (lambda at: (at / "zarr.json").unlink(), "zarr.json is missing"),
+    "the root is empty": (lambda at: (at / "zarr.json").write_text(""), "zarr.json is damaged (Expecting value"),
+    "the root is torn": (lambda at: (at / "zarr.json").write_text('{"attributes": {"for'), "zarr.json is damaged (Unt"),
+    "the root is another group's": (
+        lambda at: shutil.copy(at / "machines/zarr.json", at / "zarr.json"),
+        "zarr.json has attribute Conventions None, must be 'CF-1.11'",
+    ),
+    "another run": (
+        lambda at: changed(at / "zarr.json", lambda root: root["attributes"].update(run_id="0" * 32)),
+        f"zarr.json has attribute run_id '{'0' * 32}', must be ",
+    ),
+    "no copies": (
+        lambda at: changed(at / "zarr.json", lambda root: root.update(consolidated_metadata=None)),
+        "zarr.json has consolidated metadata that differ from those of ",
+    ),
+    "a copy of another type": (
+        lambda at: changed(
+            at / "zarr.json",
+            lambda root: root["consolidated_metadata"]["metadata"]["largest"].update(data_type="float44"),
+        ),
+        "zarr.json has consolidated metadata that differ from those of largest/zarr.json",
+    ),
+    "an array is gone": (lambda at: (at / "largest/zarr.json").unlink(), "largest/zarr.json is missing"),
+    "an array is torn": (lambda at: (at / "regime/zarr.json").write_text("{"), "regime/zarr.json is damaged (Exp"),
+    "another array's": (
+        lambda at: shutil.copy(at / "largest/zarr.json", at / "period/zarr.json"),
+        "period/zarr.json has data_type 'float64', must be 'int32'",
+    ),
+    "another shape": (
+        lambda at: changed(at / "regime/zarr.json", lambda array: array.update(shape=[8, 7])),
+        "regime/zarr.json has shape [8, 7], must be [5, 7]",
+    ),
+    "another type": (
+        lambda at: changed(at / "largest/zarr.json", lambda array: array.update(data_type="float44")),
+        "largest/zarr.json has data_type 'float44', must be 'float64'",
+    ),
+    "a coordinate of another type": (
+        lambda at: changed(at / "omega/zarr.json", lambda array: array.update(data_type="float44")),
+        "omega/zarr.json has data_type 'float44', must be 'float64'",
+    ),
+    "records": (lambda at: (at / "tiles/records/zarr.json").unlink(), "tiles/records/zarr.json is missing"),
+    "the spare is gone": (lambda at: (at / SPARE).unlink(), f"{SPARE} is missing or damaged"),
+    "the spare is torn": (lambda at: (at / SPARE).write_bytes(b"{"), f"{SPARE} is missing or damaged"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_written_again(
+    whole: Path, made: Path, damage: str
+) -> None:
+    do, said = DAMAGES[damage]
+    do(whole)
+    found = [str(fault) for fault in verify(whole, sample=0).faults]
+    assert any(each.startswith(said) for each in found), found
+    assert all(each.endswith(f": atlas verify --repair {whole} writes them again") for each in found)
+    key = said.partition(" ")[0]
+    assert f"{key} written again" in verify(whole, sample=0, repair=True).mended
+    assert verify(whole, sample=0).fine
+    with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
+        assert mended.identical(before)
+    keys = [
+        path.relative_to(made) for path in made.rglob("*") if path.is_file() and path.name not in ("zarr.json", "spare")
+    ]
+    assert all((whole / each).read_bytes() == (made / each).read_bytes() for each in keys)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{", b"[]", b'{"attributes": 7}'])
+def test_a_store_without_its_root_is_refused_with_the_remedy(whole: Path, content: bytes | None) -> None:
+    (whole / "zarr.json").unlink() if content is None else (whole / "zarr.json").write_bytes(content)
+    with pytest.raises(InputError, match=rf"zarr.json is (missing|damaged .*): atlas verify --repair {whole} writes"):
+        read_header(whole)
+
+
+def test_a_type_that_nobody_knows_is_named_with_its_array_and_the_remedy(whole: Path) -> None:
+    for at, change in (
+        ("largest/zarr.json", lambda array: array.update(data_type="float44")),
+        ("zarr.json", lambda root: root["consolidated_metadata"]["metadata"]["largest"].update(data_type="float44")),
+    ):
+        changed(whole / at, change)
+    with pytest.raises(ChunkError, match=r"largest/zarr.json has data_type 'float44', must be 'float64'.*--repair"):
+        atlas.open(whole)
+
+
+def test_a_chunk_of_another_size_is_named_with_the_remedy(whole: Path) -> None:
+    shutil.copy(whole / "sticks/c/0/0", whole / "largest/c/0/0")
+    said = r"largest/c/0/0 is damaged \(it unpacks to 35 bytes, must be 280\): atlas verify --repair"
+    with pytest.raises(ChunkError, match=said):
+        np.asarray(atlas.open(whole)["largest"])
