@@ -77,7 +77,8 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
     from matplotlib import pyplot, rc_context
     from matplotlib.patheffects import withStroke
 
-    with rc_context(house(1.1)):
+    look_of_pages: Any = house(1.1)
+    with rc_context(look_of_pages):
         figure, axes = pyplot.subplots(1, 2, figsize=(10.0, 5.0), sharey=True, layout="constrained")
         for panel, kind in zip(axes, TARGET, strict=True):
             for method, look in LOOKS.items():

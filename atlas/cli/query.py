@@ -139,7 +139,7 @@ def regions(
     if equals and by not in _PATTERN:
         hint = "" if ":" not in value else f"; --window {class_} limits an axis"
         raise InputError(f"{class_}: must be {', '.join(_PATTERN)}, or one of them =VALUE{hint}")
-    meant = read_whole("period", value) if equals and by == "period" else value if equals else None
+    meant: object = read_whole("period", value) if equals and by == "period" else value if equals else None
     by, meant = asked_class(by, meant)
     _check_csv(out)
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
