@@ -55,7 +55,7 @@ _list_option = click.option(
 def query(store: str, point: tuple[str, ...], window: tuple[str, ...], select: tuple[str, ...], as_json: bool) -> None:
     """The share of each regime in STORE or in a window of it; with --at all results of one cell.
 
-    Shares are of the area in the axes' own units. Also see: atlas regions, extremes, export, render.
+    Shares are of the area in the axes' own units. Also see: atlas regions, extremes, export, plot.
     """
     if point and window:
         raise InputError("--at asks for one cell, --window for a part of the plane; give one of the two")
