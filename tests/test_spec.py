@@ -177,6 +177,7 @@ def test_bad_input_is_reported_in_one_line(changes: dict[str, object], message: 
 
 BAD_FILES = [
     ("not toml at all", "not a TOML file"),
+    ('%%writefile plane.toml\nsystem = "two-mass"\n', "begins with a line of a notebook; leave out the line with %%"),
     ('system = "two-mass"\n[axes.omega]\nnum = 1\n[axes.omega]\nnum = 2\n', "not a TOML file"),
     ('system = "two-mass"\n', "axes missing"),
     ("[axes.omega]\nvalues = [1.0]\n", "system missing"),

@@ -39,6 +39,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """The tables of a text; TomlError where it is not TOML."""
+    if text.startswith("%%"):
+        raise TomlError("not a TOML file: it begins with a line of a notebook; leave out the line with %%")
     try:
         if _DEEP_KEY.search(text):
             raise RecursionError
