@@ -375,3 +375,15 @@ def test_a_low_picture_loses_no_entry_of_its_legend(subject: Subject) -> None:
         key = screen(ds, "period", (300, height), 165).key
         assert np.any(np.all(key[..., :3] == (0x44, 0x77, 0xAA), axis=-1)), height
         assert np.any(np.all(key[..., :3] == (0x03, 0x14, 0xCF), axis=-1)), height
+
+
+def test_a_value_between_two_planes_of_a_stack_selects_the_nearest(tmp_path: Path) -> None:
+    axes = "".join(
+        f"[axes.{name}]\nvalues = {values}\n"
+        for name, values in (("omega", [1.0, 2.0]), ("b", [0.1, 0.2]), ("R", [0.6, 0.7, 0.8]))
+    )
+    (tmp_path / "stack.toml").write_text(f'system = "two-mass"\n{axes}')
+    picked = subject_of(str(tmp_path / "stack.toml"), {"R": 0.72})
+    assert (picked.layer, picked.spec.parameters["R"]) == (1, 0.7)
+    with pytest.raises(InputError, match=r"R = 1 lies outside the grid; valid: 0.55 to 0.85"):
+        subject_of(str(tmp_path / "stack.toml"), {"R": 1.0})

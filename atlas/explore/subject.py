@@ -18,6 +18,7 @@ from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
 from atlas.spec.axis import Axis, admitted
+from atlas.spec.cells import edges_of, nearest
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import is_url, place_of
@@ -278,12 +279,14 @@ def _subject(
 
     if len(spec.axes) == MOST_AXES:
         third = spec.axes[-1]
-        value = chosen.get(third.name, third.values[0])
+        if set(chosen) - {third.name}:
+            raise InputError(f"--select picks a plane of {third.name}: {', '.join(f'{v:g}' for v in third.values)}")
+        points = np.array(third.values)
+        edges = edges_of(points, third.scale == "log")
+        layer = nearest(third.name, points, edges, chosen.get(third.name, third.values[0]))
+        value = third.values[layer]
         if ds is not None:
             ds = select(ds, {third.name: value})
-        if set(chosen) - {third.name} or value not in third.values:
-            raise InputError(f"--select picks a plane of {third.name}: {', '.join(f'{v:g}' for v in third.values)}")
-        layer = third.values.index(value)
         axes = {axis.name: axis for axis in spec.axes[:2]}
         spec = Spec(spec.record, axes, spec.parameters | {third.name: value}, spec.settings)
     elif chosen:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.attractors import one
+from atlas.spec import cells
 from atlas.spec.cells import edges_of, is_uniform
 from atlas.spec.points import POINT
 from atlas.spec.spec import MOST_AXES
@@ -123,10 +124,7 @@ def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 def nearest(ds: "xr.Dataset", name: str, value: float) -> int:
     """The place of the cell nearest to a value of an axis; InputError more than half a cell beyond the ends."""
-    values, edges = axis_values(ds, name), cell_edges(ds, name)
-    if not edges[0] <= value <= edges[-1]:
-        raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
-    return int(np.argmin(np.abs(values - value)))
+    return cells.nearest(name, axis_values(ds, name), cell_edges(ds, name), value)
 
 
 def inside(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp]]:

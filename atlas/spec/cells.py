@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.errors import InputError
+
 if TYPE_CHECKING:
     from atlas.spec.spec import Spec
 
@@ -31,6 +33,13 @@ def edges_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
     middle = 0.5 * (points[:-1] + points[1:])
     edges = np.concatenate(([2.0 * points[0] - middle[0]], middle, [2.0 * points[-1] - middle[-1]]))
     return np.asarray(np.exp(edges)) if log else edges
+
+
+def nearest(name: str, values: NDArray[np.float64], edges: NDArray[np.float64], value: float) -> int:
+    """The place of the point of an axis nearest to a value; InputError more than half a cell beyond the ends."""
+    if not edges[0] <= value <= edges[-1]:
+        raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
+    return int(np.argmin(np.abs(values - value)))
 
 
 def widths_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
