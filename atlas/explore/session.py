@@ -98,7 +98,8 @@ def explore(
     open, or on worker processes of this machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at
     first. Pages begin with the plane of ``other``, a store or a spec of the same axes, beside the first. With ``keep``,
     what is solved lies in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into
-    ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go to addresses with their token alone.
+    ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go to addresses
+    with their token alone.
     ``prepare`` is called once the input has been checked, before anything starts.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
