@@ -428,3 +428,23 @@ def test_free_motions_that_the_gap_sees_are_machines() -> None:
         system = find_system(name)
         check_at_defaults(system.definition, system.parameters)
     System.from_mapping(table(stiffness=[[0.0, 0.0], [0.0, "k"]]))
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_rows_whose_squares_are_beyond_double_precision_are_rows_like_others(size: float) -> None:
+    """Truth: a row and its multiple are the same contact; numpy printed an overflow, and warnings are errors here."""
+    two = {"coordinates": ["x1", "x2"], "mass": [[1, 0], [0, 1]], "stiffness": [[1, -1], [-1, 1]], "force": [1, 0]}
+    given = {
+        "name": "rows",
+        "damping": [[0.1, 0], [0, 0.1]],
+        **two,
+        "gap": [size, 0],
+        "upper": size,
+        "restitution": 0.5,
+    }
+    System.from_mapping(given)
+    contacts = [{"name": "a", "gap": [size, 0], "upper": size, "restitution": 0.5}]
+    contacts += [{"name": "b", "gap": [2 * size, 0], "upper": size, "restitution": 0.5}]
+    longer = {name: value for name, value in given.items() if name not in ("gap", "upper", "restitution")}
+    with pytest.raises(DefinitionError, match="depend"):
+        System.from_mapping(longer | {"contacts": contacts})

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.errors import InputError, check_names
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.window import axis_names
+from atlas.render.options import names_in
 from workers.results import ERROR, LABEL, LARGEST, REGIME, SETTLED, SPECTRUM
 
 if TYPE_CHECKING:
@@ -259,7 +260,7 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
     """The kinds of curves that are asked for, given as a list or with commas between; None for all."""
     if curves is None:
         return None
-    wanted = tuple(curves.split(",") if isinstance(curves, str) else curves)
+    wanted = names_in("curves", curves)
     for each in wanted:
         if each not in CURVES:
             raise InputError(f"unknown kind of curve {each!r}; possible: {', '.join(CURVES)}")
