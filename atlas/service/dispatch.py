@@ -17,14 +17,18 @@ from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
 from atlas.task.attempt import do_job
-from atlas.task.task import Job, Made, Receipt, forget, prepare
+from atlas.task.known import forget_header
+from atlas.task.task import Job, Made, Receipt, prepare
 from atlas.text import byte_size, duration, plural
 
 if TYPE_CHECKING:
     from distributed import Client
 
-IN_FLIGHT = 2
-"""Tiles under way for each thread: one running, one waiting, so that no thread idles and no queue grows."""
+IN_FLIGHT, MOST_IN_FLIGHT = 2, 64
+"""Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows; of short jobs
+as many as keep it busy for AHEAD, up to so many."""
+AHEAD = 10.0
+"""Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
 ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
 SMALL, BYTES_PER_CELL = 4096, 750
@@ -46,7 +50,7 @@ class Workers:
 
 def tile_labour(job: Job, cells: int) -> Labour[Job, Receipt | Made]:
     """What workers do in a run whose jobs differ from this one by tile and level; a tile has that number of cells."""
-    ready, done = partial(prepare, job), partial(forget, job.store, job.run_id, job.patience)
+    ready, done = partial(prepare, job), partial(forget_header, job.store, job.patience)
     return Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
 
 
@@ -74,8 +78,9 @@ class Workforce(Generic[J, R]):
         self.doubtful: list[Attempt[J]] = []
         self.fitness = Fitness()
         self.threads: dict[str, int] = {}
-        self.most_workers = 0
-        self.last_good = self.last_end = time.monotonic()
+        self.most_workers = self.done = 0
+        self.thread_seconds = 0.0
+        self.last_good = self.last_end = self.looked = time.monotonic()
 
     def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
         """Submit jobs in a window and give each one's outcome as it ends; what is under way at an error is dropped.
@@ -84,7 +89,8 @@ class Workforce(Generic[J, R]):
         Raises RunError if the cluster is lost, no worker may have a job any more, or the store has no room.
         """
         self.waiting, ticked = iter(jobs), -math.inf
-        self.last_good = self.last_end = time.monotonic()
+        self.last_good = self.last_end = self.looked = time.monotonic()
+        self.done, self.thread_seconds = 0, 0.0
         try:
             while True:
                 if time.monotonic() - ticked >= self.timing.tick:
@@ -108,17 +114,24 @@ class Workforce(Generic[J, R]):
 
     def look(self) -> None:
         """Look at the cluster, which may grow and shrink under way."""
-        threads = worker_threads(self.client)
+        threads, now = worker_threads(self.client), time.monotonic()
+        self.thread_seconds += sum(self.threads.values()) * (now - self.looked)
+        self.looked = now
         if threads.keys() - self.threads.keys():
-            for worker, (limit, _) in worker_memory(self.client).items():
-                if 0 < limit < self.memory:
-                    needed = f"needs {byte_size(self.memory)}: dask worker --memory-limit"
-                    self.fitness.refuse(Refusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
+            self.need(self.memory)
         self.threads = threads
         self.most_workers = max(self.most_workers, len(self.threads))
         # Dask keeps a job for the workers that it was given to, though all of them are gone.
         lost = self.running.withdraw(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
         self.again.extend(lost)
+
+    def need(self, memory: int) -> None:
+        """From now on jobs take so many bytes: workers with less get no more."""
+        self.memory = memory
+        for worker, (limit, _) in worker_memory(self.client).items():
+            if 0 < limit < memory:
+                needed = f"needs {byte_size(memory)}: dask worker --memory-limit"
+                self.fitness.refuse(Refusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
 
     def workers(self) -> Workers:
         """The workers, as far as the last look and the ends of attempts show."""
@@ -158,7 +171,8 @@ class Workforce(Generic[J, R]):
             return  # one that did tiles is gone, and may come back
         if self.client.status != "running":
             raise RunError(LOST)
-        room = IN_FLIGHT * max(1, sum(self.threads[worker] for worker in willing)) - len(self.running)
+        wanted = self.in_flight() * max(1, sum(self.threads[worker] for worker in willing))
+        room = max(0, wanted - len(self.running))
         anywhere = _some(willing, room) if left_out else None
         attempts = []
         for _ in range(room):
@@ -169,11 +183,18 @@ class Workforce(Generic[J, R]):
             attempts.append(replace(attempt, workers=workers))
         self.running.submit(attempts)
 
+    def in_flight(self) -> int:
+        """Jobs to have under way for each thread, by what they have taken so far."""
+        if not self.thread_seconds:
+            return IN_FLIGHT
+        return min(MOST_IN_FLIGHT, max(IN_FLIGHT, math.ceil(AHEAD * self.done / self.thread_seconds)))
+
     def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None if it is to be tried again, or is in doubt."""
         self.last_end = time.monotonic()
         if isinstance(result, Done):
             self.fitness.finish(result.worker)
+            self.done += 1
             return result.result
         if isinstance(result, Refusal):
             self.fitness.refuse(result)

@@ -12,7 +12,7 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
-from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
+from atlas.service.cluster import active_client, connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import Workers, Workforce, tile_labour, workforce
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
@@ -32,6 +32,7 @@ from atlas.store.sidecar import CLAIM, claim_token, notes_of
 from atlas.store.store import Header, create, find, read_header
 from atlas.store.tiles import listed_tiles, read_tile
 from atlas.store.tiling import Index
+from atlas.task.basins import labelling_bytes
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.solving import kernels_of
 from atlas.task.task import LABELS, Job, Made, Receipt
@@ -53,8 +54,9 @@ def run(
 
     ``fields`` are those of ``RunOptions``, as in ``run(spec, "plane.zarr", workers=4)``; they replace those of
     ``options``. The tiles run on ``client`` (used, not closed), or where the options say: on the cluster of a
-    scheduler, or on a local one, the default. In a notebook a bar shows the progress, unless there is an
-    ``on_progress``. Where a store at a URL stops answering, the run waits ``patience`` seconds for it.
+    scheduler, else on the Dask client that the caller has open, else on a local cluster. In a notebook a bar shows the
+    progress, unless there is an ``on_progress``. Where a store at a URL stops answering, the run waits ``patience``
+    seconds for it.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
     server does not answer.
@@ -202,6 +204,7 @@ class _Run:
                     self.report("solving")
                 if header.spec.basins:
                     self.doing = "labelling the attractors"
+                    force.need(force.memory + labelling_bytes(header))
                     self._make(force, [replace(job, level=LABELS)])
                 self.doing = "writing overviews"
                 for level in self.overviews.levels:
@@ -262,9 +265,17 @@ def check_client(client: "Client | None", options: RunOptions) -> None:
 
 
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
-    """The client to work on: the one given, or one of the scheduler asked for; None if a local cluster is."""
-    if client is not None or options.scheduler is None:
+    """The client to work on: the one given, one of the scheduler asked for, or the one that the caller has open.
+
+    None for a local cluster: where none is open, or a number of workers is asked for.
+    """
+    if client is not None:
         return client
+    if options.scheduler is None:
+        active = active_client() if options.workers is None else None
+        if active is not None:
+            options.report(Progress(f"using the Dask client that is open, of {active.scheduler_info()['address']}"))
+        return active
     options.report(Progress(f"connecting to {options.scheduler}", passing=True))
     return stack.enter_context(connected(options.scheduler, options.tls, options.timing))
 
@@ -273,8 +284,7 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
     """Threads of the cluster that a run works on, or the processes that it is going to start."""
     if client is None:
         return options.workers or processors()
-    waiting = Progress("waiting for the scheduler's first worker")
-    return count_threads(client, lambda: options.report(waiting), options.timing)
+    return count_threads(client, options.wait_for_first, options.wait, options.timing.poll)
 
 
 @contextmanager
