@@ -248,3 +248,58 @@ def test_in_dark_mode_the_key_has_a_dark_paper_and_the_colours_of_the_map(runnin
     assert vivid[0].sum() > 1000
     colors = [set(map(tuple, shot[where] // 8)) for shot, where in zip((light, dark), vivid, strict=True)]
     assert len(colors[0] & colors[1]) > 0.8 * len(colors[0])
+
+
+def place_of(tab: Tab, text: str) -> float:
+    """Where a text stands, in pixels from above."""
+    return float(tab.page.get_by_text(text).first.bounding_box()["y"])
+
+
+def test_what_is_said_of_the_cell_under_the_pointer_moves_nothing_below_it(desk: Tab) -> None:
+    before, (left, top, width, height) = place_of(desk, "click a cell: its motion"), desk.plot()
+    for share in (0.1, 0.5, 0.9):
+        desk.page.mouse.move(left + share * width, top + 0.4 * height)
+        desk.until(lambda: "explored cell" in desk.text())
+        assert place_of(desk, "click a cell: its motion") == before
+
+
+def test_a_choice_of_another_map_moves_no_control(desk: Tab) -> None:
+    names = "scale from", "cut across", "fit the scale to the view"
+    before = [place_of(desk, name) for name in names]
+    desk.page.locator("select").first.select_option("scalar")
+    desk.until(lambda: "kind=scalar" in desk.address())
+    assert [place_of(desk, name) for name in names] == before
+
+
+def test_each_number_of_a_cell_and_of_the_title_stands_on_one_line(phone: Tab) -> None:
+    left, top, width, height = phone.plot()
+    phone.page.touchscreen.tap(left + 0.5 * width, top + 0.5 * height)
+    phone.until(lambda: "cell clicked" in phone.text() and "peak to peak" in phone.text(), 120.0)
+    lines = phone.page.evaluate(
+        DEEP
+        + """; find(document).filter((each) => each.matches(".number") && each.getClientRects().length)
+            .map((each) => {
+                const range = document.createRange()
+                range.selectNodeContents(each)
+                return new Set([...range.getClientRects()].map((box) => Math.round(box.bottom / 8))).size
+            })"""
+    )
+    assert len(lines) > 15 and set(lines) == {1}
+
+
+def test_the_key_of_a_plane_that_becomes_lower_is_not_cut_off(desk: Tab) -> None:
+    key = desk.page.locator('img[alt="colour bar and legend"]')
+    key.wait_for()
+    for height in (560, 900):
+        desk.page.set_viewport_size({"width": 1440, "height": height})
+        for _ in range(10):  # also before there is a picture of that size
+            box = desk.page.evaluate(
+                DEEP
+                + """; (() => {
+                    const image = find(document).filter((each) => each.alt === "colour bar and legend")[0]
+                    const boxes = [image, image.getRootNode().host].map((each) => each.getBoundingClientRect())
+                    return boxes.map((box) => box.bottom)
+                })()"""
+            )
+            assert box[0] <= box[1] + 1
+            desk.page.wait_for_timeout(100)

@@ -122,6 +122,8 @@ def test_in_dark_mode_all_is_dark_but_the_map_whose_colours_stay(running: Explor
             tab.page.wait_for_timeout(2000)
             left, top, width, height = map(round, tab.plot())
             shot = np.asarray(Image.open(BytesIO(tab.page.screenshot())).convert("RGB"))
+            beside = shot[top + height + 48, left - 60]  # below the labels of one axis, and left of the other's
+            assert np.array_equal(beside, shot[790, 1400]), "the plane stands in a block of another colour"
             return shot[790, 1400], shot[top + height // 2, left + width // 2]
         finally:
             context.close()

@@ -1,6 +1,7 @@
 """No thread of the explorer ends silently: what it raises is logged and shown, and its work begins again."""
 
 import asyncio
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +18,8 @@ from atlas.explore.kept import Keeper
 from atlas.explore.painter import Painted, Painter
 from atlas.explore.patches import Errand, Patches
 from atlas.explore.server import PageServer
+from atlas.explore.subject import subject_of
+from atlas.explore.view import TILE, TileKey
 from tests.test_explore_solving import exploring, solved, view_of, waited
 
 ERRORS = [UnboundLocalError("cannot access local variable 'result'"), asyncio.CancelledError("gone"), OSError(5, "EIO")]
@@ -92,6 +95,20 @@ def test_the_thread_that_keeps_tiles_keeps_all_of_them_after_any_exception(
         assert explorer.keeper.sheets is not None
         assert all(explorer.keeper.sheets.has(explorer.subject.plane, key) for key in tiles)
     assert any(str(error) in said for said in shown)
+
+
+def test_a_keeper_that_always_fails_ends_when_it_is_asked_to(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise UnboundLocalError("always")
+
+    monkeypatch.setattr(Keeper, "_turn", broken)
+    subject = subject_of(str(finished))
+    keeper = Keeper(subject)
+    keeper.offer(subject.plane, TileKey(4, 4, 0, 0), subject.without_results(subject.variables, (TILE, TILE)))
+    thread = threading.Thread(target=keeper.stop)
+    thread.start()
+    thread.join(20.0)
+    assert not thread.is_alive() and "always" in keeper.trouble
 
 
 @pytest.fixture

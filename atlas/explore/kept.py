@@ -149,6 +149,8 @@ class Keeper:
 
     def _serve(self) -> None:
         noted, pause = time.monotonic(), PAUSE
+        if self._stopped.is_set() and self._trouble:  # what went wrong goes wrong again, and somebody waits for the end
+            return
         while True:
             ending = self._stopped.wait(pause)
             with self._lock:
