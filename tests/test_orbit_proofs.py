@@ -13,11 +13,13 @@ from tests.test_stroboscopic import KINDS
 from workers.attractors.same import KnownOrbits, orbits_reached
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import FREE, motion_at, motions_at
-from workers.model.oscillator import Oscillator, make_blocks, many_of
+from workers.kernel.motion import EVALUATIONS, FREE, motion_at, motions_at
+from workers.model.hybrid import FIRST_NUMBER
+from workers.model.hybrid_modes import Code
+from workers.model.oscillator import Oscillator, make_blocks, many_of, one_of
 from workers.model.system import find_system
 from workers.orbit.attraction import shrinking_norm
-from workers.orbit.map import iterate, jacobian_of
+from workers.orbit.map import iterate, iterate_alone, jacobian_of
 from workers.orbit.newton import (
     Orbits,
     far_from_closing,
@@ -373,3 +375,21 @@ def test_which_of_many_motions_are_far_from_closing_is_said_of_their_last_sectio
     assert far_from_closing(blocks, h, sections, rows, 3, 1e-5).tolist() == [True, False, True]
     assert far_from_closing(blocks, h, sections, rows, 3, 1e-7).tolist() == [True, True, True]
     assert far_from_closing(blocks, h, sections, rows, 4, 1e-5).tolist() == [False, False, True]
+
+
+SLIDING = FIRST_NUMBER + Code(0, (), (1,)).number
+"""The contact of a motion of a machine with one friction while that slides."""
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize(("name", "contact"), [("two-mass", FREE), ("friction-oscillator", SLIDING)])
+def test_a_trial_state_that_is_no_number_costs_next_to_nothing(name: str, contact: int, value: float) -> None:
+    """Newton's method may come to one where a Jacobian is singular."""
+    system = find_system(name)
+    osc, _ = system.build_many({p.name: np.array([p.default]) for p in system.parameters})
+    h = np.full((len(system.states) // 2, 2), value)
+
+    def cost(_: np.ndarray) -> float:
+        return float(iterate_alone(one_of(osc, 0), h, contact, 3, np.bool_(False)).tally[EVALUATIONS])
+
+    assert osc.with_modes(cost, np.zeros(1, dtype=np.int64)) <= 20.0

@@ -49,7 +49,7 @@ def statements() -> list[Statement]:
     """Amplitudes, and the force at which stops begin, at four frequencies."""
     found = []
     for omega in (0.6, 0.8, 1.3, 1.8):
-        given = DRY | {"omega": omega, "A": round(1.5 * least_force(omega), 4)}
+        given = DRY | {"omega": omega, "A": round(1.5 * least_force(omega), 3)}
         ours = 0.5 * cell("friction-oscillator", given)["peak_to_peak"]
         window = (0.5 * given["A"], 2.0 * given["A"])
         found += [
