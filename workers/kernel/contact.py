@@ -40,14 +40,14 @@ def chatter_time(load, w, R):
 
 
 @inlined
-def chatter_left(load, load_rate, cA2k, w, R):
-    """chatter_time to second order, of a load that rises at ``load_rate`` and a velocity that decays at -cA^2k.
+def chatter_left(load, jerk, cA2k, w, R):
+    """chatter_time to second order, of a velocity that decays at -cA^2k and a third derivative toward the stop, jerk.
 
-    t (1 - t (load_rate / load - cA^2k / 2) / 3), t the time to leading order; where R is so near to 1 that chatter is
-    slower than all else, half of that or twice as much at most.
+    t (1 - t (jerk / load - 3 cA^2k / 2) / 3), t the time to leading order; at a velocity of 0 the load rises at the
+    rate jerk - cA^2k load. Half of t or twice t at most, where R is so near to 1 that chatter is slower than all else.
     """
     t = chatter_time(load, w, R)
-    return t * min(max(1.0 - t * (load_rate / load - 0.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
+    return t * min(max(1.0 - t * (jerk / load - 1.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
 
 
 @inlined
