@@ -8,12 +8,13 @@ import pytest
 from tests.hybrids import built, follow, machines_of
 from tests.oracle.pieces import Contact, Force, Friction, Machine, Phase, monodromy, simulate
 from tests.oracle.pieces.draw import random_machine, random_state
-from workers import Settings
+from workers import Settings, System, solve_tile
 from workers.cell.cells import Cells, Results
 from workers.cell.solve import solve
 from workers.kernel.motion import RUNNING
+from workers.model.entries import DefinitionError
 from workers.model.hybrid import build_hybrid
-from workers.results import result_variables
+from workers.results import INVALID, PERIODIC, REASONS, result_variables
 from workers.tile import result_arrays
 
 
@@ -137,3 +138,51 @@ def test_a_free_mass_moves_on_while_another_one_sticks() -> None:
 def test_machines_of_many_modes(seed: int) -> None:
     machine = random_machine(seed, switched_elements=seed % 2 == 1)
     assert follow(built(machine), random_state(machine, seed), periods=4).status == RUNNING
+
+
+# What a definition or a cell cannot have, and what it can
+
+
+def sliding(row: object, slope: float = 0.0, damping: float = 0.1) -> dict[str, object]:
+    """A mass with a stop and friction on this row."""
+    return {
+        "name": "rubs", "coordinates": ["x"], "mass": [[1.0]], "damping": [[damping]], "stiffness": [[1.0]],
+        "force": [1.2], "gap": [0.3], "upper": 0.24, "restitution": 0.6,
+        "friction": [{"name": "ground", "row": [row], "kinetic": "f", "static": "1.2 * f", "slope": "q"}],
+        "parameters": {
+            "omega": {"default": 0.9}, "f": {"default": 3.0}, "q": {"default": slope}, "p": {"default": 0.3},
+        },
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("factor", ["p", "0.1 * 3", "-p", "2 * p", "1e-3 * p", 5.0])
+def test_friction_on_a_multiple_of_the_row_of_a_contact_is_the_friction_along_it(factor: object) -> None:
+    """Truth: the same force along x is made by a row a times as large with friction 1 / a times as large."""
+    scale = {"p": 1.0, "0.1 * 3": 1.0, "-p": 1.0, "2 * p": 2.0, "1e-3 * p": 1e-3, 5.0: 5.0 / 0.3}[factor]
+    found = solve_tile(System.from_mapping(sliding(factor)), {"f": 3.0 / scale})
+    expected = solve_tile(System.from_mapping(sliding(0.3)), {})
+    assert expected["regime"] == PERIODIC and expected["sticks"]
+    for name in ("regime", "period", "impacts_upper", "sticks"):
+        assert found[name] == expected[name]
+    for name in ("largest", "stuck_fraction", "ground_stuck", "ground_loss", "stop_fraction", "peak_to_peak"):
+        assert found[name] == pytest.approx(expected[name], rel=1e-9, abs=1e-9), name
+    np.testing.assert_allclose(found["state"], expected["state"], rtol=0.0, atol=1e-10)
+
+
+def test_a_slope_that_outweighs_the_damping_is_refused_in_words() -> None:
+    with pytest.raises(DefinitionError, match=r"system\.friction\[0\]\.slope: found -2 at the defaults, motion grows"):
+        System.from_mapping(sliding(1.0, slope=-2.0))
+    found = solve_tile(System.from_mapping(sliding(1.0)), {"q": [-0.2, -0.1, -0.05], "f": 0.3})
+    assert found["regime"].tolist()[0] == INVALID and INVALID not in found["regime"].tolist()[1:]
+    assert REASONS[int(found["reason"][0])].name == "unstable"
+    assert [REASONS[int(code)].name for code in found["reason"][1:]] == ["none", "none"]
+
+
+@pytest.mark.parametrize("more", [{}, {"phases": [{"start": 0.0}, {"start": 0.4}]}], ids=["plain", "with modes"])
+def test_a_forcing_period_of_too_many_turns_is_refused_in_every_machine(more: dict[str, object]) -> None:
+    machine = {
+        "name": "mass", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]], "force": [1.0],
+        "gap": [1.0], "upper": 0.5, "restitution": 0.6, "parameters": {"omega": {"default": 1.0}},
+    }  # fmt: skip
+    found = solve_tile(System.from_mapping(machine | more), {"omega": 1e-8})
+    assert (found["regime"], REASONS[int(found["reason"])].name) == (INVALID, "long_period")

@@ -66,6 +66,20 @@ def test_a_mass_that_bounces_to_rest_ranges_from_its_stop() -> None:
     assert found["peak_to_peak"] == pytest.approx(y[:first].max(), rel=1e-9)
 
 
+@pytest.mark.parametrize(("omega", "R", "highest"), [(1.05, 0.0, 0.3392105694), (1.1, 0.2, 0.5603377648)])
+def test_the_flight_after_a_release_counts_where_it_is_the_only_high_one(
+    omega: float, R: float, highest: float
+) -> None:
+    """Truth: the closed form of that flight."""
+    Gamma = 1.2 * omega**2
+    phase, t = math.asin(1.0 / Gamma), np.linspace(0.0, 2.0 * math.pi, 2_000_001)
+    y = (-0.5 * t**2 + Gamma * (np.sin(phase) - np.sin(phase + t)) + Gamma * np.cos(phase) * t) / omega**2
+    first = int(np.flatnonzero(y[1000:] < 0.0)[0]) + 1000
+    assert y[:first].max() == pytest.approx(highest, abs=1e-9)
+    found = solve_tile("bouncing-ball", {"omega": omega, "R": R})
+    assert found["sticks"] and found["peak_to_peak"] == pytest.approx(highest, abs=1e-9)
+
+
 def test_chaos_that_hits_one_stop_alone_has_the_range_of_64_periods_from_its_state() -> None:
     params = {"omega": 2.2, "R": 0.9}
     found = solve_tile("bouncing-ball", params)

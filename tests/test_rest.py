@@ -14,7 +14,7 @@ from workers.cell.averages import restart
 from workers.cell.outcome import put_averaged
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import LOST, STUCK
+from workers.kernel.motion import LOST, MIN_SPEED, STUCK
 from workers.results import CHAOTIC, PERIODIC, RESTED, UNDETERMINED
 
 RESTS_IN_THE_WATCH = {"A": 2.133705659525457, "R": 0.6482713451425055}
@@ -81,7 +81,7 @@ def test_a_rest_that_only_the_watch_has_seen_takes_two_directions_and_its_share_
     params = {name: np.array([value]) for name, value in naive.FIGURES[5].items()}
     cells, one = cells_of(params, Settings(exponents="spectrum")), np.arange(1)
     cells.flown[0] = 200
-    cells.batch.motions.tally[0, LOST], cells.batch.motions.tally[0, STUCK] = 2.0, 3.0
+    cells.batch.motions.tally[0, [LOST, STUCK, MIN_SPEED]] = 2.0, 3.0, 0.0
     restart(cells, one)
     cells.averaging[0] = True
     cells.aim(one, 50)

@@ -76,7 +76,8 @@ def test_a_cell_without_a_motion_is_refused_in_one_line(changes: dict[str, float
 
 
 def test_every_impact_of_a_period_of_thousands_is_kept() -> None:
-    """Truth: the kernel's count of impacts at either stop, which needs no record."""
+    """Truth: the kernel's count of impacts at either stop, which needs no record; the last one before a rest and the
+    beginning of the rest are written down and not counted."""
     many = naive.FIGURES[3] | {"omega": 0.05, "b": 0.002, "R": 0.999}
     system = find_system("two-mass")
     osc = system.build({p.name: many.get(p.name, p.default) for p in system.parameters})
@@ -84,14 +85,15 @@ def test_every_impact_of_a_period_of_thousands_is_kept() -> None:
     propagate(osc, motion, osc.period)
     count = motion.tally[UPPER] + motion.tally[LOWER]
     history = trace(system, many, 1, Settings(exponents="none"))
-    assert count > 4 * 4096 and len(history.impacts) == count
+    rests = int(np.sum(history.impacts[:, 2] == 0.0))
+    assert count > 3 * 4096 and len(history.impacts) == count + 2 * rests
     assert np.all(np.diff(history.impacts[:, 0]) > 0.0)
 
 
 def test_a_motion_of_too_many_impacts_is_refused_in_one_line() -> None:
-    """Truth: 730 impacts a period cost 2200 evaluations, and two million are allowed to so few periods."""
-    many = {"omega": 0.5, "b": 0.002, "R": 0.97}
-    with pytest.raises(ValueError, match=r"^period 9\d\d: its budget of evaluations of the motion is spent$"):
+    """Truth: more than 700 impacts a period cost three evaluations each, and so few periods may cost two million."""
+    many = {"omega": 0.5, "b": 0.002, "R": 0.99}
+    with pytest.raises(ValueError, match=r"^period \d{3}: its budget of evaluations of the motion is spent$"):
         trace("two-mass", many, 1000, Settings(exponents="none"))
 
 

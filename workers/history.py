@@ -29,7 +29,9 @@ class Trace(NamedTuple):
 
     times      (K + 1,)     section times k T
     states     (K + 1, 2n)  physical section states, the initial one first
-    impacts    (N, 3)       time, side (+1 upper, -1 lower) and speed before it, of every impact
+    impacts    (N, 3)       time, side (+1 upper, -1 lower; of contact c of a machine with modes +-(1 + c)) and speed
+                            before it, of every impact. A chatter has infinitely many: they are listed until what is
+                            left of it is below rounding, and a row of speed 0 tells when it ends and the rest begins
     exponents  (K, m)       running means of the exponents per period; m = 0, 1 or all, 2n or one less where a
                             coordinate drifts, as settings.exponents asks
     """

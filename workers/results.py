@@ -70,7 +70,8 @@ REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("not_relaxed", CHAOTIC, "the budget ended early: the exponent may still depend on the initial state"),
     ("not_stationary", CHAOTIC,
      "the last two averages of the exponent still differed when the budget ended; the error bar covers both"),
-    ("unstable", INVALID, "motion grows: stiffness or damping is negative in some direction"),
+    ("unstable", INVALID,
+     "motion grows: stiffness, or damping with the slope of friction, is negative in some direction"),
     ("rested", UNDETERMINED, "its one mass rests and repeats from there on; its period is not known"),
     ("many_modes", FAILED, "the motion goes through more modes than there is room for"),
     ("no_mode", FAILED, "contacts and friction hold it in a way for which there is no motion in closed form"),
@@ -135,14 +136,14 @@ PROGRESS = _number("progress", "mean advance of what drifts", _PER_PERIOD)
 SECTION = _number("section", "last section states", "1", "sample", "state")
 _ALWAYS = (
     _count("period", "forcing periods per orbit; 0 unless periodic or without impact"),
-    _count("impacts_upper", "impacts at the upper stop per orbit period; -1 where it sticks"),
-    _count("impacts_lower", "impacts at the lower stop per orbit period; -1 where it sticks"),
+    _count("impacts_upper", "impacts at the upper stop per orbit period; -1 where it rests on a stop"),
+    _count("impacts_lower", "impacts at the lower stop per orbit period; -1 where it rests on a stop"),
     _number("impacts_per_period", "mean number of impacts per forcing period", _PER_PERIOD),
     _flag("symmetric", "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known"),
     _flag("sticks", "the mass rests on a stop for part of the time; false unless known"),
     _number("stuck_fraction", "share of the time at rest on a stop"),
-    _number("min_impact_speed", "slowest impact seen on the attractor; 0 where it sticks"),
-    _number("mean_impact_speed", "mean speed before an impact; NaN where it sticks"),
+    _number("min_impact_speed", "slowest impact seen on the attractor; 0 where it rests on a stop"),
+    _number("mean_impact_speed", "mean speed before an impact; NaN where it rests on a stop"),
     _number("max_impact_speed", "fastest impact seen on the attractor"),
     _number("impact_energy", "energy lost at impacts per forcing period", _PER_PERIOD),
     _number(

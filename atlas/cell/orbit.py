@@ -43,7 +43,8 @@ class CellOrbit:
     stops       gap coordinate at the lower and at the upper stop; infinite where there is none
     times       (N,)     time since a section, along the path; twice where an impact makes a velocity jump
     states      (N, 2n)  physical states along the path (displacements, then velocities)
-    impacts     (K, 3)   time, side (+1 upper, -1 lower) and speed before it, of every impact on the path
+    impacts     (K, 3)   time, side (+1 upper, -1 lower) and speed before it, of every impact on the path;
+                         speed 0 where a rest begins, see ``workers.trace``
     section     (S, 2n)  section states, t = k T
     running     (P, 2n)  means of the exponents per period over the first 1, 2, ... periods on the attractor
     """
@@ -186,7 +187,7 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
             raise InputError(f"period {i // SAMPLES}: this cell cannot be followed")
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         before, after = states[-1], blocks_to_physical(ends, motion)
-        for t, side, speed in found:
+        for t, side, speed in found[found[:, 2] > 0.0]:
             mean = before + (after - before) * t / piece
             for velocity in (side * speed, -osc.R * side * speed):
                 times.append(i * piece + t)
@@ -241,7 +242,8 @@ def describe(orbit: CellOrbit) -> str:
     elif np.isfinite(cell["impacts_per_period"]) and cell["impacts_per_period"] > 0:
         words.append(f"{cell['impacts_per_period']:.3g} impacts per period")
     if cell["sticks"]:
-        words.append(f"at rest on a stop {100 * cell['stuck_fraction']:.3g} % of the time")
+        how = "at rest on a stop" if np.isnan(cell["impacts_per_period"]) else "sticking"
+        words.append(f"{how} {100 * cell['stuck_fraction']:.3g} % of the time")
     if code == CHAOTIC:
         words.append(f"largest exponent {cell['largest']:.3g} ± {cell['error']:.1g}")
     return ", ".join(words)

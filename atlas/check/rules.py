@@ -225,15 +225,16 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 def _impact_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     still, periodic, sticks = arrays[REGIME.name] == NO_IMPACT, arrays[REGIME.name] == PERIODIC, arrays["sticks"]
     hits, mean = arrays["impacts_upper"] + arrays["impacts_lower"], arrays["impacts_per_period"]
+    countless = np.isnan(mean)  # of a mass that rests on a stop; friction that sticks does not make them so
     for name in ("impacts_upper", "impacts_lower"):
         yield f"{name} is not 0 outside orbits", ~periodic & (arrays[name] != 0)
-        yield f"{name} is not -1 in an orbit that sticks", periodic & sticks & (arrays[name] != -1)
-        yield f"{name} is negative", periodic & ~sticks & (arrays[name] < 0)
-    yield "impacts_per_period is not NaN where it sticks", sticks & ~np.isnan(mean)
+        yield f"{name} is not -1 in an orbit that rests on a stop", periodic & countless & (arrays[name] != -1)
+        yield f"{name} is negative", periodic & ~countless & (arrays[name] < 0)
+    yield "impacts_per_period is NaN where nothing sticks", known & countless & ~sticks
     yield "impacts_per_period is negative", mean < 0
     yield "impacts_per_period is not 0 without impact", still & (mean != 0)
     counted = np.isclose(mean * arrays["period"], hits, rtol=1e-9, atol=0)
-    yield "impacts_per_period is not the orbit's impacts over its period", periodic & ~sticks & ~counted
+    yield "impacts_per_period is not the orbit's impacts over its period", periodic & ~countless & ~counted
 
 
 def _rest_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:

@@ -29,7 +29,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     counts, row by row.
     Compared are finite values of solved cells: an exponent of -inf is no number, one without a class no result (the
     average of an undetermined cell may be far off), a period one of periodic cells, and impacts that are infinitely
-    many (where it sticks) are omitted, and so are classes without such a value.
+    many (where it rests on a stop) are omitted, and so are classes without such a value.
     Raises InputError for a variable that is no number of each cell, and as ``regions`` does.
     Reads the variable, and what tells the class, of tiles that have such cells.
     """

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from workers.kernel.motion import LOST, LOWER, STUCK, UPPER
+from workers.kernel.motion import LOST, LOWER, MIN_SPEED, STUCK, UPPER
 from workers.model.oscillator import COLUMN, Array, Oscillator
 
 
@@ -52,3 +52,8 @@ def sum_law_holds(tally: Array) -> Any:
 def impact_count(tally: Array) -> Any:
     """Impacts that motions have counted (..., TALLIES), at both stops."""
     return tally[..., UPPER] + tally[..., LOWER]
+
+
+def rests_on_stop(tally: Array) -> Any:
+    """Whether a rigid stop has held the mass (..., TALLIES): as a rule after a chatter, of which no count is finite."""
+    return tally[..., MIN_SPEED] == 0.0

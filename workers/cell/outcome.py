@@ -12,21 +12,23 @@ from numpy.typing import NDArray
 from workers import results
 from workers.cell.averages import clearly_positive, counts, whole_average
 from workers.cell.cells import Average, Cells
-from workers.cell.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
+from workers.cell.exponents import (
+    free_exponents,
+    impact_count,
+    kaplan_yorke,
+    rests_on_stop,
+    sum_law_holds,
+    sum_of_exponents,
+)
 from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
 from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
-from workers.kernel.contact import COMPLETION
 from workers.model.oscillator import Array, Oscillator, Rows, taken
 from workers.orbit.newton import Orbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
 """By reason."""
-
-CHATTER_CUT = COMPLETION**3
-"""What the jump to rest at the end of a chatter changes an exponent by, relative to one more than itself: of third
-order in what is cut. At most half of this in 630 random orbits followed ten thousand times closer to rest."""
 
 
 def put(cells: Cells, rows: Rows, **values: Any) -> None:
@@ -76,9 +78,9 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
 def put_periodic(cells: Cells, rows: Rows) -> None:
     """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet's.
 
-    The error of the largest is that of rounding or of chatter that is cut short, but at least what the sum of all
-    misses of its exact value: where a stiff machine hits a stop slowly under a large load, the rounding error of one
-    more turn is too small. Exponents of minus infinity are exact.
+    The error of the largest is that of rounding, but at least what the sum of all misses of its exact value: where a
+    stiff machine hits a stop slowly under a large load, the rounding error of one more turn is too small. Exponents of
+    minus infinity are exact.
     """
     orbits = taken(cells.orbits, rows)
     orbits = orbits._replace(exponents=orbits.exponents[:, : cells.directions - cells.drifts])
@@ -102,8 +104,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         defect = np.where(whole, total - tally[:, motion.CONTRACTION] / orbits.period, math.nan)
     else:
         defect = _defect(oscillators, total, tally, impact_count(tally) / orbits.period)
-    chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(largest)), 0.0)
-    error = np.fmax(np.maximum(orbits.error, chatter), np.abs(defect))
+    error = np.fmax(orbits.error, np.abs(defect))
     orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))
     reach = impact_range(oscillators, tally, orbits.h, orbits.contact, orbits.period)
     _put_orbits(cells, rows, oscillators, orbits, regime=regime, sum_law_defect=defect, peak_to_peak=reach)
@@ -112,7 +113,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
 def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbits, **more: Any) -> None:
     """Write what the orbits of these cells show, and some more; ``oscillators`` are those of the rows."""
     exponents, tally, period = orbits.exponents, orbits.tally, orbits.period
-    impacts = np.where(tally[:, motion.STUCK, None] > 0.0, -1.0, tally[:, [motion.UPPER, motion.LOWER]])
+    impacts = np.where(rests_on_stop(tally)[:, None], -1.0, tally[:, [motion.UPPER, motion.LOWER]])
     put(
         cells,
         rows,
@@ -161,7 +162,7 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
     An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; one that completes a chatter to rest loses gap_mass v^2 / 2,
     as all those that are left of the chatter do together. See Oscillator.gap_mass.
     """
-    impacts, sticks = impact_count(tally), tally[:, motion.STUCK] > 0.0
+    impacts, sticks, rests = impact_count(tally), tally[:, motion.STUCK] > 0.0, rests_on_stop(tally)
     gap_mass = cells.oscillators.gap_mass[rows]
     slowest, fastest = tally[:, motion.MIN_SPEED], tally[:, motion.MAX_SPEED]
     put(
@@ -170,9 +171,9 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
         sticks=sticks,
         progress=tally[:, motion.PROGRESS] / periods if cells.drifts else math.nan,
         stuck_fraction=np.minimum(tally[:, motion.STUCK] / (periods * cells.oscillators.period[rows]), 1.0),
-        impacts_per_period=np.where(sticks, math.nan, hits),
+        impacts_per_period=np.where(rests, math.nan, hits),
         min_impact_speed=np.where(np.isfinite(slowest), slowest, math.nan),
-        mean_impact_speed=np.where(sticks | (impacts == 0.0), math.nan, tally[:, motion.SPEEDS] / impacts),
+        mean_impact_speed=np.where(rests | (impacts == 0.0), math.nan, tally[:, motion.SPEEDS] / impacts),
         max_impact_speed=np.where(fastest > 0.0, fastest, math.nan),
         impact_energy=np.where(fastest > 0.0, 0.5 * gap_mass * tally[:, motion.LOSS] / periods, 0.0),
     )

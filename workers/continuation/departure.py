@@ -12,14 +12,14 @@ from workers.continuation.admissible import CONTACT, HELD, LOST, ORDER, Fault, T
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.continuation.legs import ACT, MODE, NO_EVENT, RESTS, beyond_range, event_of_leg
 from workers.continuation.switching import SwitchingMotion
-from workers.kernel.contact import COMPLETION, chatter_time
+from workers.kernel.contact import chatter_time
 from workers.model.hybrid_modes import OPEN, SIGNALS
 
 AT_ONCE = 1e-6
 """Share of a period by which a certified event may be off that of the orbit and be the same; a leg as short is none."""
 
-HOPS = 10.0 * COMPLETION
-"""Change of the load during a chatter that is left out, as a share of it: ten times what cells leave out."""
+HOPS = 1e-3
+"""Change of the load during a chatter that is left out, as a share of it."""
 
 LOST_AT_ONCE = 3
 """Events that an orbit may lose together: a soft contact is reached, pushes no more, and opens."""

@@ -7,7 +7,7 @@ from workers.kernel.crossing import next_crossing
 from workers.kernel.elementary import sin_cos
 from workers.kernel.flow import flow, flow_with_tangent, guard_of, guard_rate_of
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.signal import all_forced, derivative_bounds
+from workers.kernel.signal import all_forced
 from workers.kernel.tangent import graded_flow
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
@@ -16,8 +16,15 @@ REBOUND, REST, LEAVE = range(3)
 
 EPS = float(np.finfo(np.float64).eps)
 
-COMPLETION = 1e-4
-"""Chatter is certain to complete once the load changes by less than this share until it has."""
+ENDING = 1e-4
+"""Change of the load in the rest of a chatter, as a share of it, from which on lanes leave it to another kernel."""
+
+FORESEEN, AGREES = 4e-4, 0.1
+"""Change of load and motion in the rest of a chatter up to which its end is foreseen to 1e-10 of the time that they
+take; share of that rest by which estimates of one end may differ."""
+
+SHORTEST_HOP = 1e-11
+"""Share of a forcing period below which a hop is too short to be seen."""
 
 
 @inlined
@@ -33,41 +40,63 @@ def chatter_time(load, w, R):
 
 
 @inlined
-def is_rebound(load, v, R, cA2k, scale, remaining):
-    """Whether an impact at velocity v is certain to rebound, whatever the third derivative: see outcome."""
-    w = R * abs(v)
-    negligible = w * w <= 200.0 * load * EPS * scale
-    change = 2.0 * abs(cA2k * v)
-    slow = change > COMPLETION * load or 2.0 * w > remaining * (load * (1.0 - R))
-    return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not negligible))
+def chatter_left(load, jerk, cA2k, w, R):
+    """chatter_time to second order, of a velocity that decays at -cA^2k and a third derivative toward the stop, jerk.
 
-
-@inline_always
-def outcome(osc, h, side, v, a, scale, remaining):
-    """What the impact at velocity v and acceleration a, on stop ``side``, leads to.
-
-    R = 0 rests where the load presses, side (a - cA^2k v) > 0, and leaves else. For 0 < R < 1 the rebound
-    speed w = R |v| completes its chatter in t* = 2 w / (|a0| (1 - R)) to leading order; jump to rest if
-    t* M3 + 2 |cA^2k| |v| <= 1e-4 |a0| with t* inside the ``remaining`` time, or if the hop is below
-    rounding, w^2 <= 2 |a0| 100 eps scale. R = 1 never completes.
+    t (1 - t (jerk / load - 3 cA^2k / 2) / 3), t the time to leading order; at a velocity of 0 the load rises at the
+    rate jerk - cA^2k load. Half of t or twice t at most, where R is so near to 1 that chatter is slower than all else.
     """
-    R, cA2k = osc.head[HEAD.R], osc.head[HEAD.cA2k]
-    M3 = derivative_bounds(osc.gap.blocks, osc.gap.numbers, h)[2]
-    return impact_outcome(load_at_rest(side, v, a, cA2k), v, R, cA2k, scale, remaining, M3)
+    t = chatter_time(load, w, R)
+    return t * min(max(1.0 - t * (jerk / load - 1.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
 
 
-@inline_always
-def impact_outcome(load, v, R, cA2k, scale, remaining, M3):
-    """outcome by the load that would press on the stop and a bound M3 of the third derivative of y from here on."""
-    if is_rebound(load, v, R, cA2k, scale, remaining):
-        return REBOUND
+@inlined
+def chatter_end(known, t, left, theta, R):
+    """When a chatter ends that takes ``left`` from time t on; ``known`` is what was said of it at the impact before.
+
+    theta: the most that load and motion change in that time, 1 / R times as much at the impact before. The first
+    estimate that is good enough is kept as long as it agrees: rounding of y moves the last hops, which last less and
+    less, by more and more of their time.
+    """
+    agrees = abs(t + left - known) <= AGREES * left
+    return known if theta <= FORESEEN * R and agrees else t + left
+
+
+@inlined
+def hop_is_rounding(load, w, scale, period):
+    """Whether a hop at speed w under this load is too low to be seen, w^2 / (2 load) <= 1e4 eps scale, or too short."""
+    return w * w <= 2e4 * load * EPS * scale or 2.0 * w <= SHORTEST_HOP * period * load
+
+
+@inlined
+def outcome(load, v, R, scale, period):
+    """What an impact at velocity v leads to under a load on the stop: see load_at_rest.
+
+    R = 0 rests where the load presses, load > 0, and leaves else. For 0 < R < 1 chatter is followed, hop by hop, until
+    hops are below rounding, ``scale`` being the sum of the moduli that add up to y; what is left of it lasts for
+    chatter_left, and what that neglects of the state is of third order. R = 1 never completes.
+    """
     if R == 0.0:
         return REST if load > 0.0 else LEAVE
+    return REST if load > 0.0 and R < 1.0 and hop_is_rounding(load, R * abs(v), scale, period) else REBOUND
+
+
+@inlined
+def is_rebound(load, v, R, cA2k, scale, remaining, period):
+    """Whether an impact at velocity v rebounds and no chatter that it is part of is about to end."""
     w = R * abs(v)
-    if w * w <= 200.0 * load * EPS * scale:
-        return REST
-    duration = chatter_time(load, w, R)
-    return REST if duration * M3 + 2.0 * abs(cA2k * v) <= COMPLETION * load else REBOUND
+    change = 2.0 * abs(cA2k * v)
+    slow = change > ENDING * load or 2.0 * w > remaining * (load * (1.0 - R))
+    return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not hop_is_rounding(load, w, scale, period)))
+
+
+@inlined
+def fastest_rate(blocks):
+    """How fast the fastest block oscillates or decays, per time."""
+    rate = 0.0
+    for j in range(len(blocks)):
+        rate = max(rate, blocks[j, COLUMN.fast], np.sqrt(abs(blocks[j, COLUMN.lam])))
+    return rate
 
 
 @inlined

@@ -25,7 +25,7 @@ was last orthonormal, impacts recorded, status; of machines with modes the log o
 direction is lost; how far a coordinate has drifted, which is reset at each section, so that this direction is lost;
 which frictions have slid, a binary digit each; of turns of an orbit neutral directions, see hybrid.neutral.freeze. An
 impact that completes a chatter to rest is the fastest and takes speed off like any other, but is neither counted at its
-stop nor summed: their number is infinite."""
+stop nor summed: their number is infinite. The slowest impact has speed 0 where a rigid stop has held the mass."""
 
 NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
 """The tally (TALLIES,) of a motion that has gone nowhere, and may cost nothing."""
@@ -53,7 +53,8 @@ class Motion(NamedTuple):
     growth   (m,)       log of the growth taken out of each so far
     triangle (m, m)     what orthonormalisation took out, see there; (0, 0) if not wanted
     tally    (TALLIES,) counts, see UPPER...
-    impacts  (K, 3)     the first K impacts: time after the section, side, speed before it; K = 0 for none
+    impacts  (K, 3)     the first K impacts: time after the section, side, speed before it, which is 0 where a rest
+                        begins, see write_down_rest; K = 0 for none
     extremes (2,)       the least and the greatest y - y0 so far; (0,) if not wanted
     scratch  (n, 2)
     """
@@ -98,11 +99,24 @@ def spend(tally, evaluations):
 
 @inline_always
 def count_contact(tally, contacts, t, which, speed):
-    """Count that a stop is reached, an upper one for which > 0; write it down while contacts (K, 3) have room."""
+    """Count that a stop is reached, an upper one for which > 0, and write it down."""
     tally[UPPER if which > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
     tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
     tally[SPEEDS] += speed
+    write_down(tally, contacts, t, which, speed)
+
+
+@inline_always
+def write_down_rest(tally, contacts, t, which, speed, chatter):
+    """Write down the last impact before a rest and, with speed 0, when the rest begins: after what is left to hop."""
+    write_down(tally, contacts, t, which, speed)
+    write_down(tally, contacts, t + max(chatter, 0.0), which, 0.0)
+
+
+@inline_always
+def write_down(tally, contacts, t, which, speed):
+    """Write down that a stop is reached while contacts (K, 3) have room."""
     row = int(tally[RECORDED])
     if row < contacts.shape[0]:
         contacts[row, 0], contacts[row, 1], contacts[row, 2] = t, which, speed

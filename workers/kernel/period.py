@@ -3,15 +3,16 @@
 Between sections the phase runs from tau to tau + 2 pi; absolute time never enters.
 """
 
+import numpy as np
 from numba import types
 
 from workers.kernel.apart import apart
 from workers.kernel.contact import (
     LEAVE,
-    REBOUND,
     REST,
-    chatter_time,
-    is_rebound,
+    chatter_end,
+    chatter_left,
+    fastest_rate,
     kick,
     load_at_rest,
     outcome,
@@ -44,6 +45,7 @@ from workers.kernel.motion import (
     STUCK,
     count_contact,
     spend,
+    write_down_rest,
 )
 from workers.kernel.signal import evaluate
 from workers.kernel.tangent import (
@@ -61,7 +63,7 @@ AT_THE_END = 1e-9
 """Share of its duration before which a motion that is released from a stop ends at rest on it: in so short a time the
 cube of it, which the mass would move by, is far below rounding."""
 
-NOWHERE = (0.0, 0.0, 0.0, 0.0)
+NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0)
 """In place of an arrival where a flight ends at no stop."""
 
 
@@ -83,7 +85,7 @@ def leave_stop(osc, motion, phase, contact, remaining, chatter):
     """
     h, V, tally = motion.h, motion.V, motion.tally
     s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, remaining)
-    tally[STUCK] += min(s, max(s - chatter, TINY))  # a rest counts, however short
+    tally[STUCK] += max(s - chatter, min(s, TINY))  # a rest counts, however short
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
@@ -111,8 +113,9 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
     low, high = extremes[0], extremes[1]
     if low <= bottom and high >= top:
         return
-    _, side, evaluations = next_crossing(gap, motion.h, phase, 0.0, high, low, start, s, motion.scratch)
-    if (side == 1 and high < top) or (side == -1 and low > bottom):
+    upper, lower = high if high < top else np.inf, low if low > bottom else -np.inf  # no flight goes beyond a stop
+    _, side, evaluations = next_crossing(gap, motion.h, phase, 0.0, upper, lower, start, s, motion.scratch)
+    if abs(side) == 1:
         extremes[0], extremes[1], more = turning_points(gap, motion.h, phase, s, start, low, high)
         evaluations += more
     if side == 2 or extremes[1] != extremes[1]:
@@ -134,7 +137,8 @@ def through_impacts(osc, motion, duration):
     vectors, frame, watched = V.shape[0] > 0, motion.growth.shape[0] > 0, motion.extremes.shape[0] > 0
     rate = spread_rate(blocks) if vectors else 0.0
     unit, loss = osc.head[HEAD.time_unit], loss_spread(R)
-    start, chatter = 0, 0.0
+    start, chatter, ends, period = 0, 0.0, 0.0, osc.head[HEAD.period]
+    fastest = max(omega, fastest_rate(blocks))
     t, phase = 0.0, osc.tau
     if watched:
         y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
@@ -155,9 +159,9 @@ def through_impacts(osc, motion, duration):
         s, side, evaluations = next_crossing(gap, h, phase, 0.0, top, bottom, start, duration - t, scratch)
         spend(tally, evaluations)
         hit = abs(side) == 1
-        y, v, a, scale = NOWHERE
+        y, v, a, jerk, scale = NOWHERE
         if hit:
-            y, v, a, _, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
+            y, v, a, jerk, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
             v = side * max(side * v, TINY)  # seen to approach; evaluated anew, the last digit may differ
         if watched:
             watch_flight(gap, motion, phase, s, start, top, bottom)
@@ -182,13 +186,17 @@ def through_impacts(osc, motion, duration):
         if watched:
             widen(motion.extremes, stop)
         scale += abs(y)
-        following = REBOUND
-        if not is_rebound(load_at_rest(side, v, a, cA2k), v, R, cA2k, scale, duration - t):
-            following = outcome(osc, h, side, v, a, scale, duration - t)
+        load = load_at_rest(side, v, a, cA2k)
+        following = outcome(load, v, R, scale, period)
+        if load > 0.0 and 0.0 < R < 1.0:
+            left = chatter_left(load, side * jerk, cA2k, R * abs(v), R)
+            ends = chatter_end(ends, t, left, left * max(fastest, abs(jerk) / load), R)
         start, contact = side, FREE
         if following == REST:
+            chatter = ends - t if R > 0.0 else 0.0
             come_to_rest(blocks, cA2k, motion, v)
-            contact, chatter = side, chatter_time(load_at_rest(side, v, a, cA2k), R * abs(v), R)
+            write_down_rest(tally, impacts, t, side, abs(v), chatter)
+            contact = side
             continue
         count_contact(tally, impacts, t, side, abs(v))
         tally[LOSS] += (1.0 - R * R) * (v * v)

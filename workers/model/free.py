@@ -163,9 +163,14 @@ def free_motion(structure: Structure, at_rest: AtRest, omega: Array) -> tuple[Mo
     """The free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
     modes = structure.flow.modes
     gap, resonant = mode_of(structure.flow, at_rest.loading, omega)
-    turns = np.where(gap.d > 0.0, gap.w, 0.0) * (2.0 * np.pi / omega)[:, None]
-    too_long = {LONG_PERIOD: np.max(turns, axis=1) > LARGEST_ANGLE}
+    too_long = {LONG_PERIOD: turns_too_far(gap.d, gap.w, omega)}
     return gap, too_long | against(modes, resonant, at_rest.unseen | (modes.rigid > 1))
+
+
+def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:
+    """Of which machines (N,) a block (N, n) turns too far in a forcing period for doubles to keep its phase."""
+    turns = np.where(d > 0.0, w, 0.0) * (2.0 * np.pi / omega)[:, None]
+    return np.asarray(np.max(turns, axis=1) > LARGEST_ANGLE)
 
 
 def phase_of(tau: Array) -> Array:
@@ -185,17 +190,18 @@ def centred(structure: Structure, machines: Machines) -> AtRest:
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
     rest = loading.rest.copy()
     y0 = structure.gap(rest)
-    if np.any(rigid):
+    if np.any(rigid):  # what is done for others as well leaves them their bits
         moving = np.any(rigid, axis=1)
         share = np.sum(np.where(rigid, structure.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
         unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(structure.inverse_gap_mass))
         move = np.where(moving & ~unseen, (middle - y0) / np.where(share != 0.0, share, 1.0), 0.0)
-        rest[..., 0] += np.where(rigid, move[:, None], 0.0)
+        rest[..., 0] = np.where(rigid, rest[..., 0] + move[:, None], rest[..., 0])
         y0 = structure.gap(rest)
     rounding = np.where(even, middle - y0, 0.0)
     if np.any(rounding != 0.0):
         d = structure.accelerance / structure.inverse_gap_mass[:, None] * rounding[:, None]
-        rest += (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
+        moved = rest + (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
+        rest = np.where((rounding != 0.0)[:, None, None], moved, rest)
         y0 = structure.gap(rest)
     load = np.where(even[:, None], 0.0, loading.load)
     half = 0.5 * (upper - lower)

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import finite, phase_of
-from workers.model.hybrid_machines import HybridMachines, hybrid_faults
-from workers.model.hybrid_modes import OPEN, Code, Pieces, along_contacts, code_of, null_space, pieces_of
+from workers.model.free import finite, phase_of, turns_too_far
+from workers.model.hybrid_machines import HybridMachines, along_contacts, hybrid_faults
+from workers.model.hybrid_modes import OPEN, Code, Pieces, code_of, null_space, pieces_of
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, undamped_modes
 from workers.model.oscillator import COLUMN, NUMBER, Array, Head, Mode, Oscillator, Rows, make_blocks, taken
-from workers.results import NO_REASON, OUT_OF_DOUBLES
+from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES
 
 
 class Elements(NamedTuple):
@@ -114,6 +114,9 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         metric[:, -1] = 1.0
     blocks[..., COLUMN.metric] = metric
     still, wrong = pieces_of(machines, Code(0, (OPEN,) * C, (1,) * F))
+    others = [pieces_of(machines, Code(p, (OPEN,) * C, (1,) * F))[0] for p in range(1, P)]
+    flows = [found.blocks[:, 0] for found in (still, *others)]
+    too_far = [turns_too_far(flow[..., COLUMN.d], flow[..., COLUMN.w], machines.omega) for flow in flows]
     size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
     swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
     known = np.isfinite(swing) & ~wrong[:, None, None]
@@ -129,8 +132,8 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     )  # fmt: skip
     numbers = np.zeros((N, len(NUMBER)))
     numbers[:, NUMBER.omega] = machines.omega
-    sides = np.isfinite(machines.stops[0]).sum(axis=1) * np.where(machines.by_force[0] > 0.0, 2, 1)
-    room = min(ROOM, P * 3**F * int(np.prod(1 + sides)))
+    sides = np.isfinite(machines.stops).any(axis=0).sum(axis=1) * np.where(machines.by_force[:1] > 0.0, 2, 1)
+    room = min(ROOM, P * 3**F * int(np.prod(1 + sides)))  # enough for all: none has more than it can need
     table = Table(
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
         Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
@@ -148,6 +151,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         table=table,
     )
     reasons = hybrid_faults(machines)
+    reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
     fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
     return found, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 

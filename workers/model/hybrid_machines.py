@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import finite
-from workers.model.modes import stacked
+from workers.model.modes import split, stacked
 from workers.model.oscillator import Array, Mask
-from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
+from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE, UNSTABLE
 
 INDEPENDENT = 1e-12
 """Least singular value of rows of length 1 from which on they do not depend on each other."""
 
+PARALLEL = 1e-12
+"""Share of a row by which another may be no multiple of it, and count as one."""
 
 HALFWAY = 1e-12
 """Share of the forcing period by which two phases may be off half of it, and count as that far apart."""
@@ -94,8 +96,9 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     """The reason against each of N machines, or NO_REASON, as far as its numbers alone tell.
 
     Matrices have to be symmetric; each lower stop below the upper one, 0 <= R <= 1, and no stiffness, damping or
-    preload of a contact negative; 0 <= kinetic <= static; starts rising from 0 and below 1; and rows that can be held
-    at once independent, see ``held_rows``. Nothing ties down what drifts.
+    preload of a contact negative; 0 <= kinetic <= static; starts rising from 0 and below 1; rows that can be held
+    at once independent, see ``held_rows``; and no motion that grows while friction slides, see ``grows_sliding``.
+    Nothing ties down what drifts.
     """
     own = machines
     lower, upper = own.stops[..., 0], own.stops[..., 1]
@@ -111,7 +114,8 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     )
     for each in fine:
         reasons[_any(~each)] = OUT_OF_RANGE
-    reasons[dependent(held_rows(machines))] = OUT_OF_RANGE
+    reasons[dependent(held_rows(machines)) | dependent(own.slide)] = OUT_OF_RANGE
+    reasons[grows_sliding(machines)] = UNSTABLE
     if own.drifting >= 0:
         ties = own.stiffness[..., own.drifting], own.row[..., own.drifting]
         reasons[_any(ties[0] != 0.0) | _any(ties[1] != 0.0)] = NO_OSCILLATOR
@@ -141,11 +145,43 @@ def mirrors(machines: HybridMachines) -> Mask:
 def held_rows(machines: HybridMachines) -> Array:
     """The rows (N, C + F, n) that rigid contacts and friction can hold, zeros for all others.
 
-    Friction on the very row of a rigid contact is left out: what the contact holds does not slide.
+    Friction on the row of a rigid contact, or a multiple of it, is left out: what the contact holds does not slide.
     """
     rigid = machines.row * (1.0 - machines.soft)[..., None]
-    same = np.all(machines.slide[:, :, None] == rigid[:, None], axis=-1)  # (N, F, C)
-    return np.concatenate([rigid, np.where(np.any(same, axis=-1)[..., None], 0.0, machines.slide)], axis=1)
+    same = np.any((along_contacts(machines) != 0.0) & (machines.soft == 0.0)[:, None], axis=-1)  # (N, F)
+    return np.concatenate([rigid, np.where(same[..., None], 0.0, machines.slide)], axis=1)
+
+
+def along_contacts(machines: HybridMachines) -> Array:
+    """(N, F, C): the factor a where the row of a friction is a times that of a contact to rounding, else 0."""
+    (slide, wide), (row, high) = _scaled(machines.slide), _scaled(machines.row)
+    share = np.vecdot(slide[:, :, None], row[:, None]) / np.vecdot(row, row)[:, None]
+    apart = np.max(np.abs(slide[:, :, None] - share[..., None] * row[:, None]), axis=-1)
+    return np.where(apart <= PARALLEL, share * wide[..., None] / high[:, None], 0.0)
+
+
+def _scaled(rows: Array) -> tuple[Array, Array]:
+    """Rows (N, R, n) of which the largest entry is 1 in size, and what they are divided by for that (N, R)."""
+    size = np.max(np.abs(rows), axis=-1)
+    size = np.where(size > 0.0, size, 1.0)
+    return rows / size[..., None], size
+
+
+def grows_sliding(machines: HybridMachines) -> Mask:
+    """Of which machines motion grows in a phase while all friction slides that falls with speed: negative slopes.
+
+    Such friction gives what the dampers take: in all it must not give more.
+    """
+    found = np.zeros(len(machines.omega), dtype=np.bool_)
+    falls = np.minimum(machines.rub[..., 2], 0.0)  # (N, P, F)
+    for p in range(machines.sizes[0]):
+        (some,) = np.nonzero(np.any(falls[:, p] < 0.0, axis=1))
+        if len(some):
+            slide, damping = machines.slide[some], machines.damping[some, p].copy()
+            for f in range(slide.shape[1]):
+                damping += falls[some, p, f][:, None, None] * slide[:, f, :, None] * slide[:, f, None, :]
+            found[some] |= split(machines.mass[some], damping, machines.stiffness[some, p]).unstable
+    return found
 
 
 def dependent(rows: Array) -> Mask:

@@ -15,12 +15,13 @@ to zero. In blocks y is a rigid mode without a load, so that all modes of a mach
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workers.model.free import Flow, derivative_of, loading_of
 from workers.model.free import mode_of as motion_in
-from workers.model.hybrid_machines import HybridMachines
+from workers.model.hybrid_machines import HybridMachines, along_contacts
 from workers.model.modes import split, stacked
-from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, make_blocks
+from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, make_blocks, taken
 
 OPEN, ON, DETACHED = 0, 1, 2
 """What a contact does, with the sign of its side: it is open; held by a rigid stop or engaged by a soft one; or within
@@ -31,9 +32,6 @@ CONTACT_DIGIT, SLIP_DIGIT = 5, 3
 
 ROUNDING = 1e-12
 """Share of the terms of a sum, or of the largest eigenvalue, that may be what rounding leaves of zero."""
-
-PARALLEL = 1e-12
-"""Share of a row by which another may be no multiple of it, and count as one."""
 
 SIGNALS = 2
 """Signals of a contact: y, or its force while it holds; and the force of a soft one that is released by it."""
@@ -106,8 +104,24 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     """A mode of machines, and of which of them it is none.
 
     That is where held rows depend on each other, motion grows or resonates undamped, planes cannot be separated, or a
-    load drives a free motion that what is held leaves.
+    load drives a free motion that what is held leaves. Machines of which other friction sticks on the row of a contact
+    that is held are made apart from each other: what holds them is not the same.
     """
+    along = along_contacts(machines)
+    resting, kind = _resting(machines, code, along)
+    if len(resting) == 1:
+        return _pieces_alike(machines, code, along, resting[0])
+    parts = [np.flatnonzero(kind == i) for i in range(len(resting))]
+    made = [_pieces_alike(taken(machines, some), code, along[some], resting[i]) for i, some in enumerate(parts)]
+    order = np.argsort(np.concatenate(parts), kind="stable")
+    return (
+        Pieces(*(np.concatenate(fields)[order] for fields in zip(*(found for found, _ in made), strict=True))),
+        np.concatenate([wrong for _, wrong in made])[order],
+    )
+
+
+def _pieces_alike(machines: HybridMachines, code: Code, along: Array, resting: dict[int, int]) -> tuple[Pieces, Mask]:
+    """pieces_of machines of which the same friction is ``resting``."""
     p, mass, omega = code.phase, machines.mass, machines.omega
     N, n = machines.load.shape[0], machines.load.shape[2]
     damping, stiffness, load = (field[:, p].copy() for field in (machines.damping, machines.stiffness, machines.load))
@@ -123,8 +137,6 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
             stiffness += k[:, None, None] * square
             damping += d[:, None, None] * square
             load += (k * stop - state * preload)[:, None] * row
-    along = along_contacts(machines)
-    resting = _resting(machines, code, along)
     stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
     for f, sign in enumerate(code.slips):
         if sign != 0:
@@ -168,19 +180,19 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     return Pieces(*map(np.ascontiguousarray, found)), wrong
 
 
-def _resting(machines: HybridMachines, code: Code, along: Array) -> dict[int, int]:
-    """Frictions that stick on the row of a rigid contact that is held, each with that contact; see along_contacts."""
+def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
+    """The kinds of machines by which friction sticks on the row of a rigid contact that is held, and each one's kind.
+
+    Of each kind the frictions, each with that contact; see along_contacts.
+    """
     held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[0, c]]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
-    return {f: c for f in stuck for c in held if np.all(along[:, f, c] != 0.0)}
-
-
-def along_contacts(machines: HybridMachines) -> Array:
-    """(N, F, C): the factor a where the row of a friction is a times that of a contact to rounding, else 0."""
-    slide, row = machines.slide[:, :, None], machines.row[:, None]
-    share = np.vecdot(slide, row) / np.vecdot(row, row)
-    apart = np.max(np.abs(slide - share[..., None] * row), axis=-1)
-    return np.where(apart <= PARALLEL * np.max(np.abs(slide), axis=-1), share, 0.0)
+    pairs = [(f, c) for f in stuck for c in held]
+    if not pairs or not len(along):
+        return [{}], np.zeros(len(along), dtype=np.int64)
+    of_each = np.stack([along[:, f, c] != 0.0 for f, c in pairs], axis=1)
+    kinds, kind = np.unique(of_each, axis=0, return_inverse=True)
+    return [{f: c for (f, c), holds in zip(pairs, each, strict=True) if holds} for each in kinds], kind.reshape(-1)
 
 
 def _holding(G: Array, inverse_mass: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from workers.model.definition import Definition
 from workers.model.elements import ALWAYS, PAD, RUB, Changes
 from workers.model.entries import DefinitionError
 from workers.model.free import UNSEEN
-from workers.model.hybrid_machines import HybridMachines, dependent, held_rows
+from workers.model.hybrid_machines import HybridMachines, dependent, grows_sliding, held_rows
 from workers.model.modes import undamped_modes
 from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
@@ -51,6 +51,8 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
             made = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
             raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
     _check_independent(list(rows), held_rows(many))
+    _check_independent(list(rows)[-many.slide.shape[1] :], many.slide)
+    _check_slopes(definition, many)
     for where in (name for name in matrices if name.endswith("stiffness")):
         _check_free_motions(definition, machine, where, matrices[where])
 
@@ -155,8 +157,19 @@ def _check_independent(named: list[str], held: Array) -> None:
         if dependent(held[:, : k + 1])[0]:
             raise DefinitionError(
                 f"{where}: found {_shown(held[0, k])} at the defaults, depends on rows of rigid contacts and friction "
-                "before it; must be independent, or friction on the very row of a contact"
+                "before it; must be independent, or friction on the row of a contact or a multiple of it"
             )
+
+
+def _check_slopes(definition: Definition, many: HybridMachines) -> None:
+    if grows_sliding(many)[0]:
+        p, f = map(int, np.argwhere(many.rub[0, ..., 2] < 0.0)[0])
+        changes = (definition.phases or ALWAYS)[p].friction
+        where = _constant_in(changes, p, "friction", definition.friction[f].name, "slope", f"system.friction[{f}]")
+        raise DefinitionError(
+            f"{where}: found {many.rub[0, p, f, 2]:g} at the defaults, motion grows while it slides; "
+            "friction must not fall with speed faster than the force of the dampers rises"
+        )
 
 
 def _check_matrix(where: str, matrix: Array, definite: bool) -> None:

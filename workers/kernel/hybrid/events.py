@@ -10,10 +10,10 @@ starts on in the next mode, and the order of its first derivative that is not ze
 
 import numpy as np
 
-from workers.kernel.contact import REST, impact_outcome, load_at_rest
-from workers.kernel.hybrid.state import damping_along, guard_value, number_of, product, reset, slot_of
+from workers.kernel.contact import REBOUND, chatter_end, chatter_left, fastest_rate, load_at_rest, outcome
+from workers.kernel.hybrid.state import damping_along, guard_value, number_of, product, reset, right_hand_side, slot_of
 from workers.kernel.jit import kernel
-from workers.kernel.signal import derivative_bounds
+from workers.kernel.signal import evaluate
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS
 
 MISSING, WRONG, ENDLESS = -1, -2, -3
@@ -134,30 +134,38 @@ def soft_event(g, c, side, states, begun):
 
 
 @kernel
-def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, begun):
-    """A rigid contact is reached at this rate of y, see contact.outcome; whether it comes to rest.
+def impact(table, k, g, c, side, rate, t, ends, h, states, slips, where, z, f, W, phase, begun):
+    """A rigid contact is reached at this rate of y: what follows, see contact.outcome, and when a chatter ends then.
 
-    Friction that it jerks slides from then on. Complete chatter is to leading order one impact with R = 0.
+    ``ends``: when it ended by the impact before; see contact.chatter_end.
+
+    Friction that it jerks slides from then on. The end of chatter is to leading order one impact with R = 0; a load
+    that pulls away from R = 0 lets go at once, see follow_one.
     """
-    elements, n = table.elements, len(z) // 2
+    elements, pieces, n = table.elements, table.pieces, len(z) // 2
     row, kick, R, stop = elements.row[c], elements.kick[c], elements.R[c], elements.stops[c, 1 if side > 0 else 0]
-    scale = abs(stop)
-    for i in range(n):
-        scale += abs(row[i] * z[i])
-    M3 = derivative_bounds(table.pieces.blocks[k, g], table.pieces.numbers[k, g], h)[2]
-    for e in range(len(slips)):
-        if product(elements.slide[e], kick, 0) != 0.0:
-            M3 = np.inf  # friction turns at each hop: chatter is followed until its hops are below rounding
-    cA2k = damping_along(table.pieces.acceleration[k], row, kick)
+    _, _, _, jerk, scale = evaluate(pieces.blocks[k, g], pieces.waves[k, g], table.omega, h, 0.0, phase, 0.0)
+    scale += abs(stop) + abs(pieces.offset[k, g])
+    cA2k, w = damping_along(pieces.acceleration[k], row, kick), R * abs(rate)
     load = load_at_rest(side, rate, product(row, f, n), cA2k)
-    following = impact_outcome(load, rate, R, cA2k, scale, remaining, M3)
+    following = outcome(load, rate, R, scale, 2.0 * np.pi / table.omega)
     reset(z, 0, row, kick, stop, 1.0)  # or rounding would add up over many impacts
-    rests = R == 0.0 or following == REST  # a load that pulls away lets go at once, see follow_one
+    rests = following != REBOUND
     share = 1.0 if rests else 1.0 + R
     reset(z, n, row, kick, 0.0, share)
     reset(f, n, row, kick, 0.0, share)
     for i in range(W.shape[0]):
         reset(W[i], n, row, kick, 0.0, share)
+    if R == 0.0:
+        ends = t
+    elif load > 0.0 and R < 1.0:
+        away = load_away(table, c, side, load, states, slips, where, z, phase)
+        if away == load:
+            left = chatter_left(load, side * jerk, cA2k, w, R)
+            fastest = max(table.omega, fastest_rate(pieces.blocks[k, g]))
+            ends = chatter_end(ends, t, left, left * max(fastest, abs(jerk) / load), R)
+        else:
+            ends = t + uneven_chatter(away, load, w, R)
     if rests:
         states[c] = side
     else:
@@ -169,7 +177,35 @@ def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, beg
             begun[SIGNALS * len(states) + e] = 0
         if rests and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
             slips[e] = 0
-    return rests
+    return following, ends
+
+
+@kernel
+def load_away(table, c, side, load, states, slips, where, z, phase):
+    """The load on stop ``side`` while the mass moves away from it: other than ``load``, if friction turns at hops."""
+    n, kick, turned = len(z) // 2, table.elements.kick[c], slips.copy()
+    for e in range(len(slips)):
+        along = product(table.elements.slide[e], kick, 0)
+        if along != 0.0 and product(table.elements.slide[e], z, n) - table.elements.belt[e] == 0.0:
+            turned[e] = -np.int64(np.sign(side * along))
+    if np.all(turned == slips):
+        return load
+    k, _ = mode_of(table, states, turned, where)
+    if k < 0:
+        return load
+    f = np.empty(2 * n)
+    right_hand_side(table.pieces, k, z, phase, f)
+    return side * product(table.elements.row[c], f, n)
+
+
+@kernel
+def uneven_chatter(away, back, w, R):
+    """The time that chatter takes after a rebound at speed w, under these loads away from the stop and back to it.
+
+    Hops last w / away + w / sqrt(away back), and each speed is R sqrt(back / away) times the last one.
+    """
+    both = np.sqrt(away * back)
+    return w * (1.0 / away + 1.0 / both) / (1.0 - R * both / away)
 
 
 @kernel

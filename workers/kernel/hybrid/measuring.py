@@ -114,6 +114,27 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
 
 
 @kernel
+def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, z, phase, chatter):
+    """Take the end of a chatter, from state z (2n,), off the time that contact c holds and friction along it sticks.
+
+    It flies in that time, in mode ``before``, and not in mode k: its acceleration is another one.
+    """
+    n = len(z) // 2
+    reading.touching[c] -= chatter
+    for e in range(len(slips)):
+        if slips[e] == 0 and along[e, c] != 0.0:
+            reading.stuck[e] -= chatter
+    flying, held = np.empty(2 * n), np.empty(2 * n)
+    right_hand_side(pieces, before, z, phase, flying)
+    right_hand_side(pieces, k, z, phase, held)
+    for m in range(len(meter.rows)):
+        if meter.orders[m] == ACCELERATION:
+            there, here = product(meter.rows[m], flying, n), product(meter.rows[m], held, n)
+            reading.first[m] += chatter * (there - here)
+            reading.square[m] += chatter * (there * there - here * here)
+
+
+@kernel
 def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, phase, s, tally):
     """What a contact that is on, or detached, shows on a leg from state z to state ``end``, but for its damper."""
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
@@ -156,9 +177,10 @@ def read_impact(elements, reading, c, end, following, counts):
 
 
 @kernel
-def read_leg(table, meter, reading, leg, signal, following, begins, marks, flies, tally):
+def read_leg(table, meter, reading, before, leg, signal, following, begins, marks, flies, tally):
     """Add what a leg shows that ends with a signal, -1 for none; the next one starts from state ``following`` (2n,).
 
+    ``before`` is the mode of the leg before it.
     What happens before the time ``begins`` does not count. marks (2,): when the states of ``halves`` are to be written
     down, NaN for not in this period. Where it does not fly, contacts alone are counted.
     """
@@ -185,6 +207,9 @@ def read_leg(table, meter, reading, leg, signal, following, begins, marks, flies
     if not flies or s <= 0.0:
         return
     integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally)
+    if leg[LEG.chatter] != 0.0:
+        at, chatter = int(leg[LEG.signal]) // SIGNALS, min(leg[LEG.chatter], s)
+        read_chatter(pieces, meter, reading, before, k, at, states, slips, elements.along, z, phase, chatter)
     for m in range(len(meter.rows)):
         if meter.peaks[m] > 0.0:
             row, direct = output_row(pieces, k, meter.rows[m], meter.orders[m])
@@ -221,13 +246,15 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
     tally[:] = spent
     if tally[STATUS] != RUNNING:
         return
+    before = -1
     for i in range(room):
         if math.isnan(legs[i, 0]):
             break
         last = i + 1 == room or math.isnan(legs[i + 1, 0])
         signal = -1 if last else int(legs[i + 1, LEG.signal])
         following = there if last else legs[i + 1, LEG_STATE : LEG_STATE + size]
-        read_leg(table, meter, reading, legs[i], signal, following, begins, marks, flies, tally)
+        read_leg(table, meter, reading, before, legs[i], signal, following, begins, marks, flies, tally)
+        before = int(legs[i, LEG.mode])
     z[:], code[0] = there, number[0]
 
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from workers.kernel.contact import REBOUND, REST
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.elementary import log
 from workers.kernel.flow import flow, flow_with_tangent
@@ -46,6 +47,7 @@ from workers.kernel.motion import (
     STUCK,
     count_contact,
     spend,
+    write_down_rest,
 )
 from workers.kernel.tangent import MAX_SPREAD, drop_dependent, graded_flow, orthonormalise, spread_rate
 from workers.model.hybrid import FIRST_NUMBER
@@ -106,28 +108,46 @@ def fly(pieces, k, s, h, V, growth, triangle, lost):
 
 
 @kernel
-def pass_contact(table, k, g, c, side, rate, t, remaining, h, where, states, slips, z, f, W, begun, tally, hits):
-    """Signal g of contact c is at the end of its range: what happens, and what is counted of it."""
+def pass_contact(table, k, g, c, side, rate, t, ends, h, where, states, slips, z, f, W, phase, begun, tally, hits):
+    """Signal g of contact c is at the end of its range: what happens, and what is counted of it.
+
+    Whether it comes to rest, and when a chatter that is under way ends: see events.impact.
+    """
     elements = table.elements
     if elements.soft[c] > 0.0:
         if states[c] == OPEN:
             count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
         soft_event(g, c, side, states, begun)
-        return
+        return False, 0.0
     if states[c] != OPEN:
         release(elements, g, c, where, states, slips, begun, 3)
-        return
+        return False, 0.0
     R, energy = elements.R[c], elements.weight[c] * rate * rate
-    rests = impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, begun)
-    if rests:
+    following, ends = impact(table, k, g, c, side, rate, t, ends, h, states, slips, where, z, f, W, phase, begun)
+    if following != REBOUND:
         tally[LOST] = max(tally[LOST], 1.0 + table.drifts)
-    if rests and R > 0.0:  # the end of a chatter, whose impacts cannot be counted
-        tally[MIN_SPEED], tally[MAX_SPEED] = 0.0, max(tally[MAX_SPEED], abs(rate))
+    if following == REST:  # at the end of a chatter, whose impacts cannot be counted
+        tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
-        return
+        write_down_rest(tally, hits, t, side * (1.0 + c), abs(rate), ends - t)
+        return True, ends
     count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
     tally[LOSS] += (1.0 - R * R) * energy
     tally[CONTRACTION] += 2.0 * log(max(R, TINY))
+    return False, ends
+
+
+@inline_always
+def count_rest(elements, states, lost, s, chatter, tally):
+    """Count a flight of s in a mode that has lost dimensions as time at rest, but for the end of a chatter in it."""
+    held = 0.0
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            held += 1.0
+    if held > 0.0:
+        tally[MIN_SPEED] = 0.0
+    if lost > 0.0:
+        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # a rest counts, however short
 
 
 @inline_always
@@ -169,7 +189,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     where = 0  # a section is where the first phase begins
     keep_held(elements, states, slips, z)
     k, number = follow_jumps(table, states, slips, where, z, phase, begun)
-    hit, side, rate = -1, 0, 0.0
+    hit, side, rate, ends, chatter = -1, 0, 0.0, 0.0, 0.0
     while True:
         if k < 0:
             stop_at(table, tally, k, number)
@@ -188,12 +208,13 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
         if tally[STATUS] != RUNNING:
             return
         if seen < legs.shape[0]:
-            note(legs[seen], t, hit, side, rate, number, k, s, z, begun)
+            note(legs[seen], t, hit, side, rate, number, k, s, chatter, z, begun)
             seen += 1
         hit, side = reached, end
         fly(pieces, k, s, h, V, growth, triangle, tally[LOST] - table.drifts)
         tally[CONTRACTION] -= pieces.trace[k] * s
-        tally[STUCK] += s if pieces.lost[k] > 0.0 else 0.0
+        count_rest(elements, states, pieces.lost[k], s, chatter, tally)
+        chatter = 0.0
         if s > 0.0:
             begun[:] = 0
         t = until if hit < 0 else min(t + s, until)
@@ -221,9 +242,10 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
             tally[STATUS] = SIMULTANEOUS
             return
         else:
-            pass_contact(
-                table, k, hit, c, side, rate, t, duration - t, h, where, states, slips, z, f, W, begun, tally, hits
+            rests, ends = pass_contact(
+                table, k, hit, c, side, rate, t, ends, h, where, states, slips, z, f, W, phase, begun, tally, hits
             )
+            chatter = ends - t if rests else 0.0
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
         if k < 0:
             continue

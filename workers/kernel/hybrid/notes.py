@@ -14,6 +14,7 @@ class Leg(NamedTuple):
     rate             of that signal
     number, mode     of the mode: see hybrid_modes.Code; its place in the table
     duration         until the next leg
+    chatter          the first part of that which it spends hopping, where it begins at the end of a chatter
     The state (2n,) that it starts from follows, and how each of its G signals begins: see events.py.
     """
 
@@ -24,6 +25,7 @@ class Leg(NamedTuple):
     number: int
     mode: int
     duration: int
+    chatter: int
 
 
 LEG = Leg(*range(len(Leg._fields)))
@@ -33,9 +35,9 @@ LEG_STATE = len(LEG)
 
 
 @inline_always
-def note(row, t, signal, side, rate, number, mode, duration, z, begun):
+def note(row, t, signal, side, rate, number, mode, duration, chatter, z, begun):
     """Write a leg down, see Leg."""
     row[LEG.start], row[LEG.signal], row[LEG.side], row[LEG.rate] = t, signal, side, rate
-    row[LEG.number], row[LEG.mode], row[LEG.duration] = number, mode, duration
+    row[LEG.number], row[LEG.mode], row[LEG.duration], row[LEG.chatter] = number, mode, duration, chatter
     row[LEG_STATE : LEG_STATE + len(z)] = z
     row[LEG_STATE + len(z) :] = begun

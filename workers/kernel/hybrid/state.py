@@ -4,7 +4,8 @@ import numpy as np
 
 from workers.kernel.contact import wave
 from workers.kernel.jit import inline_always, kernel
-from workers.model.hybrid_modes import CONTACT_DIGIT, ON, PARALLEL, SLIP_DIGIT
+from workers.model.hybrid_machines import PARALLEL
+from workers.model.hybrid_modes import CONTACT_DIGIT, ON, SLIP_DIGIT
 from workers.model.oscillator import COLUMN
 
 ROUNDING = 16.0 * float(np.finfo(np.float64).eps)

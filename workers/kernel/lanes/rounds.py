@@ -43,9 +43,9 @@ def arrival_pass(a, n):
         at_section = side == AT_SECTION
         v = side * max(side * a[LANE.v + i], TINY)
         before, phase, tau = a[LANE.flight_start + i], a[LANE.flight_phase + i], a[LANE.tau + i]
-        t = before + s
+        t, period = before + s, a[LANE.period + i]
         load = load_at_rest(side, v, acceleration, cA2k)
-        rebound = is_rebound(load, v, r, cA2k, a[LANE.scale + i] + abs(y), a[LANE.period + i] - t)
+        rebound = is_rebound(load, v, r, cA2k, a[LANE.scale + i] + abs(y), period - t, period)
         stop = up if side > 0.0 else down
         a[LANE.kick + i] = -(1.0 + r) * v if hit else 0.0
         a[LANE.shift + i] = stop - y if hit else 0.0
