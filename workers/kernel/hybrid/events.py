@@ -150,6 +150,7 @@ def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, beg
             M3 = np.inf  # friction turns at each hop: chatter is followed until its hops are below rounding
     cA2k = damping_along(table.pieces.acceleration[k], row, kick)
     load = load_at_rest(side, rate, product(row, f, n), cA2k)
+    scale = max(scale, abs(load) / table.omega**2)  # a stop may lie at 0
     following = impact_outcome(load, rate, R, cA2k, scale, remaining, M3)
     reset(z, 0, row, kick, stop, 1.0)  # or rounding would add up over many impacts
     rests = R == 0.0 or following == REST  # a load that pulls away lets go at once, see follow_one
