@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atlas import Spec
+from atlas.check.rules import broken_rules
 from workers import Settings, System, solve_tile
 from workers.cell.cells import Results
 from workers.results import (
@@ -85,6 +87,17 @@ def test_an_undamped_mass_that_stands_still_between_its_walls_stays_there() -> N
     found = solved("impact-pair", alpha=0.0, y=0.1)
     assert (found["regime"], found["spectrum"].tolist()) == (NO_IMPACT, [0.0, 0.0])
     assert found["state"].tolist() == [0.1, 0.0]
+
+
+@pytest.mark.parametrize("clearance", [0.42, 0.6])
+def test_a_free_mass_that_shakes_about_one_place_within_its_walls_has_no_impact(clearance: float) -> None:
+    """Truth: z = (1 - cos omega t) / omega^2, at most 2 / pi^2 = 0.2026 away, which is less than half of the clearance.
+
+    The phase pi / 2 of the force is known to rounding: by as much it could drift.
+    """
+    found = solved("energy-harvester", beta=0.0, d=clearance)
+    assert (found["regime"], found["spectrum"].tolist()) == (NO_IMPACT, [0.0, 0.0])
+    assert found["peak_to_peak"] == pytest.approx(2.0 / math.pi**2, rel=1e-12)
 
 
 # Phases alone
@@ -199,6 +212,19 @@ def test_a_ball_that_rests_again_and_again_locks_though_its_period_is_not_known(
     assert (found["regime"], found["period"], found["sticks"]) == (LOCKING, 0, True)
     assert found["spectrum"].tolist() == [-math.inf, -math.inf]
     assert found["error"] == 0.0
+
+
+def test_an_atlas_with_locking_cells_keeps_the_rules_of_results() -> None:
+    spec = Spec(
+        "bouncing-ball", {"A": [3.2, 3.3], "R": [0.5, 0.6]}, parameters={"omega": 1.0}, solve={"exponents": "spectrum"}
+    )
+    slices = (slice(0, 2), slice(0, 2))
+    arrays = solve_tile(spec.record, spec.cell_params(slices), spec.settings)
+    assert (arrays["regime"] == LOCKING).any()
+    assert broken_rules(spec, slices, arrays) == {}
+    arrays["reason"][...] = NO_REASON
+    arrays["regime"][0, 0] = UNDETERMINED
+    assert "reason is missing in an undetermined, invalid or failed cell" in broken_rules(spec, slices, arrays)
 
 
 # Reasons

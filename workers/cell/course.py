@@ -141,7 +141,7 @@ class Course:
         resting = cells.at_rest(rows) & (self.stage[rows] != SEARCHING)
         self._end_at_rest(rows[resting])
         rows, stage = rows[~resting], self.stage[rows[~resting]]
-        self.recurrence.look(cells, rows)
+        self.recurrence.look(cells, rows, stage != SEARCHING)
         self.searching(rows[stage == SEARCHING])
         self.averaging(rows[stage == AVERAGING])
         self.watching(rows[stage == WATCHING])
@@ -161,7 +161,7 @@ class Course:
         """Write what is known of cells that do not go on."""
         unrelaxed = self.cells.first[rows] < self.memory[rows]
         clear = np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON))
-        outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.same[rows])
+        outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
 
     def _end_at_rest(self, rows: Rows) -> None:
         """Write the results of cells whose one mass has rested: its orbit, or that its period is unknown.
@@ -237,7 +237,7 @@ class Course:
         now = under_way(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
         half_spent = self.cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
-        chaotic = positive & self.recurrence.same[rows] & ((now.error <= self.half) | half_spent)
+        chaotic = positive & self.recurrence.recurred[rows] & ((now.error <= self.half) | half_spent)
         missing = np.where(positive, periods_for(now.periods, now.error, self.half) - now.periods, math.inf)
         self._average_on(rows[~chaotic], missing[~chaotic])
         self._find_order(rows[~chaotic])
@@ -252,7 +252,7 @@ class Course:
         least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
         accuracy = np.minimum(self.settings.tolerance, least)
         changed = averages.has_changed(self.cells, rows)
-        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half)
+        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half) & self.recurrence.recurred[rows]
         watch = self._to_watch(rows)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
@@ -320,7 +320,7 @@ class Course:
             self.observe(rows[missing <= 0])
         else:
             rows = rows[missing <= 0]
-            recurs = self.recurrence.same[rows]
+            recurs = self.recurrence.recurred[rows]
             outcome.put_chaotic(self.cells, rows[recurs])
             self._end(rows[~recurs])
 

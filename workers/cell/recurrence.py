@@ -5,7 +5,7 @@ import numpy as np
 from workers.cell.averages import counts
 from workers.cell.cells import RETURNS, Cells
 from workers.cell.exponents import impact_count
-from workers.model.oscillator import COLUMN, Array, Rows
+from workers.model.oscillator import COLUMN, Array, Mask, Rows
 
 FEWEST_HITS = 0.5
 """Share of the impacts that are due in a stretch, by their number so far, that it has at least if they go on."""
@@ -17,6 +17,7 @@ class Recurrence:
     low, high    the range of the energies seen so far
     hits, until  impacts and periods up to the last look, of those that averages count
     same         whether the last look at each has found its energy in the range of all earlier ones
+    recurred     whether any look has that counted, or none counted yet; counted: whether one has
     strikes      whether it has had impacts since, as many as were due, or never had any
     """
 
@@ -25,9 +26,10 @@ class Recurrence:
         self.hits, self.until = np.zeros((2, count))
         self.struck = np.zeros(count, dtype=np.bool_)
         self.same, self.strikes = np.ones((2, count), dtype=np.bool_)
+        self.recurred, self.counted = np.ones(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
 
-    def look(self, cells: Cells, rows: Rows) -> None:
-        """Compare the last stretch of these cells with what was before.
+    def look(self, cells: Cells, rows: Rows, settled: Mask) -> None:
+        """Compare the last stretch of these cells with what was before; it counts where the transient is over.
 
         The range of a torus at RETURNS sections overlaps with that of others, however it goes about. What dies away
         strikes ever more seldom: a single flight may last for longer than all of the motion before it.
@@ -40,6 +42,8 @@ class Recurrence:
         before, since = np.where(fresh, 0.0, self.hits[rows]), np.where(fresh, 0.0, self.until[rows])
         due = hits / np.maximum(periods, 1) * (periods - since)
         self.struck[rows] |= hits > 0.0
+        self.recurred[rows] = self.same[rows] | (self.recurred[rows] & (self.counted[rows] | ~settled))
+        self.counted[rows] |= settled
         self.strikes[rows] = (hits - before >= FEWEST_HITS * due) & ((hits > before) | ~self.struck[rows])
         self.low[rows], self.high[rows] = np.minimum(self.low[rows], low), np.maximum(self.high[rows], high)
         self.hits[rows], self.until[rows] = hits, periods
