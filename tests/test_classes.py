@@ -9,7 +9,6 @@ import pytest
 from atlas import Spec
 from atlas.check.rules import broken_rules
 from workers import Settings, System, solve_tile
-from workers.cell.cells import Results
 from workers.results import (
     FAILED,
     LOCKING,
@@ -26,7 +25,7 @@ from workers.results import (
 SPECTRUM = Settings(exponents="spectrum", survival=2000)
 
 
-def solved(system: Any, settings: Settings = SPECTRUM, **params: float) -> Results:
+def solved(system: Any, settings: Settings = SPECTRUM, /, **params: float) -> Any:
     return solve_tile(system, params, settings)
 
 
