@@ -37,7 +37,7 @@ def linear_orbits(oscillators, cells, orbits, spent):
         if first.tally[STATUS] != RUNNING or not np.all(np.isfinite(h)):
             continue
         turn, J = map_with_jacobian(osc, h, contact, steps, half)
-        point = FixedPoint(h, turn.h, contact, J, 0.0)
+        point = FixedPoint(h, turn.h, turn.contact[0], J, 0.0)
         logs, rounding, turns = floquet(osc, point, steps, half, CYCLES)
         spent[r] = 2 + turns
         largest = highest(logs, 0, len(logs))
