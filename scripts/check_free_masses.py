@@ -8,8 +8,9 @@ periodic       the state recurs after ``period`` periods and not before, with th
 chaotic        followed for as long as the cell was watched, from the state and from neighbours of it, most runs neither
                rest nor become periodic (one that does shows chaos that ends some day, not a wrong class: such cells are
                counted); the mean growth agrees within four standard errors
-undetermined   the simulator finds no short orbit either; or the mass rests now and then and both say so, and
-               disturbances grow so far from a rest to the next that no double knows where that comes
+locking        the mass rests now and then in the simulation too, and disturbances grow so far from a rest to the next
+               that no double knows where that comes
+undetermined   the simulator finds no short orbit either
 All others are wrong here: a mass alone with R < 1 has no tori, and a bouncing ball always lands.
 
 Usage: .venv/bin/python -m scripts.check_free_masses [--cells 200] [--seed 1] [--tolerance .02] [--light]
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 
 from tests.oracle.shaken_mass import Run, follow
 from workers import Settings, solve_tile
-from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
+from workers.results import CHAOTIC, LOCKING, PERIODIC, UNDETERMINED
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ NEIGHBOURS, APART = 4, 1e-6
 """Starts beside the state of a chaotic cell, and how far from it they lie relative to the motion."""
 
 LONGEST_WATCH = 20_000
-"""Periods for which a chaotic or undetermined cell is followed here at most."""
+"""Periods for which a cell of no orbit is followed here at most."""
 
 METASTABLE = "some neighbours of this chaos settle"
 """What is said of a chaotic cell of which a minority of the runs ends; not a fault."""
@@ -174,15 +175,15 @@ def recurs(run: Run) -> bool:
     return bool(np.min(away) < 1e-11 * size(run))
 
 
-def undetermined_faults(machine: Machine, cell: dict[str, Any]) -> list[str]:
-    """What is wrong with a cell that is called undetermined."""
+def locking_faults(machine: Machine, cell: dict[str, Any]) -> list[str]:
+    """What is wrong with a cell that is called locking, or undetermined."""
     run = machine.run(cell["state"], LONGEST_WATCH)
     if run.rests.any() and not cell["sticks"]:
         return ["rests in the simulation, and sticks is false"]
     if recurs(run) or run.rests.any():
         growth = growth_between_rests(run.stretch)
         if growth < LOST:
-            return [f"undetermined after {cell['periods_used']} periods, but repeats; growth e^{growth:.1f}"]
+            return [f"no period after {cell['periods_used']} periods, but repeats; growth e^{growth:.1f}"]
     return []
 
 
@@ -201,8 +202,8 @@ def faults(machine: Machine, cell: dict[str, Any], rng: np.random.Generator) -> 
         return periodic_faults(machine, cell)
     if cell["regime"] == CHAOTIC:
         return chaotic_faults(machine, cell, rng)
-    if cell["regime"] == UNDETERMINED:
-        return undetermined_faults(machine, cell)
+    if cell["regime"] in (LOCKING, UNDETERMINED):
+        return locking_faults(machine, cell)
     return [f"regime {cell['regime']}"]
 
 
@@ -214,7 +215,7 @@ def check(cells: int, seed: int, tolerance: float) -> tuple[dict[str, dict[str, 
         rng = np.random.default_rng(seed)
         params = draw(rng, cells // 2)
         found = solve_tile(name, params, Settings(exponents="spectrum", tolerance=tolerance))
-        classes = {PERIODIC: "periodic", CHAOTIC: "chaotic", UNDETERMINED: "undetermined"}
+        classes = {PERIODIC: "periodic", CHAOTIC: "chaotic", LOCKING: "locking", UNDETERMINED: "undetermined"}
         named = [
             "sticking" if sticks else classes.get(int(regime), str(regime))
             for regime, sticks in zip(found["regime"], found["sticks"], strict=True)

@@ -16,7 +16,7 @@ from workers import Settings
 from workers.cell.cells import Cells
 from workers.cell.solve import solve as solve_cells
 from workers.model.hybrid import build_hybrid
-from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REASONS, result_variables
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, PERIODS_SPENT, QUASIPERIODIC, REASONS, result_variables
 from workers.tile import result_arrays
 
 KIND = "modes"
@@ -64,7 +64,7 @@ def solve(cells: Sequence[Drawn], settings: Settings) -> Findings:
         if NAMES[regime] == "failed":
             found.stopped[REASONS[reason].text] += 1
             found.note("failed", REASONS[reason].text, cell)
-        elif NAMES[regime] == "undetermined" and REASONS[reason].text:
+        elif NAMES[regime] == "undetermined" and reason != PERIODS_SPENT:
             found.note("given up, said to be undetermined", REASONS[reason].text, cell)
         for what in contradictions(result):
             found.note("results that contradict each other", what, cell)

@@ -12,7 +12,7 @@ from scripts.stress_cells import draw
 from scripts.stress_findings import Drawn, Findings
 from scripts.stress_systems import draw_of_system
 from workers import Settings
-from workers.results import CHAOTIC, INVALID, NO_IMPACT, PERIODIC, QUASIPERIODIC, REASONS, REGIMES
+from workers.results import CHAOTIC, INVALID, NO_IMPACT, PERIODIC, PERIODS_SPENT, QUASIPERIODIC, REASONS, REGIMES
 from workers.tile import solve_tile
 
 Result = Mapping[str, Any]
@@ -75,7 +75,7 @@ def _count(found: Findings, cell: Drawn, result: Result, reason: str, seconds: f
         found.note("failed", reason, cell)
     elif regime == "chaotic" and reason:
         found.uncertain[reason] += 1
-    elif reason:
+    elif regime == "undetermined" and reason != REASONS[PERIODS_SPENT].text:
         found.note("given up, said to be undetermined", reason, cell)
     away = cell.beyond(cell.position(cell.start))
     outside = away > 0.0 and (regime != "invalid" or "beyond a stop" in reason)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from atlas.render import classes, orbit, scales, style, sweep
 from atlas.render.kinds import STABLE, TABLE
-from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
+from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
 SIGHT = {
@@ -25,7 +25,7 @@ EVERY_SIGHT = SIGHT | {
 _REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "periodic")}
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
-_PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined")}
+_PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined", "locking")}
 _PERIODS = {f"period {first}": color for first, _, color in classes.PERIODS}
 _CHAOS = {f"chaos {i}": tuple(scales.CHAOS(i / 4)[:3]) for i in range(5)}
 
@@ -42,7 +42,7 @@ PALETTES = {
     "symmetry": _REGIMES | {color: color for color in _SYMMETRIES},
     "spectrum": {f"exponent {i}": sweep.color_of(i) for i in range(4)},
     "points of a sweep": {
-        str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
+        str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, LOCKING)
     },
     "events": {kind: look.color for kind, look in style.LOOKS.items() if kind not in OF_A_COLOR},
     "hysteresis": dict(zip("ab", sweep.COLORS, strict=True)),

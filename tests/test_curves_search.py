@@ -329,6 +329,11 @@ class TestBadInput:
         create(tmp_path / "start.zarr", atlas.Spec("two-mass", axes), (3, 3))
         assert "axis x1 only sets the start of a motion" in self.refused(str(tmp_path / "start.zarr"))
 
+    def test_a_phase_of_the_force_that_no_orbit_depends_on(self, tmp_path: Path) -> None:
+        axes = {"tau": {"start": 0.0, "stop": 3.0, "num": 3}, "omega": {"start": 2.0, "stop": 3.0, "num": 3}}
+        create(tmp_path / "tau.zarr", atlas.Spec("two-mass", axes), (3, 3))
+        assert "axis tau only sets the start of a motion" in self.refused(str(tmp_path / "tau.zarr"))
+
     def test_no_store(self, tmp_path: Path) -> None:
         assert "no such store" in self.refused(str(tmp_path / "none.zarr"))
 
@@ -360,3 +365,12 @@ def test_curves_of_cells_that_were_solved_again_are_found_anew(
     stale = searched[1].found
     write_curves(header, type(stale)(stale.axes, (), {**stale.report, "digest": "of other cells"}))
     assert all_same(find_curves(path, client=client).found, stale)
+
+
+def test_the_angle_between_force_and_phases_is_an_axis_of_curves(tmp_path: Path, client: Client) -> None:
+    """Where the stiffness of a gear mesh switches, tau says when in a mesh period: orbits depend on it."""
+    axes = {"tau": {"start": 0.0, "stop": 6.0, "num": 6}, "eps": {"start": 0.05, "stop": 0.55, "num": 6}}
+    solve = {"survival": 1000, "tolerance": 0.1}
+    spec = atlas.Spec("gear-mesh", axes, parameters={"omega": 0.5, "E": 0.4}, solve=solve)
+    atlas.run(spec, tmp_path / "mesh.zarr", client=client)
+    assert plane_of(read_header(tmp_path / "mesh.zarr")).regime.shape == (6, 6)

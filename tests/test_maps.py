@@ -20,7 +20,7 @@ from atlas.render import classes, kinds, overlays, scales
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, painted, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
+from workers.results import CHAOTIC, FAILED, INVALID, LOCKING, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
 
 TWO_MASS = find_system("two-mass")
 
@@ -88,6 +88,18 @@ def test_averages_of_an_undetermined_cell_do_not_pass_for_results(kind: str) -> 
     for name in ("largest", "error", "stuck_fraction"):
         ds[name] = ds[name].fillna(0.3)
     assert tuple(drawn(render.figure(ds, kind))[ds["regime"].values == UNDETERMINED][0]) == colour(UNDETERMINED)
+
+
+def test_a_locking_cell_has_a_name_and_a_colour_of_its_own_on_a_map_of_periods() -> None:
+    found = painted("period", regime=np.array([[LOCKING, PERIODIC]]), period=np.array([[0, 1]]))
+    assert tuple(found.rgba[0, 0]) == colour(LOCKING)
+    assert [entry.get_label() for entry in found.legend] == ["period 1", "locking"]
+
+
+def test_exponents_of_locking_cells_are_textured_as_those_of_a_rest() -> None:
+    values = {"regime": np.array([[LOCKING, PERIODIC, CHAOTIC]]), "largest": np.array([[-np.inf, -0.5, 0.5]])}
+    (texture,) = painted("exponent", **values).textures
+    assert texture.cells.tolist() == [[True, False, False]]
 
 
 def test_averages_of_an_undetermined_cell_do_not_stretch_the_scale() -> None:

@@ -31,6 +31,7 @@ from workers.results import (
     CHAOTIC,
     FAILED,
     INVALID,
+    LOCKING,
     LONG_PERIOD,
     NO_REASON,
     NOT_STATIONARY,
@@ -84,7 +85,7 @@ def call(*args: object) -> Result:
 def test_codes_are_the_places_in_the_table_and_their_names_differ() -> None:
     assert [reason.code for reason in REASONS] == list(range(len(REASONS)))
     assert len({reason.name for reason in REASONS}) == len({reason.text for reason in REASONS}) == len(REASONS)
-    assert {reason.regime for reason in REASONS[1:]} == {FAILED, INVALID, UNDETERMINED, CHAOTIC}
+    assert {reason.regime for reason in REASONS[1:]} == {FAILED, INVALID, UNDETERMINED, CHAOTIC, LOCKING}
 
 
 @pytest.mark.parametrize(
@@ -191,7 +192,7 @@ def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) ->
     fault, digest, record = verify(store, sample=0).faults
     assert record.what.startswith("the record of tile")
     assert digest.what.startswith("its chunks were not written together here")
-    assert fault.what.startswith("reason is missing in an invalid or failed cell: 6 cells")
+    assert fault.what.startswith("reason is missing in an undetermined, invalid or failed cell: 6 cells")
 
 
 @pytest.mark.parametrize(("cell", "code"), [((0, 0), WORK_SPENT), ((0, 0), 99), ((4, 0), BEYOND_STOP)])

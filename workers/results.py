@@ -18,7 +18,9 @@ class Regime:
     color: str
 
 
-PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC = range(-1, 8)
+(
+    PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC, LOCKING,
+) = range(-1, 9)  # fmt: skip
 
 REGIMES = (
     Regime(PENDING, "pending", "#ffffff"),
@@ -26,10 +28,11 @@ REGIMES = (
     Regime(PERIODIC, "periodic", "#4477aa"),
     Regime(QUASIPERIODIC, "quasiperiodic", "#228833"),
     Regime(CHAOTIC, "chaotic", "#cc3311"),
-    Regime(UNDETERMINED, "undetermined", "#a3ff0d"),
+    Regime(UNDETERMINED, "undetermined", "#b2aa62"),
     Regime(INVALID, "invalid", "#777777"),
     Regime(FAILED, "failed", "#000000"),
     Regime(APERIODIC, "aperiodic", "#f8f0d0"),
+    Regime(LOCKING, "locking", "#72829a"),
 )
 
 
@@ -47,8 +50,8 @@ class Reason:
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
-    MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY,
-) = range(25)  # fmt: skip
+    MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY, PERIODS_SPENT, NEVER_RECURS,
+) = range(27)  # fmt: skip
 
 REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("none", PENDING, ""),
@@ -72,12 +75,15 @@ REASONS = tuple(Reason(code, *row) for code, row in enumerate((
      "the last two averages of the exponent still differed when the budget ended; the error bar covers both"),
     ("unstable", INVALID,
      "motion grows: stiffness, or damping with the slope of friction, is negative in some direction"),
-    ("rested", UNDETERMINED, "its one mass rests and repeats from there on; its period is not known"),
+    ("rested", LOCKING,
+     "what follows a rest repeats, but rounding grows too far from one rest to the next to tell after how long"),
     ("many_modes", FAILED, "the motion goes through more modes than there is room for"),
     ("no_mode", FAILED, "contacts and friction hold it in a way for which there is no motion in closed form"),
     ("endless_events", FAILED, "contacts and friction change without end at one time"),
     ("two_impacts", FAILED, "a rigid contact is struck while another one is held: what follows is not defined"),
-    ("runs_away", FAILED, "what drifts is pushed on ever faster: friction and damping do not hold its load"),
+    ("runs_away", FAILED, "motion grows without bound: damping and friction do not hold what drives it"),
+    ("periods_spent", UNDETERMINED, "its budget of forcing periods is spent before its class is certain"),
+    ("never_recurs", UNDETERMINED, "it keeps growing, or dying away, and never comes back to what it was"),
 )))  # fmt: skip
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 

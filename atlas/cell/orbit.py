@@ -16,7 +16,7 @@ from atlas.spec.system import checked_system, impacts_of
 from atlas.text import plural
 from workers import Settings
 from workers.model.system import DEFAULT, System, identity
-from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REASON, REASONS, REGIME, REGIMES
+from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REASON, REASONS, REGIME, REGIMES
 
 Array = NDArray[np.float64]
 
@@ -63,8 +63,8 @@ class CellOrbit:
 
     @property
     def exact(self) -> bool:
-        """Whether the exponents are those of an orbit in closed form, and not averages."""
-        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC)
+        """Whether the exponents are exact, as those of an orbit, and not averages."""
+        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC, LOCKING)
 
     @cached_property
     def gap_row(self) -> Array:
@@ -241,6 +241,7 @@ def describe(orbit: CellOrbit) -> str:
         words += ["symmetric"] if cell["symmetric"] else []
     elif np.isfinite(cell["impacts_per_period"]) and cell["impacts_per_period"] > 0:
         words.append(f"{cell['impacts_per_period']:.3g} impacts per period")
+    words += ["its period unknown"] if code == LOCKING else []
     if cell["sticks"]:
         how = "at rest on a stop" if np.isnan(cell["impacts_per_period"]) else "sticking"
         words.append(f"{how} {100 * cell['stuck_fraction']:.3g} % of the time")

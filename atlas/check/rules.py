@@ -16,6 +16,7 @@ from workers.results import (
     FAILED,
     INVALID,
     LABEL,
+    LOCKING,
     NO_IMPACT,
     NO_REASON,
     NOT_STATIONARY,
@@ -25,7 +26,6 @@ from workers.results import (
     REASON,
     REASONS,
     REGIME,
-    RESTED,
     UNDETERMINED,
     UNKNOWN_LABEL,
 )
@@ -94,11 +94,11 @@ def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     """Every rule in words, with the mask of the cells that break it."""
     regime = arrays[REGIME.name]
-    yield f"regime is not one of {NO_IMPACT} to {APERIODIC}", ~((regime >= NO_IMPACT) & (regime <= APERIODIC))
+    yield f"regime is not one of {NO_IMPACT} to {LOCKING}", ~((regime >= NO_IMPACT) & (regime <= LOCKING))
     if spec.settings.exponents != "none":
         yield "aperiodic although the spec has exponents", regime == APERIODIC
     still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
-    known = ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
+    known = ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC) | (regime == LOCKING)
 
     for variable in spec.record.variables(spec.settings):
         if variable.name in (REGIME.name, REASON.name, "periods_used") or variable.name not in arrays:
@@ -109,7 +109,8 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
     if REASON.name in arrays:  # an older store has none
         reason = arrays[REASON.name]
-        yield "reason is missing in an invalid or failed cell", blank & (reason == NO_REASON)
+        unknown = blank | (regime == UNDETERMINED)
+        yield "reason is missing in an undetermined, invalid or failed cell", unknown & (reason == NO_REASON)
         yield "reason is not one for this regime", (reason != NO_REASON) & ~_goes_with(reason, regime)
 
     for rules, needed in (
@@ -214,8 +215,7 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     watched = (regime == CHAOTIC) | (regime == APERIODIC)
     yield "survived is negative", survived < 0
     yield "survived is 0 in a chaotic or aperiodic cell", watched & (survived == 0)
-    rested = arrays[REASON.name] == RESTED if REASON.name in arrays else np.zeros_like(watched)
-    yield "survived is not 0 outside chaos", ~watched & ~rested & (survived != 0)
+    yield "survived is not 0 outside chaos", ~watched & (regime != LOCKING) & (survived != 0)
     if "periods_used" in arrays and LABEL.name not in arrays:  # there it is the table's
         yield "survived is longer than what was simulated", survived > arrays["periods_used"]
     if spec.settings.method == "fixed":

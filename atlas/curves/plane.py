@@ -182,7 +182,7 @@ def plane_of(header: Header) -> Plane:
     system = spec.record
     refuse_drift(system, "curves")
     for axis in spec.axes:
-        if axis.name in (*system.states, TAU):
+        if axis.name in system.states or (axis.name == TAU and len(system.definition.phases) < 2):
             raise InputError(
                 f"{header.place}: axis {axis.name} only sets the start of a motion, on which no orbit depends; "
                 "curves take two other parameters as axes"

@@ -29,6 +29,7 @@ from workers.results import (
     FAILED,
     LABEL,
     LARGEST,
+    LOCKING,
     PENDING,
     PERIODIC,
     REASON,
@@ -50,8 +51,10 @@ POSITIVE = Variable("largest_positive", "float64", np.nan, "share of positive va
 PERIOD_COUNT = Variable("period_count", "int32", 0, "cells behind period and impacts", "1")
 CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
 """The regime of each entry along the dimension "class"."""
-_TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: CHAOTIC + 0.5 if CODES[i] == APERIODIC else CODES[i]))
-"""The entries in the order of the table, but for ``aperiodic``, a later addition, which stands after ``chaotic``."""
+_PLACES = {APERIODIC: CHAOTIC + 0.5, LOCKING: PERIODIC + 0.5}
+_TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: _PLACES.get(int(CODES[i]), float(CODES[i]))))
+"""The entries in the order of the table, but for later additions: ``aperiodic`` stands after ``chaotic``, ``locking``
+after ``periodic``."""
 
 WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own", "mirror")
 """Names of something, of which there is no mean."""

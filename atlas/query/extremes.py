@@ -9,7 +9,7 @@ from atlas.query.classes import Classes
 from atlas.query.resample import view
 from atlas.query.walk import Block, walk
 from atlas.query.window import Window, axis_names, axis_values, columns, within
-from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, PENDING, PERIODIC, REASON, REGIME, REGIMES
+from workers.results import CHAOTIC, ERROR, LARGEST, LOCKING, NO_IMPACT, PENDING, PERIODIC, REASON, REGIME, REGIMES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -98,7 +98,7 @@ class _Best:
 def regimes_with(name: str) -> set[int]:
     """The codes of the regimes in which a variable is a result."""
     if name in _OF_MOTIONS:
-        return set(range(NO_IMPACT, CHAOTIC + 1))
+        return {*range(NO_IMPACT, CHAOTIC + 1), LOCKING}
     return {PERIODIC} if name in _OF_ORBITS else {regime.code for regime in REGIMES} - {PENDING}
 
 

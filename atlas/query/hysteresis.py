@@ -14,6 +14,7 @@ from workers.results import (
     CHAOTIC,
     ERROR,
     LARGEST,
+    LOCKING,
     NO_IMPACT,
     PERIODIC,
     QUASIPERIODIC,
@@ -33,7 +34,7 @@ INVARIANT = ("symmetric", "impacts_per_period", "min_impact_speed", "stuck_fract
 COMPARED = (ERROR.name, LARGEST.name, SECTION.name, "state", *COUNTS, *INVARIANT)
 """All variables that a comparison takes where both atlases hold them."""
 
-_DETERMINED = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC)
+_DETERMINED = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
 _ORBIT_TOLERANCE = 1e-6
 """Distance between section states of one orbit, in parts of the extent of all of them; exact orbits agree to 1e-12."""
 _APART = 0.5

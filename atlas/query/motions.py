@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import machine
 from atlas.query.plane import Cells, Plane
-from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 if TYPE_CHECKING:
     import xarray as xr
 
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
-OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "no impact"}
+OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "no impact", LOCKING: "locking"}
 """The names of regions of other motions."""
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from atlas.query.window import LOG_SPAN, axis_names, cell_edges, is_log
 from atlas.spec.cells import is_uniform
 from atlas.spec.system import stored_system
-from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, REGIME
+from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -73,7 +73,7 @@ def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[Axis, ...]]":
 
 def determined(regime: NDArray[np.int8]) -> Cells:
     """Where the class of motion is known."""
-    return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
+    return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC) | (regime == LOCKING)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from matplotlib.legend_handler import HandlerPatch
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.typing import ColorType
 
-from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
+from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
 
 DPI = 300.0
 """Dots per inch of a file where none are asked for."""
@@ -74,7 +74,7 @@ TEXTURE = "#8c8c8c"
 COLORS = {regime.code: regime.color for regime in REGIMES}
 """The colour of each regime code, as in the data's flag_colors."""
 
-INK = {**COLORS, NO_IMPACT: "#8c8c8c", UNDETERMINED: "#7db800", APERIODIC: "#986020"}
+INK = {**COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
 """The same for points and lines on white, where the pale colours of areas would not be seen."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}

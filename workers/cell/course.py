@@ -17,9 +17,10 @@ from workers.cell.averages import clearly_positive, periods_for, under_way
 from workers.cell.cells import RETURNS, Cells
 from workers.cell.exponents import impact_count
 from workers.cell.orbits import LONG_PERIOD, NEAR, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
+from workers.cell.recurrence import Recurrence
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Rows
 from workers.orbit.newton import far_from_closing
-from workers.results import NO_REASON, NOT_RELAXED, NOT_STATIONARY, RESTED, UNDETERMINED
+from workers.results import LOCKING, NO_REASON, NOT_RELAXED, NOT_STATIONARY, RESTED
 
 SEARCHING, WARMING, AVERAGING, WATCHING = range(4)
 
@@ -87,6 +88,7 @@ class Course:
     watched    periods of watching
     weighted   the weighted average of its last stretch
     half       standard error of an average over half of the periods that the tolerance takes
+    recurrence whether it comes back to what it was
 
     is_known   which of some cells, at the end of a stretch, are done since their motion is recognised
     leaves     which of some cells, whose transients are over, leave the course to be judged elsewhere
@@ -108,6 +110,7 @@ class Course:
         self.stretch = np.full(N, FIRST_STRETCH)
         self.memory, self.weighted = np.full((2, N), math.nan)
         self.watched = np.zeros(N, dtype=np.int64)
+        self.recurrence = Recurrence(N)
 
     def take(self) -> None:
         """Take the cells that have to go on through their stages, to their results."""
@@ -138,6 +141,7 @@ class Course:
         resting = cells.at_rest(rows) & (self.stage[rows] != SEARCHING)
         self._end_at_rest(rows[resting])
         rows, stage = rows[~resting], self.stage[rows[~resting]]
+        self.recurrence.look(cells, rows, stage != SEARCHING)
         self.searching(rows[stage == SEARCHING])
         self.averaging(rows[stage == AVERAGING])
         self.watching(rows[stage == WATCHING])
@@ -156,17 +160,21 @@ class Course:
     def _end(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
         unrelaxed = self.cells.first[rows] < self.memory[rows]
-        outcome.put_by_average(self.cells, rows, clear=np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON)))
+        clear = np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON))
+        outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
 
     def _end_at_rest(self, rows: Rows) -> None:
-        """Write the results of cells whose one mass has rested: its orbit, or that its period is unknown."""
+        """Write the results of cells whose one mass has rested: its orbit, or that its period is unknown.
+
+        All that follows a release is the same, so that every disturbance is gone with the next rest.
+        """
         cells = self.cells
         rows = end_on_long_orbits(cells, rows)
         if cells.vectors:
             averages.lose_all(cells, rows)
         survived = np.maximum(cells.survived(rows) - cells.batch.done[rows], 0)
         outcome.put_averaged(cells, rows)
-        outcome.put(cells, rows, regime=UNDETERMINED, reason=RESTED, survived=survived)
+        outcome.put(cells, rows, regime=LOCKING, reason=RESTED, survived=survived)
 
     # Searching
 
@@ -229,7 +237,7 @@ class Course:
         now = under_way(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
         half_spent = self.cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
-        chaotic = positive & ((now.error <= self.half) | half_spent)
+        chaotic = positive & self.recurrence.recurred[rows] & ((now.error <= self.half) | half_spent)
         missing = np.where(positive, periods_for(now.periods, now.error, self.half) - now.periods, math.inf)
         self._average_on(rows[~chaotic], missing[~chaotic])
         self._find_order(rows[~chaotic])
@@ -244,7 +252,7 @@ class Course:
         least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
         accuracy = np.minimum(self.settings.tolerance, least)
         changed = averages.has_changed(self.cells, rows)
-        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half)
+        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half) & self.recurrence.recurred[rows]
         watch = self._to_watch(rows)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
@@ -287,6 +295,7 @@ class Course:
         self.weighted[rows] = now
         spread = np.abs(now - previous)
         flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
+        flat &= self.recurrence.same[rows] & self.recurrence.strikes[rows]
         flat[flat] = far_from_closing(
             cells.oscillators.gap.blocks, batch.motions.h, batch.sections, rows[flat], RETURNS, TORUS_RETURN
         )
@@ -310,7 +319,10 @@ class Course:
         if self.cells.vectors:
             self.observe(rows[missing <= 0])
         else:
-            outcome.put_chaotic(self.cells, rows[missing <= 0])
+            rows = rows[missing <= 0]
+            recurs = self.recurrence.recurred[rows]
+            outcome.put_chaotic(self.cells, rows[recurs])
+            self._end(rows[~recurs])
 
     def _watchable(self, rows: Rows) -> Rows:
         """Periods for which these cells may still be watched: what proofs have taken of both budgets is gone."""

@@ -20,7 +20,7 @@ from workers.model.hybrid import FIRST_NUMBER, build_hybrid
 from workers.model.hybrid_machines import HybridMachines, mirrors
 from workers.model.hybrid_modes import Code
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
-from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 WINDOW = 256
 """Periods, from ``state`` on, over which a motion is measured that is no orbit."""
@@ -30,6 +30,9 @@ WORK_PER_PERIOD = 2000
 
 AT_ONCE = 512
 """Machines that are measured together: each has a table of its modes."""
+
+KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
+"""The classes of motion whose results say something of the machine."""
 
 MIRRORED = 1e-6
 """Distance between a state and the mirror image of that half an orbit later, as a share of both, up to which the orbit
@@ -42,7 +45,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
     hybrid = cells.oscillators.has_modes
     if not (hybrid or definition.measures):
         return
-    rows = np.flatnonzero(np.isin(cells.found["regime"], (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC)))
+    rows = np.flatnonzero(np.isin(cells.found["regime"], KNOWN))
     for first in range(0, max(len(rows), hybrid), AT_ONCE):
         some = rows[first : first + AT_ONCE]
         values = {name: value[some] for name, value in params.items()}

@@ -24,7 +24,8 @@ from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
 from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
-from workers.model.oscillator import Array, Oscillator, Rows, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.orbit.linear import ATTRACTS, REPELS, UNKNOWN, linear_orbits
 from workers.orbit.newton import Orbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
@@ -57,9 +58,33 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
 def end_impact_free(cells: Cells, rows: Rows) -> Rows:
     """Write the results of those cells whose motion cannot impact any more; the others."""
     motions = cells.batch.motions
+    if cells.oscillators.has_modes:
+        return _end_linear(cells, rows)
     free = impact_free(cells.oscillators, motions, rows)
     put_impact_free(cells, rows[free], motions.h[rows[free]])
     return rows[~free]
+
+
+def _end_linear(cells: Cells, rows: Rows) -> Rows:
+    """Write the results of cells whose machines have phases alone, and so one orbit; the others.
+
+    What is repelled by it grows without bound: nothing holds it.
+    """
+    _, contacts, frictions = cells.oscillators.table.machines.sizes
+    if contacts or frictions or cells.drifts or not len(rows):
+        return rows
+    spent = np.zeros_like(cells.used)
+    found = np.zeros(len(cells.used), dtype=np.int64)
+
+    def look(some: Rows) -> None:
+        found[some] = linear_orbits(cells.oscillators, some, cells.orbits, spent)
+
+    cells.oscillators.with_modes(look, rows)
+    cells.used[rows] += spent[rows]
+    put_periodic(cells, rows[found[rows] == ATTRACTS])
+    grows = rows[found[rows] == REPELS]
+    put(cells, grows, regime=results.FAILED, periods_used=cells.used[grows], reason=results.RUNS_AWAY)
+    return rows[found[rows] == UNKNOWN]
 
 
 def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
@@ -88,8 +113,8 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     sticks = orbits.tally[:, motion.STUCK] > 0.0
     free = (impact_count(orbits.tally) == 0.0) & ~sticks
     if cells.oscillators.has_modes:
-        contacts = cells.oscillators.table.machines.sizes[1]
-        regime = np.where(free & (contacts > 0), results.NO_IMPACT, results.PERIODIC)
+        _, contacts, frictions = cells.oscillators.table.machines.sizes
+        regime = np.where(free & (contacts > 0 or frictions == 0), results.NO_IMPACT, results.PERIODIC)
     else:
         if free.any():
             put_impact_free(cells, rows[free], orbits.h[free])
@@ -216,21 +241,27 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
 
 
 def put_by_average(
-    cells: Cells, rows: Rows, unclear: int = results.NO_REASON, clear: NDArray[np.int8] | int = results.NO_REASON
+    cells: Cells,
+    rows: Rows,
+    unclear: int = results.PERIODS_SPENT,
+    clear: NDArray[np.int8] | int = results.NO_REASON,
+    recurs: Mask | bool = True,
 ) -> None:
     """Write the results of cells that end with what their averages show: chaos where it is clear, else undetermined.
 
     unclear and clear are the reasons that they get then. Chaos that would be clear if the two averages did not differ
-    is not stationary, which is its reason.
+    is not stationary, which is its reason; and what does not recur is no chaos, see ``recurrence``.
     """
     if not len(rows):
         return
     whole, plain = whole_average(cells, rows)
     chaotic, clearly = (clearly_positive(whole.mean, error, whole.periods) for error in (plain, whole.error))
+    chaotic, recurs = chaotic & recurs, np.broadcast_to(recurs, rows.shape)
+    unclear_of_each = np.where(recurs, np.int8(unclear), np.int8(results.NEVER_RECURS))
     reasons = np.where(clearly, clear, np.int8(results.NOT_STATIONARY))
     put_chaotic(cells, rows[chaotic], reasons[chaotic])
     put_averaged(cells, rows[~chaotic])
-    put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear)
+    put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear_of_each[~chaotic])
 
 
 def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, contact: Rows, period: Rows) -> None:

@@ -12,7 +12,7 @@ from workers.cell.course import Course
 from workers.cell.orbits import NEAR, end_on_orbits
 from workers.cell.outcome import end_impact_free, end_stopped, put, put_averaged, put_chaotic
 from workers.model.oscillator import Rows
-from workers.results import UNDETERMINED
+from workers.results import PERIODS_SPENT, UNDETERMINED
 
 
 def solve(cells: Cells) -> None:
@@ -46,7 +46,8 @@ def _solve_fixed(cells: Cells) -> None:
     mean, error, periods, _, _ = averages.under_way(cells, rest)
     chaotic = averages.clearly_positive(mean, error, periods)
     put_chaotic(cells, rest[chaotic])
-    put(cells, rest[~chaotic], regime=UNDETERMINED, periods_used=cells.used[rest[~chaotic]])
+    unclear = rest[~chaotic]
+    put(cells, unclear, regime=UNDETERMINED, periods_used=cells.used[unclear], reason=PERIODS_SPENT)
 
 
 def _through(cells: Cells, ready: Rows, periods: int) -> Rows:

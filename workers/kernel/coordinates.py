@@ -47,6 +47,9 @@ def start_at(osc, state, h):
             for i in range(2 * n):
                 full += osc.to_blocks[2 * j + k, i] * state[i]
             h[j, k] = full - wave(osc.gap.forced[j, k], tau)[0] - blocks[j, COLUMN.rest0 + k]
+        coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
+        if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
+            h[j, 1] = 0.0  # or what rounding leaves of it would drift for ever
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])

@@ -93,8 +93,8 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
 
     sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows; and where well overdamped the moduli of
     the two exponentials, |alpha| slow^k + |beta| fast^k. A rigid mode, lam = 0, goes anywhere if under a load or
-    undamped, else straight from q to q + q' / (2 eta) = +-alpha; its second and later derivatives never grow. pull is
-    what a load adds to q'': see loaded_output.
+    undamped, unless it stands still, else straight from q to q + q' / (2 eta) = +-alpha; its second and later
+    derivatives never grow. pull is what a load adds to q'': see loaded_output.
     """
     a0, a2, a3, a4 = amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4)
     q2 = pull - 2.0 * eta * q1 - lam * q0
@@ -109,7 +109,7 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
     alpha = 0.5 * inv_w * abs(fast * q0 + q1)
     beta = 0.5 * inv_w * abs(slow * q0 + q1)
     b0 = min(a0, alpha + beta) if split else a0
-    coasts = eta > 0.0 and pull == 0.0
+    coasts = pull == 0.0 and (eta > 0.0 or q1 == 0.0)
     b0 = (max(abs(q0), alpha) if coasts else np.inf) if rigid else b0
     alpha, beta = alpha * slow * slow, beta * fast * fast
     b2 = min(b2, alpha + beta) if split else b2

@@ -122,7 +122,10 @@ def mode_of(flow: Flow, loading: Loading, omega: Array, direct: Any = 0.0) -> tu
     forced, resonant = _response(flow.modes, loading.waves, w)
     blocks, lam = flow.blocks.copy(), flow.modes.lam
     blocks[..., COLUMN.metric], blocks[..., COLUMN.load] = np.where(lam == 0.0, omega[:, None] ** 2, lam), loading.load
-    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.sum(np.hypot(forced[..., 0], forced[..., 1]), axis=-1)
+    swing = np.sum(np.hypot(forced[..., 0], forced[..., 1]), axis=-1)
+    still = ~np.any(swing > 0.0, axis=(1, 2))[:, None, None]
+    fallen = np.abs(loading.load)[..., None] / np.stack([omega**2, omega], axis=-1)[:, None]
+    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(still, fallen, swing)
     blocks[..., COLUMN.rest0 :] = loading.rest
     row = blocks[..., COLUMN.c0 : COLUMN.c1 + 1].reshape(N, 1, 2 * n)
     parts = (row @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)

@@ -119,6 +119,9 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     too_far = [turns_too_far(flow[..., COLUMN.d], flow[..., COLUMN.w], machines.omega) for flow in flows]
     size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
     swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
+    elements = elements_of(machines)
+    forced = np.any(swing > 0.0, axis=(1, 2))[:, None, None]
+    swing = np.where(forced, swing, _unforced_swing(machines, lam, modes, elements.weight))
     known = np.isfinite(swing) & ~wrong[:, None, None]
     blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(known, swing, 0.0)
     # What a soft contact takes in, not counted yet, is nothing where its force depends on its depth alone.
@@ -137,7 +140,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     table = Table(
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
         Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
-        elements_of(machines), machines.omega, phase_of(machines.tau),
+        elements, machines.omega, phase_of(machines.tau),
         np.where(machines.drift >= 0.0, 1.0, 0.0), machines,
     )  # fmt: skip
     row = machines.row[:, 0] if C else np.tile(np.eye(1, n), (N, 1))
@@ -154,6 +157,26 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
     fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
     return found, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
+
+
+def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:
+    """Sizes (N, n, 2) of block states of machines without a force, of these undamped modes (N, n, n) in columns.
+
+    What their loads and friction move them by in a radian of the mode, or of the section if that is faster; where there
+    is neither, what takes a contact of this ``weight`` (N, C), see Elements, to its nearest stop.
+    """
+    rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
+    loads = np.max(np.abs(machines.load @ modes), axis=1)
+    static = np.max(machines.rub[..., 1], axis=1)
+    moved = (loads + np.sum(np.abs(machines.slide @ modes) * static[..., None], axis=1)) / rate**2
+    rooms = np.abs(machines.stops) * np.sqrt(weight)[..., None]
+    nearest = np.min(np.where(rooms > 0.0, rooms, np.inf), axis=(1, 2), initial=np.inf)
+    nearest = np.where(np.isfinite(nearest), nearest, 0.0)[:, None]
+    moved = np.where(np.any(moved > 0.0, axis=1)[:, None], moved, nearest)
+    found = np.stack([moved, rate * moved], axis=-1)
+    if machines.drifting >= 0:  # the block of what drifts holds its velocity, and its place, which is always reset
+        found[:, -1, 0], found[:, -1, 1] = found[:, -1, 1].copy(), 0.0
+    return found
 
 
 def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array, Array]:

@@ -31,7 +31,8 @@ class Block(NamedTuple):
     load             of a rigid mode; a load on any other mode moves its rest position instead
     c, cA, cAA       rows of the guard and of its first two derivatives on (h, h')
     k, Ak            column that a reset kicks along, and its derivative
-    swing            bounds of the forced response of h and h'
+    swing            how far the force moves h and h': bounds of their forced response; without a force, the size of
+                     what else moves them: a load, friction, or the room between stops
     rest             what a constant load adds to h and h'
     """
 

@@ -1,0 +1,240 @@
+"""Claims about classes of motion where little happens: no force, phases alone, rest, growth and decay."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atlas import Spec
+from atlas.check.rules import broken_rules
+from workers import Settings, System, solve_tile
+from workers.results import (
+    FAILED,
+    LOCKING,
+    NEVER_RECURS,
+    NO_IMPACT,
+    NO_REASON,
+    PERIODIC,
+    PERIODS_SPENT,
+    QUASIPERIODIC,
+    RUNS_AWAY,
+    UNDETERMINED,
+)
+
+SPECTRUM = Settings(exponents="spectrum", survival=2000)
+
+
+def solved(system: Any, settings: Settings = SPECTRUM, /, **params: float) -> Any:
+    return solve_tile(system, params, settings)
+
+
+def machine(**entries: Any) -> System:
+    """A mass of 1 with damping .1."""
+    return System.from_mapping({"name": "mass", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]]} | entries)
+
+
+# No force
+
+UNFORCED = {
+    "soft-impact": ("a", [-0.02 * math.pi / 0.8] * 2),
+    "soft-suspension": ("a", [-0.1 * math.pi / 1.5] * 2),
+    "single-mass": ("A", None),
+}
+
+
+@pytest.mark.parametrize("system", UNFORCED)
+def test_without_a_force_a_damped_mass_comes_to_rest_without_impact(system: str) -> None:
+    """Truth: x'' + 2 zeta x' + x = 0 has the exponents -zeta T, twice."""
+    name, exponents = UNFORCED[system]
+    for start in (0.0, 0.05):
+        found = solved(system, **{name: 0.0, "x": start})
+        assert (found["regime"], found["period"]) == (NO_IMPACT, 1)
+        if exponents:
+            assert found["spectrum"] == pytest.approx(exponents, rel=1e-12)
+
+
+def test_without_forces_the_masses_between_two_stops_come_to_rest() -> None:
+    """Truth: the same cell under a force of 1e-160, whose exponents the solver has always found."""
+    still, shaken = (solved("two-stops", A1=force, A2=force) for force in (0.0, 1e-160))
+    assert still["regime"] == shaken["regime"] == NO_IMPACT
+    assert still["spectrum"] == pytest.approx(shaken["spectrum"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("system", "force", "exponents"),
+    [
+        ("bouncing-ball", "A", [-math.inf, -math.inf]),
+        ("friction-oscillator", "A", [0.0, -math.inf]),
+        ("capsule", "alpha", [-0.1 * math.pi / 0.9] * 2 + [-math.inf]),
+    ],
+)
+def test_what_lies_still_without_a_force_is_periodic(system: str, force: str, exponents: list[float]) -> None:
+    found = solved(system, **{force: 0.0})
+    assert (found["regime"], found["period"], found["sticks"]) == (PERIODIC, 1, True)
+    assert found["spectrum"] == pytest.approx(exponents, rel=1e-12)
+
+
+def test_a_capsule_whose_inner_mass_swings_to_rest_is_periodic() -> None:
+    """Its swing dies away for ever: it is measured against what friction holds."""
+    found = solved("capsule", alpha=0.0, r=-0.5)
+    assert (found["regime"], found["period"]) == (PERIODIC, 1)
+    assert found["periods_used"] < 100
+
+
+def test_an_undamped_mass_that_stands_still_between_its_walls_stays_there() -> None:
+    found = solved("impact-pair", alpha=0.0, y=0.1)
+    assert (found["regime"], found["spectrum"].tolist()) == (NO_IMPACT, [0.0, 0.0])
+    assert found["state"].tolist() == [0.1, 0.0]
+
+
+@pytest.mark.parametrize("clearance", [0.42, 0.6])
+def test_a_free_mass_that_shakes_about_one_place_within_its_walls_has_no_impact(clearance: float) -> None:
+    """Truth: z = (1 - cos omega t) / omega^2, at most 2 / pi^2 = 0.2026 away, which is less than half of the clearance.
+
+    The phase pi / 2 of the force is known to rounding: by as much it could drift.
+    """
+    found = solved("energy-harvester", beta=0.0, d=clearance)
+    assert (found["regime"], found["spectrum"].tolist()) == (NO_IMPACT, [0.0, 0.0])
+    assert found["peak_to_peak"] == pytest.approx(2.0 / math.pi**2, rel=1e-12)
+
+
+# Phases alone
+
+SWITCHED = {"stiffness": [[0.35]], "phases": [{"start": 0.0}, {"start": 0.5, "stiffness": [[0.15]]}]}
+
+
+def multipliers(omega: float) -> np.ndarray:
+    """Of x'' + .1 x' + k x = 0 with k = .35 and .15, each for half a period, by matrix exponentials in closed form."""
+    turn = np.eye(2)
+    for k in (0.35, 0.15):
+        w, t = math.sqrt(k - 0.05**2), math.pi / omega
+        c, s = math.cos(w * t), math.sin(w * t) / w
+        turn = math.exp(-0.05 * t) * np.array([[c + 0.05 * s, s], [-k * s, c - 0.05 * s]]) @ turn
+    return np.linalg.eigvals(turn)
+
+
+@pytest.mark.parametrize("omega", [0.5, 1.2, 2.3])
+@pytest.mark.parametrize("start", [0.0, 0.1])
+def test_a_machine_of_phases_alone_has_the_exponents_of_its_linear_map(omega: float, start: float) -> None:
+    found = solved(machine(**SWITCHED), omega=omega, x=start)
+    exact = np.sort(np.log(np.abs(multipliers(omega))))[::-1]
+    assert (found["regime"], found["period"], found["reason"]) == (NO_IMPACT, 1, NO_REASON)
+    assert found["spectrum"] == pytest.approx(exact, rel=1e-13)
+    assert found["state"].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("method", ["adaptive", "fixed"])
+@pytest.mark.parametrize("start", [0.0, 0.1])
+def test_a_machine_of_phases_alone_that_grows_runs_away(start: float, method: str) -> None:
+    """The multiplier that is largest is -1.0873689: no chaos, though its logarithm is positive."""
+    assert np.max(np.abs(multipliers(1.0))) == pytest.approx(1.0873689, rel=1e-7)
+    found = solved(machine(**SWITCHED), Settings(method=method), omega=1.0, x=start)
+    assert (found["regime"], found["reason"]) == (FAILED, RUNS_AWAY)
+
+
+def test_loads_that_phases_switch_move_a_linear_machine_to_its_one_orbit() -> None:
+    """Truth: a period of its map, applied to the state that is given."""
+    loaded = machine(stiffness=[[0.35]], phases=[{"start": 0.0, "load": [1.0]}, {"start": 0.5, "load": [-0.4]}])
+    found = solved(loaded, omega=1.3, x=5.0)
+    w, t = math.sqrt(0.35 - 0.05**2), math.pi / 1.3
+    c, s = math.cos(w * t), math.sin(w * t) / w
+    half = math.exp(-0.05 * t) * np.array([[c + 0.05 * s, s], [-0.35 * s, c - 0.05 * s]])
+    state = found["state"]
+    for load in (1.0, -0.4):
+        rest = np.array([load / 0.35, 0.0])
+        state = rest + half @ (state - rest)
+    assert found["regime"] == NO_IMPACT
+    assert state == pytest.approx(found["state"], rel=1e-13)
+
+
+# Growth and decay
+
+RESONANT = {"omega": 2.0, "A": 0.1, "b": 0.001, "R": 1.0, "zeta": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("system", "params"),
+    [
+        ("impact-pair", {"alpha": 0.0, "v": 0.5}),
+        ("impact-pair", {"alpha": 0.0, "v": 0.5, "R": 0.99}),
+        ("impact-pair", {"alpha": 0.0, "v": 0.5, "R": 0.1}),
+        ("single-mass", RESONANT),
+    ],
+)
+def test_what_dies_away_or_grows_for_ever_is_no_torus(system: str, params: dict[str, float]) -> None:
+    """Its exponents go to zero, as those of a torus do, but it never comes back: speeds fall as R^n, or grow with n."""
+    found = solved(system, **params)
+    assert found["regime"] == UNDETERMINED
+    assert found["reason"] in (NEVER_RECURS, PERIODS_SPENT)
+
+
+def test_growth_without_end_is_the_reason_that_a_resonant_mass_gives() -> None:
+    assert solved("single-mass", **RESONANT)["reason"] == NEVER_RECURS
+
+
+def test_a_mass_that_flies_from_wall_to_wall_without_loss_is_a_torus_still() -> None:
+    assert solved("impact-pair", alpha=0.0, v=0.5, R=1.0)["regime"] == QUASIPERIODIC
+
+
+# Rest
+
+STOP = {"name": "stop", "gap": [1.0], "lower": 0.0, "restitution": 0.5}
+LOADS = [{"start": 0.0, "load": [-1.0]}, {"start": 0.3, "load": [0.1]}, {"start": 0.6, "load": [-3.0]}]
+PRESSED = [{"start": 0.0, "load": [-1.0]}, {"start": 0.3, "load": [-0.1]}, {"start": 0.6, "load": [-3.0]}]
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0])
+@pytest.mark.parametrize("phases", [LOADS, PRESSED], ids=["leaves", "stays"])
+@pytest.mark.parametrize("friction", [0.0, 0.01])
+def test_a_mass_that_loads_press_on_a_stop_each_period_is_periodic(start: float, phases: Any, friction: float) -> None:
+    """It lies on its stop at each section: every disturbance is gone."""
+    rub = {"friction": [{"name": "rail", "row": [1.0], "kinetic": friction}]} if friction else {}
+    found = solved(machine(contacts=[STOP], phases=phases, **rub), omega=1.0, x=start)
+    assert (found["regime"], found["period"]) == (PERIODIC, 1)
+    assert found["spectrum"].tolist() == [-math.inf, -math.inf]
+    assert found["periods_used"] < 100
+
+
+@pytest.mark.parametrize("load", [0.999, 1.0])
+def test_a_load_up_to_static_friction_leaves_an_unforced_mass_where_it_is(load: float) -> None:
+    held = {"friction": [{"name": "rail", "row": [1.0], "kinetic": 0.5, "static": 1.0}]}
+    found = solved(machine(contacts=[STOP | {"lower": -1.0}], load=[load], **held), omega=1.0)
+    assert (found["regime"], found["period"]) == (PERIODIC, 1)
+    assert found["spectrum"].tolist() == [0.0, -math.inf]
+    assert found["state"].tolist() == [0.0, 0.0]
+
+
+def test_a_ball_that_rests_again_and_again_locks_though_its_period_is_not_known() -> None:
+    """The ball of test_rest, whose next rest only 360 digits can tell: its class and its exponents are sure."""
+    found = solved("bouncing-ball", A=3.3, R=0.5, omega=1.0)
+    assert (found["regime"], found["period"], found["sticks"]) == (LOCKING, 0, True)
+    assert found["spectrum"].tolist() == [-math.inf, -math.inf]
+    assert found["error"] == 0.0
+
+
+def test_an_atlas_with_locking_cells_keeps_the_rules_of_results() -> None:
+    spec = Spec(
+        "bouncing-ball", {"A": [3.2, 3.3], "R": [0.5, 0.6]}, parameters={"omega": 1.0}, solve={"exponents": "spectrum"}
+    )
+    slices = (slice(0, 2), slice(0, 2))
+    arrays = solve_tile(spec.record, spec.cell_params(slices), spec.settings)
+    assert (arrays["regime"] == LOCKING).any()
+    assert broken_rules(spec, slices, arrays) == {}
+    arrays["reason"][...] = NO_REASON
+    arrays["regime"][0, 0] = UNDETERMINED
+    assert "reason is missing in an undetermined, invalid or failed cell" in broken_rules(spec, slices, arrays)
+
+
+# Reasons
+
+
+def test_every_cell_without_a_class_says_why() -> None:
+    rng = np.random.default_rng(5)
+    params = {"omega": rng.uniform(1.0, 4.0, 60), "b": rng.uniform(0.0, 0.5, 60)}
+    for settings in (Settings(max_periods=300), Settings(max_periods=300, exponents="none"),
+                     Settings(method="fixed", transient_periods=20, periods=50)):  # fmt: skip
+        found = solve_tile("two-mass", params, settings)
+        unknown = found["regime"] == UNDETERMINED
+        assert unknown.any()
+        assert np.all(found["reason"][unknown] == PERIODS_SPENT)

@@ -1,0 +1,60 @@
+"""Whether motions come back to what they were: the amplitude of a torus or of chaos does, that of growth does not."""
+
+import numpy as np
+
+from workers.cell.averages import counts
+from workers.cell.cells import RETURNS, Cells
+from workers.cell.exponents import impact_count
+from workers.model.oscillator import COLUMN, Array, Mask, Rows
+
+FEWEST_HITS = 0.5
+"""Share of the impacts that are due in a stretch, by their number so far, that it has at least if they go on."""
+
+
+class Recurrence:
+    """What N motions have gone through: their energies at sections, and their impacts.
+
+    low, high    the range of the energies seen so far
+    hits, until  impacts and periods up to the last look, of those that averages count
+    same         whether the last look at each has found its energy in the range of all earlier ones
+    recurred     whether any look has that counted, or none counted yet; counted: whether one has
+    strikes      whether it has had impacts since, as many as were due, or never had any
+    """
+
+    def __init__(self, count: int) -> None:
+        self.low, self.high = np.full(count, np.inf), np.full(count, -np.inf)
+        self.hits, self.until = np.zeros((2, count))
+        self.struck = np.zeros(count, dtype=np.bool_)
+        self.same, self.strikes = np.ones((2, count), dtype=np.bool_)
+        self.recurred, self.counted = np.ones(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+
+    def look(self, cells: Cells, rows: Rows, settled: Mask) -> None:
+        """Compare the last stretch of these cells with what was before; it counts where the transient is over.
+
+        The range of a torus at RETURNS sections overlaps with that of others, however it goes about. What dies away
+        strikes ever more seldom: a single flight may last for longer than all of the motion before it.
+        """
+        low, high = _energy_ranges(cells, rows)
+        tally, periods = counts(cells, rows)
+        hits = impact_count(tally)
+        self.same[rows] = (low <= self.high[rows]) & (high >= self.low[rows])
+        fresh = periods <= self.until[rows]  # a new count
+        before, since = np.where(fresh, 0.0, self.hits[rows]), np.where(fresh, 0.0, self.until[rows])
+        due = hits / np.maximum(periods, 1) * (periods - since)
+        self.struck[rows] |= hits > 0.0
+        self.recurred[rows] = self.same[rows] | (self.recurred[rows] & (self.counted[rows] | ~settled))
+        self.counted[rows] |= settled
+        self.strikes[rows] = (hits - before >= FEWEST_HITS * due) & ((hits > before) | ~self.struck[rows])
+        self.low[rows], self.high[rows] = np.minimum(self.low[rows], low), np.maximum(self.high[rows], high)
+        self.hits[rows], self.until[rows] = hits, periods
+
+
+def _energy_ranges(cells: Cells, rows: Rows) -> tuple[Array, Array]:
+    """The least and the greatest energy (rows,) at the last sections of these cells; of rigid modes that of motion."""
+    blocks, sections = cells.oscillators.gap.blocks[rows], cells.batch.sections[rows, -RETURNS:]
+    weight = np.where(blocks[..., COLUMN.lam] > 0.0, blocks[..., COLUMN.metric], 0.0)
+    if cells.drifts:
+        weight[:, -1] = 1.0  # this block has the velocity for its first number
+    energy = np.sum(weight[:, None] * sections[..., 0] ** 2 + sections[..., 1] ** 2, axis=-1)
+    known = np.arange(energy.shape[1]) >= energy.shape[1] - cells.kept()[rows, None]
+    return np.where(known, energy, np.inf).min(axis=1), np.where(known, energy, -np.inf).max(axis=1)
