@@ -128,6 +128,8 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         return str(error)
+    if len(run.points) < 2:
+        return f"the {event.kind.replace('_', ' ')} is alone: no step along its curve converges"
     own = _of_one_itinerary(run.points)
     grazes = min(len(point.contacts) for point in own)  # where it ends at another graze that one's time is added
     return Followed(
