@@ -104,7 +104,7 @@ def _solved(equations: Extended, event: Event, far: Orbit, near: Orbit, away: Ar
     try:
         there = Extended(equations.family, far, (), values, equations.width)
         row = np.eye(1, len(there.scale), there.states)[0]
-        if len(changes) and not is_same_sequence(far.itinerary, event.point.orbit.itinerary):
+        if np.any(changes) and not is_same_sequence(far.itinerary, event.point.orbit.itinerary):
             row = np.zeros(len(there.scale))
             row[there.states - there.m : there.states] = changes
         found = solve(there, there.pack(far, none, values), row / there.scale / np.linalg.norm(row))
