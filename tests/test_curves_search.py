@@ -160,7 +160,7 @@ def test_an_event_elsewhere_on_a_known_curve_is_on_it_and_one_of_another_orbit_a
     for start in (0, row):
         cells = [(start + k, start + k + 1) for k in range(row - 1)]
         ways = [(b, a) for a, b in cells if orbits.plane.symmetric[b] and not orbits.plane.symmetric[a]]
-        events.append(events_between(orbits, *ways[0], 2.0)[0])
+        events.append(events_between(orbits, *ways[0], 2.0).events[0])
     known = follow_event(orbits, events[0], 0.02, 200)
     assert not isinstance(known, str)
     assert lies_on(orbits, events[1], known)

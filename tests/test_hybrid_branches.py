@@ -68,25 +68,28 @@ def test_a_soft_contact_doubles_where_the_oracle_has_it() -> None:
 
 
 @pytest.mark.slow
-def test_beyond_its_graze_an_orbit_doubles_where_the_oracle_has_it() -> None:
-    """There it is not admissible: only the equations go on."""
+def test_beyond_its_graze_only_the_equations_of_an_orbit_double_where_the_oracle_has_it() -> None:
+    """There it is not admissible: the branch goes on with two contacts, to the doubling of the orbit of one period."""
     record = RECORDS["row 3, PD"]
     found = run(soft(), "row 3", (0.84, 0.93), certified=False, omega=0.86)
     assert not record["admissible"]
     assert places(found, "period_doubling") == pytest.approx([record["bifurcation"]["value"]], abs=1e-12)
     certain = run(soft(), "row 3", (0.84, 0.93), omega=0.86)
-    assert "graze" in certain.ends
+    assert [event.kind for event in certain.events] == ["graze", "period_doubling"]
+    exact = RECORDS["row 2, PD"]["bifurcation"]["value"]
+    assert places(certain, "period_doubling") == pytest.approx([exact], abs=1e-12)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("release", "c"), [("displacement", 0.0), ("displacement", 0.5), ("force", 0.5)])
 def test_a_contact_is_lost_where_the_linear_answer_grazes(release: str, c: float) -> None:
-    """Whatever the contact does: with damping released by force the branch has a corner there."""
+    """Whatever the contact does: with damping released by force the branch has a corner there. It goes on without."""
     found = run(soft(release), "row 5" if release == "force" else "row 2", (0.75, 0.96), omega=0.95, c=c)
     assert places(found, "contact_lost") == pytest.approx(
         [RECORDS["row 1, omega 0.782"]["machine"]["omega"]], abs=1e-12
     )
-    assert found.ends[0] == "contact_lost"
+    assert found.ends[0] == "edge"
+    assert found.points[0].orbit.itinerary.impacts(1) == 0
 
 
 @pytest.mark.slow
@@ -95,13 +98,15 @@ def test_symmetric_orbits_break_their_symmetry_and_fold_where_the_oracle_has_it(
     exact = [RECORDS[name]["bifurcation"]["value"] for name in ("row 10, SB", "row 10, fold")]
     assert places(found, "symmetry_breaking") == pytest.approx(exact[:1], abs=1e-12)
     assert places(found, "fold")[0] == pytest.approx(exact[1], abs=1e-12)
-    assert found.ends == ("edge", "contact_lost")
+    assert found.ends == ("edge", "edge")
+    assert found.events[-1].kind == "contact_lost"
 
 
-def test_sliding_ends_at_the_onset_of_stick() -> None:
+def test_sliding_becomes_sticking_at_its_onset() -> None:
     found = run(rubbing(), "row 12", (0.5, 0.95), omega=0.9)
     assert places(found, "stick_onset") == pytest.approx([RECORDS["row 14"]["bifurcation"]["value"]], abs=1e-12)
-    assert found.ends[0] == "stick_onset"
+    assert found.ends == ("edge", "edge")
+    assert [len(point.orbit.times) for point in (found.points[0], found.points[-1])] == [2, 1]
 
 
 def test_stick_begins_and_ends_at_one_frequency_where_static_is_kinetic() -> None:
@@ -118,17 +123,17 @@ def test_multipliers_of_orbits_that_stick_are_zero_exactly() -> None:
 
 
 @pytest.mark.slow
-def test_a_branch_goes_on_where_contacts_are_lost_and_doublings_leave() -> None:
+def test_a_branch_goes_on_where_contacts_are_lost_and_another_where_it_doubles() -> None:
     """Between its two doublings an orbit of one contact a period is doubled, and loses every second contact."""
     found = atlas.branch(
         {"omega": 0.95, "tau": 0.5 * math.pi}, along="omega", window=(0.7, 1.2), switch_branches=True, system=soft()
     )
-    table = found.branches
-    assert sorted(zip(table.period, table.impacts_upper, strict=True)) == [(1, 0), (1, 1), (2, 1), (2, 2), (2, 2)]
-    lost = found.events[found.events.kind == "contact_lost"].omega
-    grazed = found.events[found.events.kind == "graze"].omega
-    for value in lost:
-        assert np.min(np.abs(grazed - value)) < 1e-12
+    table, points = found.branches, found.points
+    assert sorted(zip(table.period, table.impacts_upper, strict=True)) == [(1, 1), (2, 2)]
+    kinds = {number: set(zip(of.period, of.impacts_upper, strict=True)) for number, of in points.groupby("branch")}
+    assert sorted(map(sorted, kinds.values())) == [[(1, 0), (1, 1)], [(2, 1), (2, 2)]]
+    assert set(table.first_end) | set(table.last_end) == {"edge", "period_doubling"}
+    assert not found.untried
 
 
 @pytest.mark.slow

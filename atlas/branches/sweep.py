@@ -93,7 +93,7 @@ def _is_covered(tree: Tree, cell: dict[str, Any], value: float) -> bool:
     state, halves = np.asarray(cell["state"], dtype=np.float64), {symmetric, int(tree.system.has_modes)}
     alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in halves}
     uncounted = p < 0 and tree.system.has_modes  # impacts of a cell that sticks are not
-    same = [each for each in tree.branches if uncounted or pattern(each.itinerary) in alike]
+    same = [each for each in tree.branches if uncounted or alike & {pattern(one) for one in set(each.itineraries)}]
     return any(_is_near(each, state, value) for each in same) or any(
         tree.is_orbit(state, Point(np.array([value]), orbit, np.zeros(0), np.zeros(0, np.complex128), 0))
         for each in same

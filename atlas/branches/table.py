@@ -53,7 +53,7 @@ class Branches:
     def branches(self) -> "pandas.DataFrame":
         """One row a branch, by its number ``branch``.
 
-        period, impacts_upper, impacts_lower, symmetric   of its orbits
+        period, impacts_upper, impacts_lower, symmetric   of the orbit it was followed from
         leaves, at     the branch that it leaves, -1 for none, and the kind of event there
         points         how many
         first_end, last_end   why it ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
@@ -66,8 +66,7 @@ class Branches:
             (
                 number,
                 *pattern(branch.itinerary),
-                -1 if branch.parent is None else branch.parent,
-                branch.origin.kind if branch.origin else "",
+                *next(((other, event.kind if event else "") for other, event in branch.origins), (-1, "")),
                 len(branch.run.points),
                 *branch.run.ends,
             )
@@ -83,7 +82,7 @@ class Branches:
         each component of the state  at the section t = 0
         multiplier    the largest modulus of the multipliers of an orbit
         unstable      number of multipliers with modulus above 1, not counting those of an event at 1
-        period, impacts_upper, impacts_lower, symmetric   of the branch's orbits
+        period, impacts_upper, impacts_lower, symmetric   of its orbit; of an end at a shorter one, of the one before
         event         the kind of event that the point is, else empty
         """
         import pandas
@@ -143,14 +142,13 @@ class Branches:
     def _points(self) -> Iterator[tuple[Any, ...]]:
         for number, branch in enumerate(self.traced):
             kinds = {id(event.point): event.kind for event in branch.run.events}
-            own = pattern(branch.itinerary)
-            for point, states in zip(branch.run.points, branch.sections, strict=True):
-                size = modulus(point, branch.itinerary.periods)
+            for point, states, own in zip(branch.run.points, branch.sections, branch.itineraries, strict=True):
+                size = modulus(point, own.periods)
                 event = kinds.get(id(point), "")
-                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *own, event)
+                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *pattern(own), event)
 
     def _events(self) -> Iterator[tuple[Any, ...]]:
-        leaving = {id(b.origin): number for number, b in enumerate(self.traced) if b.origin is not None}
+        leaving = {id(event): number for number, b in enumerate(self.traced) for _, event in b.origins if event}
         for number, branch in enumerate(self.traced):
             for k, event in zip(branch.places, branch.run.events, strict=True):
                 point, state = event.point, branch.sections[k, 0].tolist()

@@ -1,4 +1,4 @@
-"""Branches followed from orbits, and the branches that begin at their period doublings and symmetry breakings."""
+"""Branches followed from orbits, and the branches that begin at their events or that they begin at."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -23,7 +23,7 @@ from workers.continuation import (
     orbit_from_state,
     section_states,
 )
-from workers.continuation.orbits import refined
+from workers.continuation.orbits import alike, refined
 from workers.continuation.oscillator import has_images
 from workers.model.system import System
 
@@ -38,8 +38,11 @@ BESIDE = 1e-3
 LEAVES = ("symmetry_breaking", "period_doubling")
 """Kinds of events at which a branch leaves."""
 
-GOES_ON = ("graze", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding")
-"""Kinds of events at which the orbit of a machine with modes may go on as one with other events."""
+GOES_ON = (
+    "graze", "impact_lost", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
+)  # fmt: skip
+"""Kinds of events at which the branch of a machine with modes may end, and one of orbits with other contacts or slides
+begin: through continuous ones a branch goes on itself."""
 
 SAME = 1e-6
 """Difference, relative to the size of states, below which two orbits at one parameter are the same."""
@@ -47,18 +50,18 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One branch: its run, the pattern of its orbits, and what it leaves: another branch, by its number, at an event.
+    """One branch: its run, the itinerary of the orbit it was followed from, and what it leaves.
 
     sections (N, n, 2d)  states at the n sections of a turn, of each of the N points of the run
     mirrored (N, n, 2d)  those of the mirror images; None where orbits are symmetric, or the machine is not
+    origins              other branches, by their numbers, each with the event at which it leaves that one
     """
 
     run: BranchRun
     itinerary: Itinerary
     sections: Array
     mirrored: Array | None = None
-    parent: int | None = None
-    origin: Event | None = None
+    origins: tuple[tuple[int, Event | None], ...] = ()
 
     @property
     def values(self) -> Array:
@@ -70,6 +73,19 @@ class Branch:
         """The number of the point that each event of the run is."""
         numbers = {id(point): k for k, point in enumerate(self.run.points)}
         return [numbers[id(event.point)] for event in self.run.events]
+
+    @property
+    def itineraries(self) -> list[Itinerary]:
+        """Of the orbit of each point; where the branch ends at a shorter one, of that before."""
+        own = [point.orbit.itinerary for point in self.run.points]
+        for end, beside in ((0, 1), (-1, -2)) if len(own) > 1 else ():
+            if self.run.ends[end] in LEAVES:
+                own[end] = own[beside]
+        return own
+
+    def ends_at(self, event: Event) -> bool:
+        """Whether it ends at an event."""
+        return any(self.run.points[end] is event.point and self.run.ends[end] == event.kind for end in (0, -1))
 
     @property
     def parts(self) -> Iterator[tuple[bool, slice]]:
@@ -89,7 +105,7 @@ class Branch:
     def orbit_after(self, family: Family, k: int, share: float, value: float) -> Orbit:
         """The orbit at a value that it passes after point k; ValueError where Newton's method finds none."""
         one, other = self.run.points[k].orbit, self.run.points[k + 1].orbit
-        if len(one.times) != len(other.times):
+        if one.itinerary != other.itinerary:
             raise ValueError("the orbit changes between these points")
         times, speeds = (here + share * (there - here) for here, there in zip(one[1:], other[1:], strict=True))
         return refined(family, Orbit(one.itinerary, times, speeds), np.array([value]))
@@ -142,18 +158,14 @@ class Tree:
         waiting = deque(self._meetings(first)) if leaving else deque()
         while waiting:
             number, event = waiting.popleft()
-            if event.kind in GOES_ON:
-                if len(self.branches) < self.most and self._go_on(number, event):
-                    waiting.extend(self._meetings(len(self.branches) - 1))
-                continue
-            ends = len(event.point.orbit.times) < len(self.branches[number].itinerary.sides)
-            if self._is_known(event, ends):
+            ends, changes = self.branches[number].ends_at(event), event.kind in GOES_ON
+            if self._is_met(event) if changes else self._is_known(event, ends):
                 continue
             if len(self.branches) >= self.most:
                 self.untried.append(Untried(number, event, f"{self.most} branches followed"))
-            elif 2 * len(event.point.orbit.times) > self.longest:
+            elif (1 if changes else 2) * len(event.point.orbit.times) > self.longest:
                 self.untried.append(Untried(number, event, f"more than {self.longest} impacts"))
-            elif self._follow_shorter(number, event) if ends else self._follow(number, event):
+            elif (self._go_on if changes else self._follow_shorter if ends else self._follow)(number, event):
                 waiting.extend(self._meetings(len(self.branches) - 1))
             else:
                 self.untried.append(Untried(number, event, "no orbit found beside it"))
@@ -165,13 +177,19 @@ class Tree:
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
         """The events of a branch at which another one leaves it, or it leaves another, or goes on as another."""
-        kinds = LEAVES + GOES_ON if self.system.has_modes else LEAVES
-        return [(number, event) for event in self.branches[number].run.events if event.kind in kinds]
+        own, with_modes = self.branches[number], self.system.has_modes
+        return [
+            (number, event)
+            for event in own.run.events
+            if event.kind in LEAVES or (with_modes and event.kind in GOES_ON and own.ends_at(event))
+        ]
+
+    def _is_met(self, event: Event) -> bool:
+        """Whether another branch ends at the same orbit."""
+        return sum(self._meets(event, other) for branch in self.branches for other in branch.run.events) > 1
 
     def _go_on(self, number: int, event: Event) -> bool:
         """Add the branch of the orbit with other events that a branch becomes at its end; whether one is found."""
-        if sum(self._meets(event, other) for branch in self.branches for other in branch.run.events) > 1:
-            return False
         (low, high), here, state = self.window, float(event.point.values[0]), self.states(event.point)[0]
         for beside in (here + share * sign * (high - low) for share in (BESIDE, 0.1 * BESIDE) for sign in (1.0, -1.0)):
             if not low < beside < high:
@@ -182,9 +200,9 @@ class Tree:
                 run = branch(self.family, start, beside, self.window)
             except ValueError:
                 continue
-            other = start.itinerary != self.branches[number].itinerary
+            other = start.itinerary not in self.branches[number].itineraries
             if other and any(self._meets(event, end) for end in run.events):
-                self._add(run, start.itinerary, number, event)
+                self._add(run, start.itinerary, (number, event))
                 return True
         return False
 
@@ -205,7 +223,7 @@ class Tree:
             except ValueError:
                 continue
             if any(self._same(event, end) for end in run.events):
-                self._add(run, start.orbit.itinerary, parent, event)
+                self._add(run, start.orbit.itinerary, (parent, event))
                 return True
         return False
 
@@ -222,7 +240,8 @@ class Tree:
         except ValueError:
             return False
         origin = next((each for each in run.events if self._same(each, event)), None)
-        self.branches[number] = replace(self.branches[number], parent=len(self.branches), origin=origin)
+        own = self.branches[number]
+        self.branches[number] = replace(own, origins=(*own.origins, (len(self.branches), origin)))
         self._add(run, event.point.orbit.itinerary)
         return True
 
@@ -231,12 +250,7 @@ class Tree:
 
         Where a branch ``ends`` at it, whether that is there which it leaves.
         """
-        others = (
-            other
-            for branch in self.branches
-            for other in branch.run.events
-            if ends == (len(other.point.orbit.times) == len(branch.itinerary.sides))
-        )
+        others = (other for branch in self.branches for other in branch.run.events if ends != branch.ends_at(other))
         return any(self._same(event, other) for other in others)
 
     def _same(self, one: Event, other: Event) -> bool:
@@ -250,23 +264,19 @@ class Tree:
             states = np.concatenate([states, -self.states(point, 0.5)])
         return bool(np.min(np.max(np.abs(states - state), axis=1)) <= SAME * max(1e-300, float(np.max(np.abs(states)))))
 
-    def _add(
-        self, run: BranchRun, itinerary: Itinerary, parent: int | None = None, origin: Event | None = None
-    ) -> None:
-        sections = self._sections(run, itinerary, 0.0)
+    def _add(self, run: BranchRun, itinerary: Itinerary, *origins: tuple[int, Event | None]) -> None:
+        sections = self._sections(run, 0.0)
         twin = self.twins and not itinerary.symmetric
-        mirrored = -self._sections(run, itinerary, 0.5) if twin else None
-        self.branches.append(Branch(run, itinerary, sections, mirrored, parent, origin))
+        mirrored = -self._sections(run, 0.5) if twin else None
+        self.branches.append(Branch(run, itinerary, sections, mirrored, origins))
 
-    def _sections(self, run: BranchRun, itinerary: Itinerary, shift: float) -> Array:
+    def _sections(self, run: BranchRun, shift: float) -> Array:
         """States (N, n, 2d) of all points of a run; where it ends at a shorter orbit, those repeated."""
-        own = [k for k, point in enumerate(run.points) if len(point.orbit.times) == len(itinerary.sides)]
-        given = {name: np.full(len(own), value) for name, value in self.values.items()}
-        given[self.along] = np.array([run.points[k].values[0] for k in own])
-        states = section_states(self.system, given, [run.points[k].orbit for k in own], shift)
-        found = np.empty((len(run.points), *states.shape[1:]))
-        found[own] = states
-        for k in set(range(len(run.points))) - set(own):
-            shorter = self.states(run.points[k], shift)
-            found[k] = np.tile(shorter, (len(found[k]) // len(shorter), 1))
-        return found
+        found = dict[int, Array]()
+        for rows in alike(point.orbit.itinerary for point in run.points):
+            given = {name: np.full(len(rows), value) for name, value in self.values.items()}
+            given[self.along] = np.array([run.points[k].values[0] for k in rows])
+            states = section_states(self.system, given, [run.points[k].orbit for k in rows], shift)
+            found |= dict(zip(rows.tolist(), states, strict=True))
+        n = max(map(len, found.values()))
+        return np.stack([np.tile(found[k], (n // len(found[k]), 1)) for k in range(len(run.points))])

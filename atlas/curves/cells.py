@@ -78,6 +78,17 @@ class CellOrbits:
                     found[row] = IS
         return found
 
+    def becomes(self, orbit: Orbit, values: Array, cell: int) -> int:
+        """What becomes of one orbit at parameters (2,) at those of a cell: CEASES, PERSISTS, or IS the cell's own."""
+        there = self.plane.values(np.array([cell]))
+        try:
+            taken = moved(self.family, many_of([orbit], values[None]), there)
+            if not attract(self.family, taken)[0]:
+                return CEASES
+        except (NoOscillatorError, ValueError):
+            return CEASES
+        return IS if self._is_of(cell, taken.orbit(0)) else PERSISTS
+
     def _is_of(self, cell: int, orbit: Orbit) -> bool:
         own, values = self.of(int(cell)), self.plane.values(np.array([cell]))
         return own is not None and same_orbit(own, orbit, float(self.omega(values)[0]))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.following import Followed, lies_on
-from atlas.curves.search import BASIN, CURVE, NONE, OPEN, Search
+from atlas.curves.search import BASIN, CURVE, NONE, OPEN, TRIED, Search
 from atlas.curves.table import KINDS, Corner, Curve, Curves
 
 
@@ -30,6 +30,8 @@ def report_of(search: Search, duplicates: int) -> dict[str, Any]:
     looked, points             places looked beside, points of all curves
     events_not_followed        for lack of budget
     duplicates                 curves omitted, since a later one contains them
+    unexplained                of each border, and each reason, the ``edges`` that were looked beside and stay so, the
+                               middle of the first one (``at``), and ``why``, in words
     troubles                   what went wrong, in words, with how often
     """
     plane, settings = search.plane, search.settings
@@ -44,6 +46,7 @@ def report_of(search: Search, duplicates: int) -> dict[str, Any]:
         "points": search.points,
         "events_not_followed": search.dropped,
         "duplicates": duplicates,
+        "unexplained": _unexplained(search),
         "troubles": dict(sorted(Counter(search.troubles).items())),
     }
 
@@ -71,6 +74,19 @@ def as_curve(found: Followed) -> Curve:
 def edge_share(counts: dict[str, int]) -> float:
     """The share of edges that is explained; NaN where there is none."""
     return (counts["curve"] + counts["basins"]) / counts["all"] if counts["all"] else float("nan")
+
+
+def _unexplained(search: Search) -> list[dict[str, Any]]:
+    plane, found = search.plane, list[dict[str, Any]]()
+    for edges in search.groups.edges:
+        reasons = dict[str, list[int]]()
+        for edge in edges[search.verdicts[edges] == TRIED].tolist():
+            reasons.setdefault(search.why[edge], []).append(edge)
+        for why, own in reasons.items():
+            middle = plane.values(search.edges[own[0]]).mean(axis=0)
+            at = dict(zip(plane.axes, middle.tolist(), strict=True))
+            found.append({"edges": len(own), "at": at, "why": why})
+    return found
 
 
 def _goes_on(search: Search, k: int) -> bool:

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.curves.cells import CellOrbits
+from atlas.curves.cells import CEASES, CellOrbits
 from workers.continuation import Condition, Event, Family, Orbit, Point, branch, curve
-from workers.continuation.branches import Until
-from workers.continuation.curves import without_impact
+from workers.continuation.branches import EDGE, BranchRun, Until
+from workers.continuation.curves import loses_impact, without_impact
 from workers.continuation.events import GRAZING, LOST
-from workers.continuation.extended import PAIR, SPEED, Extended, solve
+from workers.continuation.extended import PAIR, Extended, solve
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
 
@@ -62,21 +62,39 @@ class Followed(NamedTuple):
     ends: tuple[str, str]
 
 
-def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> list[Located]:
+class Looked(NamedTuple):
+    """What was found beside an edge: the events; without any why not, in words, and what becomes of the cell's orbit at
+    the neighbour's parameters: CEASES, PERSISTS or IS.
+    """
+
+    events: list[Located]
+    why: str = ""
+    there: int = CEASES
+
+
+def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> Looked:
     """The events at which the orbit of a cell gains or loses stability, or ends, from it to its neighbour and on, over
-    ``cells`` cells; in order along its branch. Empty where that cannot be followed.
+    ``cells`` cells; in order along its branch.
     """
     plane, orbit = orbits.plane, orbits.of(start)
     if orbit is None:
-        return []
+        return Looked([], "no orbit is found from the state of a cell")
     here, there = plane.values(np.array([start, beyond]))
     axis = 0 if here[0] != there[0] else 1
     low, high = plane.window[plane.axes[axis]]
     end = float(np.clip(here[axis] + cells * (there[axis] - here[axis]), low, high))
     try:
-        return events_towards(orbits, orbit, here, axis, end, min(STEP, 2.0 * STEP / cells))
-    except (ValueError, np.linalg.LinAlgError):
-        return []
+        run, events = _towards(orbits, orbit, here, axis, end, min(STEP, 2.0 * STEP / cells))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return Looked([], f"the orbit of a cell cannot be followed: {error}")
+    why = run.ends[1 if end > here[axis] else 0]
+    if events or why != EDGE:
+        return Looked(events, "" if events else f"the branch of a cell's orbit ends at no event of its own: {why}")
+    points = [point for point in run.points if abs(point.values[0] - here[axis]) <= abs(there[axis] - here[axis])]
+    nearest = min(points, key=lambda point: abs(float(point.values[0]) - float(there[axis])))
+    values = here.copy()
+    values[axis] = nearest.values[0]
+    return Looked([], "the orbit of a cell goes on beyond", orbits.becomes(nearest.orbit, values, beyond))
 
 
 def events_towards(
@@ -86,6 +104,13 @@ def events_towards(
     to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises
     as ``workers.continuation.branch``.
     """
+    return _towards(orbits, orbit, here, axis, end, resolution, until)[1]
+
+
+def _towards(
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
+) -> tuple[BranchRun, list[Located]]:
+    """The branch of ``events_towards``, and these events."""
     behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
     window = (min(behind, end), max(behind, end))
     run = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution, until=until)
@@ -95,7 +120,7 @@ def events_towards(
             values = here.copy()
             values[axis] = event.point.values[0]
             found.append(_located(event, values))
-    return found
+    return run, found
 
 
 def bounds_stability(event: Event) -> bool:
@@ -106,7 +131,7 @@ def bounds_stability(event: Event) -> bool:
 def _located(event: Event, values: Array) -> Located:
     """An event in the plane; where an impact is lost, the graze of the orbit without it."""
     (condition,), point = event.conditions, event.point
-    if condition.kind == SPEED:
+    if loses_impact(event):
         orbit, graze, contacts = without_impact(point.orbit, condition.impact)
         return Located(GRAZING, graze, orbit, contacts, values, event.kappa)
     if condition.kind == PAIR:
@@ -128,6 +153,8 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         return str(error)
+    if len(run.points) < 2:
+        return f"the {event.kind.replace('_', ' ')} is alone: no step along its curve converges"
     own = _of_one_itinerary(run.points)
     grazes = min(len(point.contacts) for point in own)  # where it ends at another graze that one's time is added
     return Followed(

@@ -37,6 +37,9 @@ OPEN, BASIN, CURVE, TRIED, NONE = range(5)
 """What is known of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
 its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
 
+FAR = "no event of the orbits of its cells lies within a cell"
+SPENT = "the budget of curves or points is spent"
+
 Result = dict[str, Any]
 
 
@@ -52,7 +55,10 @@ class _Event:
 
 @dataclass
 class Search:
-    """The state of a search. ``tasks`` gives the next ones by the names of their parts, ``take`` their results."""
+    """The state of a search. ``tasks`` gives the next ones by the names of their parts, ``take`` their results.
+
+    ``why`` says of edges that were looked beside, in words, what keeps them unexplained, unless a curve explains them.
+    """
 
     plane: Plane
     settings: CurveSettings
@@ -63,6 +69,7 @@ class Search:
     looked: int = 0
     points: int = 0
     dropped: int = 0
+    why: dict[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.orbits = CellOrbits(self.plane)
@@ -133,7 +140,8 @@ class Search:
         self.looked += len(edges)
         for name, edge, result in zip(self._names, edges, self._results, strict=True):
             if self.verdicts[edge] == OPEN:
-                self.verdicts[edge] = TRIED
+                self.verdicts[edge] = {PERSISTS: BASIN, IS: NONE}.get(result.get("there", CEASES), TRIED)
+            self.why[edge] = result.get("why") or result.get("trouble") or FAR
             self.groups.tried(edge, bool(result.get("events")))
             self._note(result)
             for number, given in enumerate(result.get("events", [])):
@@ -160,6 +168,7 @@ class Search:
         points = max(0, self.settings.points - self.points)
         if not chosen or points < len(chosen):
             self.dropped += len(chosen) + len(over) + len(left)
+            self.why |= {each.edge: SPENT for each in self._pending + chosen + over if each.edge >= 0}
             self._pending = []
             return
         budget = min(WAY, points // (2 * len(chosen)) or 1)
@@ -173,6 +182,8 @@ class Search:
                 self.curve_names.append(name)
                 self.points += len(found.values)
                 self._explained(each)
+            elif each.edge >= 0:
+                self.why[each.edge] = f"no curve of its {each.event.kind.replace('_', ' ')}: {result.get('trouble')}"
 
     def _explain(self, known: int) -> Iterator[list[Any]]:
         """Find the edges that the curves from number ``known`` on pass, and of whose cells they are."""
@@ -198,7 +209,8 @@ class Search:
         plane, itinerary = self.plane, curve.of.orbit.itinerary
         counts = {itinerary.impacts(1), itinerary.impacts(-1)}
         own = {int(plane.impacts_upper[cell]), int(plane.impacts_lower[cell])}
-        return bool(plane.proven[cell]) and plane.period[cell] == itinerary.periods and counts == own
+        uncounted = min(own) < 0
+        return bool(plane.proven[cell]) and plane.period[cell] == itinerary.periods and (counts == own or uncounted)
 
     def _explained(self, each: _Event) -> None:
         if each.edge >= 0:

@@ -7,7 +7,7 @@ from atlas.curves.plane import SMALL, Plane
 from atlas.errors import InputError, shown
 from workers import SOLVER_VERSION
 
-VERSION = 2
+VERSION = 3
 """Of the search: raised whenever any curve may change."""
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.curves.cells import CellOrbits
+from atlas.curves.cells import CEASES, CellOrbits
 from atlas.curves.following import Followed, events_between, follow_event
 from atlas.curves.near import Passing, orbits_beside
 from atlas.curves.record import curve_as_json, event_as_json, event_from_json
@@ -71,9 +71,12 @@ def do(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[str], F
 
 
 def _looked(task: Look, orbits: CellOrbits) -> dict[str, Any]:
-    """Of the first way with an event; a way without one is followed by the next."""
+    """Of the first way with an event; a way without one is followed by the next. Without any, why, of each way."""
+    why, there = list[str](), list[int]()
     for start, beyond in task.ways:
-        events = events_between(orbits, start, beyond, task.cells)
-        if events:
-            return {"events": [event_as_json(event) for event in events]}
-    return {"events": []}
+        looked = events_between(orbits, start, beyond, task.cells)
+        if looked.events:
+            return {"events": [event_as_json(event) for event in looked.events]}
+        why.append(looked.why)
+        there.append(looked.there)
+    return {"events": [], "why": "; ".join(dict.fromkeys(why)), "there": max(there, default=CEASES)}

@@ -68,14 +68,18 @@ class Attractors:
 
     def beside(self, away: int = 1) -> Rows:
         """Pairs (N, 2) of orbits of one kind in cells ``away`` places from each other along a dimension."""
+        pairs = self.of_neighbours(away)
+        return np.asarray(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])
+
+    def of_neighbours(self, away: int = 1) -> Rows:
+        """Pairs (N, 2) of orbits in cells ``away`` places from each other along a dimension."""
         number = np.arange(len(self.values)).reshape(self.shape)
         found = [np.zeros((0, 2), dtype=np.int64)]
         for dim in range(number.ndim):
             along = np.moveaxis(number, dim, 0)
             before, after = self.row[along[:-away].ravel()], self.row[along[away:].ravel()]
             pairs = np.stack(np.broadcast_arrays(before[:, :, None], after[:, None, :]), axis=-1).reshape(-1, 2)
-            pairs = pairs[(pairs >= 0).all(axis=1)]
-            found.append(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])
+            found.append(pairs[(pairs >= 0).all(axis=1)])
         return np.concatenate(found)
 
 

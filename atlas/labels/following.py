@@ -4,6 +4,9 @@ There Newton's method on its state and times of impacts finds it, from one cell 
 one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
 counts where both ways agree: close to a bifurcation Newton's method may come to another orbit. In symmetric machines
 the mirror images of two orbits that are one are one too, whether Newton's method finds it or not.
+
+Orbits of machines with modes that are left over are followed along their branches, which go on where contacts and
+slides change though nothing jumps.
 """
 
 from typing import NamedTuple
@@ -15,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
-from workers.continuation import Family, Orbit, family_of, section_states
+from workers.continuation import Family, Orbit, branch, family_of, section_states
 from workers.continuation.orbits import Many, alike, many_of, moved
 from workers.continuation.oscillator import NoOscillatorError
 from workers.results import NO_IMPACT
@@ -25,6 +28,9 @@ STEPS = (2, 8)
 
 FARTHEST = 4
 """Cells over which an orbit is followed to another one that no chain of neighbours connects with it."""
+
+STEP = 0.5
+"""The longest step of a branch from one cell to the next, as a share of that."""
 
 SAME = 1e-6
 """Distance of section states of one orbit, relative to the largest component of any."""
@@ -74,6 +80,10 @@ def followed(attractors: Attractors) -> Links:
         pairs, change = np.concatenate([pairs, wanted[found]]), np.concatenate([change, size[found]])
         pairs, change = _mirrored(pairs, change, image)
         one_way = np.concatenate([one_way, np.sort(wanted[there != back], axis=1)])
+    if attractors.system.has_modes:
+        wanted = _left_over(attractors, pairs)
+        reached, size = follower.along_branches(wanted[known[wanted].all(axis=1)])
+        pairs, change = _mirrored(np.concatenate([pairs, reached]), np.concatenate([change, size]), image)
     left = {*map(tuple, one_way.tolist())} - {*map(tuple, pairs.tolist())}
     return Links(pairs, change, cell, image, known, len(left))
 
@@ -94,6 +104,18 @@ def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     _, part = connected_components(graph, directed=False)
     return np.asarray(part[wanted[:, 0]] != part[wanted[:, 1]])
+
+
+def _left_over(attractors: Attractors, pairs: Rows) -> Rows:
+    """Pairs (N, 2) of orbits of one period in neighbouring cells, either linked to none of the cell of the other."""
+    own = attractors
+    orbits, others = np.concatenate([pairs, pairs[:, ::-1]]).T
+    seen = others < len(own)  # mirror images that no initial state has found have no row
+    linked = {*zip(orbits[seen].tolist(), own.cell[others[seen]].tolist(), strict=True)}
+    wanted = own.of_neighbours()
+    wanted = wanted[own.period[wanted[:, 0]] == own.period[wanted[:, 1]]]
+    free = [(a, own.cell[b]) not in linked and (b, own.cell[a]) not in linked for a, b in wanted.tolist()]
+    return np.asarray(wanted[np.array(free, dtype=np.bool_)])
 
 
 class _Follower:
@@ -137,6 +159,48 @@ class _Follower:
             apart = np.abs(states - own.state[pairs[rows, 1]][:, None]).max(axis=2).min(axis=1)
             reached[rows] = apart <= SAME * np.abs(states).max(axis=(1, 2))
         return reached, _change(start, arrived, self.family.model(there).omega)
+
+    def along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
+        """Which of these pairs (N, 2) are one orbit on a branch from cell to cell, and how much its state changes.
+
+        A branch that turns back on the way joins none.
+        """
+        own, found, change = self.attractors, list[list[int]](), list[float]()
+        reached = dict[tuple[int, int], Array | None]()
+        for one, other in pairs.tolist():
+            cell = int(own.cell[other])
+            if (one, cell) not in reached:
+                reached[one, cell] = self._along_branch(one, cell)
+            states = reached[one, cell]
+            if states is None:
+                continue
+            size = float(np.abs(states).max())
+            if np.abs(states - own.state[other]).max(axis=1).min() <= SAME * size:
+                found.append([one, other])
+                change.append(float(np.abs(own.state[other] - own.state[one]).max()) / size)
+        return np.array(found, dtype=np.int64).reshape(-1, 2), np.array(change)
+
+    def _along_branch(self, row: int, cell: int) -> Array | None:
+        """The section states (n, 2d) of an orbit at a neighbouring cell; None where its branch does not get there."""
+        own, orbit = self.attractors, self.orbits[row]
+        here, there = own.values[own.cell[row]], own.values[cell]
+        axis = int(np.flatnonzero(here != there)[0])
+        begin, end = float(here[axis]), float(there[axis])
+        window = (min(begin, end), max(begin, end))
+        others = {name: float(here[k]) for k, name in enumerate(own.axes) if k != axis}
+        try:
+            family = family_of(own.system, {**own.fixed, **others}, (own.axes[axis],))
+            run = branch(family, orbit, begin, window, resolution=STEP) if orbit is not None else None
+        except (ValueError, np.linalg.LinAlgError):
+            return None
+        if run is None:
+            return None
+        steps = np.diff([float(point.values[0]) for point in run.points])
+        last = run.points[-1 if end > begin else 0]
+        if not len(steps) or np.any(steps < 0.0) or float(last.values[0]) != end:
+            return None
+        values = {name: np.array([value]) for name, value in {**own.fixed, **others, own.axes[axis]: end}.items()}
+        return section_states(own.system, values, [last.orbit])[0]
 
     def _follow(self, start: Many, there: Array, steps: int) -> Many:
         """Orbits taken to other parameters in ``steps`` steps; none found where some have no oscillator on the way."""

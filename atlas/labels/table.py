@@ -21,7 +21,7 @@ from atlas.store.store import Header
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
 
-VERSION = 3
+VERSION = 4
 """Of the way in which labels are found: raised whenever any may change."""
 
 BRANCH = "branch"

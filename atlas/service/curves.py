@@ -77,6 +77,7 @@ class CurvesSummary:
         lines += [_edge_line(names[name], counts) for name, counts in told["edges"].items() if counts["all"]]
         if told["events_not_followed"]:
             lines.append(f"budget spent: {plural(told['events_not_followed'], 'event')} not followed")
+        lines += [_why_line(each) for each in told["unexplained"]]
         lines += [f"{plural(count, 'place')}: {text}" for text, count in told["troubles"].items()]
         return "\n".join(lines)
 
@@ -162,6 +163,11 @@ class _Coordinator:
         curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
         stage = f"{search.doing}: {curves}, {settled} of {edges} edges settled"
         return Progress(stage, cells=edges, cells_done=settled)
+
+
+def _why_line(unexplained: Mapping[str, Any]) -> str:
+    where = ", ".join(f"{name} = {value:.6g}" for name, value in unexplained["at"].items())
+    return f"unexplained: {plural(unexplained['edges'], 'edge')} of the border at {where}: {unexplained['why']}"
 
 
 def _edge_line(name: str, counts: Mapping[str, int]) -> str:

@@ -3,7 +3,8 @@ orbits are followed in their free parameters: one for a branch, two for a curve 
 
 Whatever changes sign from one step to the next is located as the solution of a square system. A run goes in both
 directions from its start; either ends at the edge of the window, where it closes, where the orbit ceases to be
-admissible, or where it turns into a shorter one.
+admissible, or where it turns into a shorter one. Where the contacts or slides of an orbit change though nothing jumps,
+a branch goes on: the change is an event on it.
 """
 
 import math
@@ -26,6 +27,7 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, UNIT, Condition, Extended, solve
 from workers.continuation.itinerary import Orbit
+from workers.continuation.onward import is_continuous, is_same_event, orbits_beyond
 from workers.continuation.oscillator import Family
 from workers.continuation.same import doubled, is_minimal
 from workers.continuation.walk import PseudoArclength, Step
@@ -40,6 +42,9 @@ converges; where the orbit ceases to be admissible, at no event that was found; 
 RESOLUTION, MOST_POINTS = 0.02, 2000
 """The longest step as a share of the window; points of either direction after which it ends and says so."""
 
+MOST_BACK = 200
+"""Points after which an orbit found beyond a change of itinerary is given up that does not come back to it."""
+
 SHORTEST = 1e-3
 """Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
 
@@ -52,7 +57,10 @@ OWN_MULTIPLIERS = {UNIT: 1, MINUS_ONE: 1, PAIR: 2}
 
 
 class BranchRun(NamedTuple):
-    """Points in order, events included; events in order; how each end ends; number of Newton steps."""
+    """Points in order, events included; events in order; how each end ends; number of Newton steps.
+
+    The itinerary of points is another one beyond an event at which the orbit goes on with other contacts or slides.
+    """
 
     points: list[Point]
     events: list[Event]
@@ -92,7 +100,8 @@ def branch(
     """The branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
     Pseudo-arclength in state, times and the parameter. Events are folds, symmetry breakings, period doublings,
-    Neimark-Sacker points, and the grazes and lost impacts at which the orbit ceases to exist and the branch ends.
+    Neimark-Sacker points, and where the orbit of one itinerary ceases to exist: grazes, lost impacts, changes of stick.
+    The branch goes on with another itinerary where that is continuous, and ends there else.
     Each direction ends at the first event for which ``until`` is true.
     Raises ValueError, in one line, for R = 0, and for a start that has no orbit nearby, is not admissible, or is a
     shorter or symmetric orbit repeated.
@@ -172,10 +181,19 @@ class _Passage(NamedTuple):
 
 
 def _one_direction(
-    walk: PseudoArclength, first: TestFunctions, bounds: Array, budget: int, until: Until | None
+    walk: PseudoArclength,
+    first: TestFunctions,
+    bounds: Array,
+    budget: int,
+    until: Until | None,
+    goes_on: bool = True,
 ) -> BranchRun:
-    """One of the two directions from a start, whose point comes first; how it ends is the second of both ends."""
+    """One of the two directions from a start, whose point comes first; how it ends is the second of both ends.
+
+    ``goes_on``: through continuous changes of the itinerary.
+    """
     points, events, end, seen = [first.point], list[Event](), "", first
+    begun, steps = walk, 0
     while not end:
         passage = _next(walk, seen, bounds, until) if len(points) <= budget else _Passage(BUDGET)
         if passage is None:
@@ -185,7 +203,48 @@ def _one_direction(
         events += passage.events
         end, seen = passage.end, passage.after or seen
         walk.equations = seen.equations
-    return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), walk.newton_steps)
+        changes = goes_on and end and passage.events and is_continuous(walk.equations, events[-1])
+        beyond = _beyond(walk, events[-1], bounds) if changes and not (until and until(events[-1])) else None
+        if beyond is not None:
+            steps += walk.newton_steps + beyond.newton_steps
+            points += beyond.points
+            end, seen, walk = "", beyond.seen, beyond.walk
+            if walk.equations.itinerary == begun.equations.itinerary:
+                walk.start = begun.start  # where it may close
+    return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), steps + walk.newton_steps)
+
+
+class _Beyond(NamedTuple):
+    """A branch beyond a change of itinerary: its points up to where ``walk`` leaves, and what is seen there."""
+
+    walk: PseudoArclength
+    seen: TestFunctions
+    points: list[Point]
+    newton_steps: int
+
+
+def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _Beyond | None:
+    """The branch that goes on from an event at which another one ends; None where none is found.
+
+    Nothing jumps if its own orbits, followed back, end at the same orbit of the same parameter.
+    """
+    for equations, X in orbits_beyond(walk.equations, event, bounds):
+        seen = monitored(equations, X)
+        if seen.fault is not None or not is_minimal(equations.motion(X)):
+            continue
+        away = seen.point.values - event.point.values
+        share = float(np.max(np.abs(away) / equations.width))
+        direction = np.zeros(len(X))
+        direction[len(X) - equations.free :] = np.copysign(equations.width, away)
+        near = np.sort([event.point.values - 0.5 * np.abs(away), event.point.values + 0.5 * np.abs(away)], axis=0)
+        near = np.array([np.minimum(near[0], seen.point.values), np.maximum(near[1], seen.point.values)])
+        back = PseudoArclength(seen.equations, X, share, -direction)
+        run = _one_direction(back, seen, near, MOST_BACK, None, goes_on=False)
+        if run.events and run.events[-1].point is run.points[-1] and is_same_event(equations, event, run.events[-1]):
+            on = PseudoArclength(seen.equations, X, walk.longest, direction)
+            on.length = min(on.length, share)
+            return _Beyond(on, seen, run.points[-2::-1], run.newton_steps)
+    return None
 
 
 def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Until | None) -> _Passage | None:

@@ -24,7 +24,8 @@ def curve(
 
     event    one located on a branch, or any Event with conditions, orbit, contact times and kappa near a solution
     window   bounds of both parameters by name
-    Where an impact is lost, the orbit without it grazes; that orbit is followed, since its multipliers stay finite.
+    Where an impact is lost, the orbit without it grazes; that orbit is followed, since its multipliers stay finite. The
+    orbit whose friction begins to stick at no rate is followed itself.
     Its events are its points of codimension two: cusp, fold_flip, resonance_1_1 to resonance_1_4,
     graze_fold and the like, double_graze. It continues through points where the event itself continues; it ends at the
     window's edge, where it closes, where its orbits cease to be admissible (at another graze), at kappa = 1 or -1, or
@@ -37,7 +38,7 @@ def curve(
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
     orbit, contacts = event.point.orbit, event.point.contacts
-    if condition.kind == SPEED:
+    if loses_impact(event):
         orbit, condition, contacts = without_impact(orbit, condition.impact)
     equations = Extended(family, orbit, (condition,), values, bounds[1] - bounds[0])
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
@@ -48,6 +49,11 @@ def curve(
     if not found.converged:
         raise ValueError(f"Newton's method finds no {event.kind} there")
     return follow(equations, found.X, bounds, resolution, budget, None)
+
+
+def loses_impact(event: Event) -> bool:
+    """Whether an event is where an impact has no speed; a slide that ends at no rate has the same condition."""
+    return event.conditions[0].kind == SPEED and not event.point.orbit.itinerary.legs
 
 
 def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:

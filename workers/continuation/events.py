@@ -29,6 +29,7 @@ from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import difference, is_minimal, reduced, reductions
 from workers.continuation.stability import multipliers, pair_near
+from workers.continuation.switching import SwitchingMotion
 from workers.continuation.walk import Step
 from workers.model.oscillator import Array
 
@@ -113,7 +114,9 @@ def monitored(equations: Extended, X: Array) -> TestFunctions:
     kind = own[0].kind if own else None
     found = {}
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
-        if kind != name:
+        if kind == SPEED and isinstance(motion, SwitchingMotion):  # J_z is singular there for any z
+            found[name] = _function(float(np.prod(others - z).real), (*own, Condition(name)))
+        elif kind != name:
             sign, log = np.linalg.slogdet(motion.linearised(z)[0])
             own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
             found[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))

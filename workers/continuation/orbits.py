@@ -203,16 +203,16 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
     if system.has_modes:
         machines = system.definition.hybrid({name: np.ascontiguousarray(column) for name, column in given.items()})
-        return _sections(machines, many_orbits(orbits), shift)
+        return states_at_sections(machines, many_orbits(orbits), shift)
     oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
     lin = modal(oscillators)
-    h = _sections(lin, many_orbits(orbits), shift)
+    h = states_at_sections(lin, many_orbits(orbits), shift)
     there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
     states = [physical_states(there, motions_at(np.ascontiguousarray(h[:, k])), rows) for k in range(itinerary.periods)]
     return np.stack(states, axis=1)
 
 
-def _sections(lin: Machine, many: Orbit, shift: float) -> Array:
+def states_at_sections(lin: Machine, many: Orbit, shift: float = 0.0) -> Array:
     """What ``motion_of`` has for states at the sections of a turn."""
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)

@@ -38,6 +38,9 @@ from workers.model.hybrid_modes import OPEN, SIGNALS, Code, Pieces, pieces_of
 from workers.model.modes import stacked
 from workers.model.oscillator import Array, Mask
 
+LEAST = 1e-3
+"""The least size of a motion, as a share of what the force alone would move the masses by."""
+
 NO_RATE = 1e-9
 """Share of its size over one radian below which the rate of a signal is none."""
 
@@ -212,12 +215,21 @@ class SwitchingMotion(TurnMotion):
         """How many multipliers are zero: the dimensions that the mode with the least of them lacks."""
         return int(np.max(self.pieces.lost[0, self.plan[:, MODE]]))
 
+    @cached_property
+    def _pushed(self) -> Array:
+        """How far (N,) the force alone would move free masses; 1 without a force."""
+        own = self.lin
+        force = np.hypot(own.force_sin, own.force_cos).max(axis=(1, 2))
+        found = np.abs(np.linalg.solve(own.mass, force[..., None])[..., 0]).max(axis=1) / own.omega**2
+        return np.where(found > 0.0, found, 1.0)
+
     def scale(self) -> tuple[Array, Array]:
         """What makes unknowns comparable: of states (N, 2n) the largest displacement and the largest velocity of any
         coordinate; and of guards (N, m), what such a state amounts to."""
         states, n = np.abs(self.turn.states), self.start.shape[1] // 2
         omega = self.lin.omega
         size = np.maximum(states[:, :, :n].max(axis=(1, 2)), states[:, :, n:].max(axis=(1, 2)) / omega)
+        size = np.maximum(size, LEAST * self._pushed)  # it may be at rest
         sizes = np.repeat(np.stack([size, size * omega], axis=1), n, axis=1)
         reached = self.plan[self.plan[:, EVENT] != NO_EVENT]
         rows = np.abs(self.pieces.rows[:, reached[:, MODE], reached[:, SIGNAL], : 2 * n])

@@ -28,8 +28,8 @@ def statements() -> list[Statement]:
         lower, upper = grazes(a)
         given = {"a": a, "zeta": ZETA, "beta": BETA, "e": E}
         for where, start, window, kind, exact in (
-            ("below", 0.9 * lower, (0.5 * lower, 1.0), "graze", lower),
-            ("above", 1.1 * upper, (1.0, 2.0 * upper), "contact_lost", upper),
+            ("below", 0.9 * lower, (0.5 * lower, 1.01 * lower), "graze", lower),
+            ("above", 1.1 * upper, (0.99 * upper, 2.0 * upper), "contact_lost", upper),
         ):
             ours = event("soft-impact", given | {"omega": start}, "omega", window, kind)
             found.append(Statement(f"a = {a}: omega at the graze {where} the resonance", exact, ours))

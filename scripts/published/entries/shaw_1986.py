@@ -9,7 +9,7 @@ u' are known, and
 The mass does not stick at its turning points while the force minus that of the spring, f - X, stays below -s there.
 """
 
-from math import cos, exp, hypot, pi, sin, sqrt
+from math import cos, exp, hypot, nan, pi, sin, sqrt
 
 from scipy.optimize import brentq
 
@@ -42,14 +42,14 @@ def onsets() -> tuple[float, float]:
 def statements() -> list[Statement]:
     """The amplitude at omega = 0.9 and both ends of the motion that never sticks."""
     given = {"omega": 0.9, "A": A, "zeta": ZETA, "s": S}
-    ours = events("friction-oscillator", given, "omega", (0.5, 1.5), "stick_onset") or [float("nan")]
+    ours = events("friction-oscillator", given, "omega", (0.5, 1.5), "stick_onset")  # the branch goes on with sticking
     low, high = onsets()
     size = 0.5 * cell("friction-oscillator", given)["peak_to_peak"]
     below = cell("friction-oscillator", given | {"omega": 2.0 * pi / 8.667})
     return [
         Statement("amplitude at omega = 0.9", turning(0.9)[0], size),
-        Statement("lowest omega without sticking", low, ours[0]),
-        Statement("highest omega without sticking", high, ours[-1]),
+        Statement("lowest omega without sticking", low, max((omega for omega in ours if omega < 0.9), default=nan)),
+        Statement("highest omega without sticking", high, min((omega for omega in ours if omega > 0.9), default=nan)),
         Statement("sticks at the period 8.667, from which the demo of PWSDDE-cont goes on with sticking", "yes",
                   "yes" if below["sticks"] else "no", basis="stated by the demo"),
     ]  # fmt: skip
