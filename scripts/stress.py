@@ -96,7 +96,9 @@ def spread(work: list[Task], workers: int) -> Iterator[Findings]:
         return
     from distributed import Client, LocalCluster, as_completed
 
-    cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None)
+    cluster = LocalCluster(
+        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, security=True
+    )
     with cluster, Client(cluster) as client:
         futures = as_completed(client.map(perform, work, pure=False), with_results=True)
         for future, findings in futures:

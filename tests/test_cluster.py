@@ -1,7 +1,9 @@
 """Connections: encrypted ones, and what is open to other machines."""
 
+import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +17,7 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.cluster import Tls, local_cluster
-from atlas.service.dispatch import IN_FLIGHT
+from atlas.service.dispatch import MOST_IN_FLIGHT
 from atlas.service.options import RunOptions
 from atlas.service.timing import Timing
 from tests.planes import plane_of
@@ -102,6 +104,36 @@ def test_the_local_cluster_is_open_to_this_machine_only() -> None:
     assert {host for host, _ in opened} == {"127.0.0.1"}
 
 
+INTRUDER = """
+import os, sys
+from distributed import Client
+address = sys.argv[1]
+if os.geteuid() == 0:
+    os.setgid(65534)
+    os.setuid(65534)  # as another user of this machine, where that can be tried
+try:
+    with Client(address, timeout=3, set_as_default=False) as client:
+        print("as user", client.run_on_scheduler(os.geteuid))
+except Exception:
+    print("refused")
+"""
+
+
+def test_no_other_user_of_this_machine_can_run_code_on_the_local_cluster() -> None:
+    """Truth: a scheduler runs what it is sent; without certificates another user's function ran as the owner."""
+
+    def tried(address: str) -> str:
+        words = [sys.executable, "-c", INTRUDER, address]
+        return subprocess.run(words, capture_output=True, encoding="utf-8", check=True, timeout=60).stdout.strip()
+
+    with LocalCluster(n_workers=0, host="127.0.0.1", protocol="tcp", dashboard_address="127.0.0.1:0") as unsafe:
+        assert tried(unsafe.scheduler_address) == f"as user {os.geteuid()}"
+    with local_cluster(1) as client:
+        address = str(client.scheduler.address)
+        assert [tried(address), tried(address.replace("tls", "tcp"))] == ["refused", "refused"]
+        assert client.submit(sum, [1, 2]).result() == 3
+
+
 @pytest.mark.slow
 def test_no_more_tiles_are_at_the_scheduler_than_the_window_holds(tmp_path: Path, client: Client) -> None:
     held: list[int] = []
@@ -111,7 +143,7 @@ def test_no_more_tiles_are_at_the_scheduler_than_the_window_holds(tmp_path: Path
     )
     atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client, options)
     assert len(held) > 35
-    assert max(held) <= IN_FLIGHT * 2
+    assert max(held) <= MOST_IN_FLIGHT * 2
 
 
 def test_workers_of_the_local_cluster_do_not_sample_their_threads() -> None:

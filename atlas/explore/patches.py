@@ -163,7 +163,7 @@ class Patches:
                 if time.monotonic() - ticked >= self._timing.tick:
                     ticked, threads = time.monotonic(), self._looked(client)
                 self._drop(client)
-                while len(self._running) < threads + SPARE and threads and self._submit(client):
+                while len(self._running) < threads + SPARE and self._submit(client):
                     pass
                 try:
                     ended = self._ended.get(timeout=self._timing.tick)

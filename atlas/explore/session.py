@@ -16,7 +16,7 @@ from atlas.explore.server import HOST, PageServer
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
 from atlas.query.window import Window, axis_names, axis_values
-from atlas.service.cluster import connected, local_cluster
+from atlas.service.cluster import active_client, connected, local_cluster
 from atlas.service.timing import TIMING, Timing
 from atlas.store.store import read_header
 
@@ -92,11 +92,11 @@ def explore(
 ) -> Exploration:
     """Pages on a store or a spec, at ``Exploration.url``.
 
-    Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, or on worker processes of this
-    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. With ``keep``,
-    what is solved lies in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into
-    ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go to addresses
-    with their token alone.
+    Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, on the client that the caller has
+    open, or on worker processes of this machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at
+    first. With ``keep``, what is solved lies in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are
+    written into ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go
+    to addresses with their token alone.
     ``prepare`` is called once the input has been checked, before anything starts.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
@@ -111,7 +111,7 @@ def explore(
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
     if prepare is not None:
         prepare()
-    connect = _connection(client, scheduler, workers or processors(), timing)
+    connect = _connection(client, scheduler, workers, timing)
     explorer = Explorer(subject, connect, keep, most_bytes, timing)
     shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
     query = urlencode(shown, safe=":")
@@ -143,11 +143,13 @@ def _place(ds: "xr.Dataset") -> tuple[str, dict[str, float]]:
 
 
 def _connection(
-    client: "Client | None", scheduler: str | None, workers: int, timing: Timing
+    client: "Client | None", scheduler: str | None, workers: int | None, timing: Timing
 ) -> "Callable[[], AbstractContextManager[Client]]":
     if client is not None:
-        given = client
-        return lambda: nullcontext(given)
+        return partial(nullcontext, client)
     if scheduler is not None:
         return partial(connected, scheduler, timing=timing)
-    return partial(local_cluster, workers)
+    active = active_client() if workers is None else None
+    if active is not None:
+        return partial(nullcontext, active)
+    return partial(local_cluster, workers or processors())

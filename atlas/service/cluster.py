@@ -1,8 +1,11 @@
 """The Dask cluster that a run works on: one on this machine, or one that is reached by its address."""
 
 import logging
+import math
 import multiprocessing
 import os
+import sys
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -73,12 +76,14 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
 
 @contextmanager
 def local_cluster(count: int) -> Iterator["Client"]:
-    """Worker processes of one thread each, reachable from this machine only.
+    """Worker processes of one thread each, reachable from this machine only, and by this process alone.
 
+    A scheduler runs whatever code it is sent, and other users of this machine reach its port: connections need a
+    certificate that is made here and lies in the memory of these processes.
     Dask's profiler is off: nobody looks at it, and Python 3.11 can crash when the frames of a running thread are read.
     """
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client, LocalCluster, Security
 
     with _quiet(), ExitStack() as stack:
         try:
@@ -92,6 +97,7 @@ def local_cluster(count: int) -> Iterator["Client"]:
                     scheduler_kwargs={"dashboard": False},
                     memory_limit=0,
                     silence_logs=logging.CRITICAL,
+                    security=Security.temporary(),
                 )
         except RuntimeError as error:
             raise RunError(
@@ -133,21 +139,43 @@ def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
     return {name: (int(each.get("memory_limit") or 0), each.get("status") == "paused") for name, each in found.items()}
 
 
-def count_threads(client: "Client", waiting: Callable[[], None], timing: Timing = TIMING) -> int:
-    """Threads of a cluster, once its first worker is there; ``waiting`` is called if it is not yet.
+def active_client() -> "Client | None":
+    """The client that the caller has open, as Dask's own collections find it; None if there is none."""
+    if "distributed" not in sys.modules:
+        return None
+    from distributed import default_client
 
-    InputError if none has come within ``timing.worker`` seconds.
+    try:
+        return default_client()
+    except ValueError:
+        return None
+
+
+def count_threads(
+    client: "Client", waiting: Callable[[float], None], limit: float = math.inf, poll: float = 0.5
+) -> int:
+    """Threads of a cluster, once its first worker is there; until then ``waiting`` is called with the seconds.
+
+    A cluster that grows with its work has no worker before it has work: a task is submitted, and waited for as long as
+    it takes. InputError if none has come within ``limit`` seconds.
     """
     if client.asynchronous:
         raise InputError("client: found an asynchronous one, must be synchronous")
-    if not client.nthreads():
-        waiting()
-        try:
-            client.wait_for_workers(1, timeout=timing.worker)
-        except TimeoutError:
-            raise InputError(
-                f"the scheduler has no worker after {timing.worker:g} s; start one: dask worker ADDRESS"
-            ) from None
+    if not worker_threads(client):
+        begin = time.monotonic()
+        with loss_reported(client):
+            work = client.submit(int, pure=False)
+            try:
+                while not work.done():
+                    seconds = time.monotonic() - begin
+                    if seconds >= limit:
+                        raise InputError(
+                            f"the scheduler has no worker after {limit:g} s; start one: dask worker ADDRESS"
+                        )
+                    waiting(seconds)
+                    time.sleep(min(poll, limit - seconds))
+            finally:
+                work.cancel()
     return max(1, sum(worker_threads(client).values()))
 
 

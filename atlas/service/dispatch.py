@@ -23,8 +23,11 @@ from atlas.text import byte_size, duration, plural
 if TYPE_CHECKING:
     from distributed import Client
 
-IN_FLIGHT = 2
-"""Tiles under way for each thread: one running, one waiting, so that no thread idles and no queue grows."""
+IN_FLIGHT, MOST_IN_FLIGHT = 2, 64
+"""Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows; of short jobs
+as many as keep it busy for AHEAD, up to so many."""
+AHEAD = 10.0
+"""Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
 ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
 SMALL, BYTES_PER_CELL = 4096, 750
@@ -74,8 +77,9 @@ class Workforce(Generic[J, R]):
         self.doubtful: list[Attempt[J]] = []
         self.fitness = Fitness()
         self.threads: dict[str, int] = {}
-        self.most_workers = 0
-        self.last_good = self.last_end = time.monotonic()
+        self.most_workers = self.done = 0
+        self.thread_seconds = 0.0
+        self.last_good = self.last_end = self.looked = time.monotonic()
 
     def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
         """Submit jobs in a window and give each one's outcome as it ends; what is under way at an error is dropped.
@@ -84,7 +88,8 @@ class Workforce(Generic[J, R]):
         Raises RunError if the cluster is lost, no worker may have a job any more, or the store has no room.
         """
         self.waiting, ticked = iter(jobs), -math.inf
-        self.last_good = self.last_end = time.monotonic()
+        self.last_good = self.last_end = self.looked = time.monotonic()
+        self.done, self.thread_seconds = 0, 0.0
         try:
             while True:
                 if time.monotonic() - ticked >= self.timing.tick:
@@ -108,7 +113,9 @@ class Workforce(Generic[J, R]):
 
     def look(self) -> None:
         """Look at the cluster, which may grow and shrink under way."""
-        threads = worker_threads(self.client)
+        threads, now = worker_threads(self.client), time.monotonic()
+        self.thread_seconds += sum(self.threads.values()) * (now - self.looked)
+        self.looked = now
         if threads.keys() - self.threads.keys():
             for worker, (limit, _) in worker_memory(self.client).items():
                 if 0 < limit < self.memory:
@@ -158,7 +165,8 @@ class Workforce(Generic[J, R]):
             return  # one that did tiles is gone, and may come back
         if self.client.status != "running":
             raise RunError(LOST)
-        room = IN_FLIGHT * max(1, sum(self.threads[worker] for worker in willing)) - len(self.running)
+        wanted = self.in_flight() * max(1, sum(self.threads[worker] for worker in willing))
+        room = max(0, wanted - len(self.running))
         anywhere = _some(willing, room) if left_out else None
         attempts = []
         for _ in range(room):
@@ -169,11 +177,18 @@ class Workforce(Generic[J, R]):
             attempts.append(replace(attempt, workers=workers))
         self.running.submit(attempts)
 
+    def in_flight(self) -> int:
+        """Jobs to have under way for each thread, by what they have taken so far."""
+        if not self.thread_seconds:
+            return IN_FLIGHT
+        return min(MOST_IN_FLIGHT, max(IN_FLIGHT, math.ceil(AHEAD * self.done / self.thread_seconds)))
+
     def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None if it is to be tried again, or is in doubt."""
         self.last_end = time.monotonic()
         if isinstance(result, Done):
             self.fitness.finish(result.worker)
+            self.done += 1
             return result.result
         if isinstance(result, Refusal):
             self.fitness.refuse(result)

@@ -120,8 +120,8 @@ def measure_attractors(
         refuse_packed(header.place)
         begin, busy, tasks = time.monotonic(), 0.0, 0
         families = [family for family in missing if family != MARGIN]
-        workers = worker_count(client, options) if families else 0
         client = joined(client, options, stack) if families else None
+        workers = worker_count(client, options) if families else 0
         claim = stack.enter_context(claimed_place(header.place, options))
         header = header.at(claim.guard(header.place))
         if read_measures(header).requests != before.requests:  # what it has found must not be lost

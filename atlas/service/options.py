@@ -1,6 +1,7 @@
 """The options of a run beyond its spec and its store: where it computes, what it reports, how long it waits."""
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypedDict, TypeVar, Unpack
@@ -22,12 +23,14 @@ MOST_WORKERS = 1024
 class RunOptions:
     """Options of ``run``, ``extend`` and ``submit``; InputError for options that contradict each other.
 
-    workers       processes of a local cluster, by default one a processor; not with a scheduler or a client
+    workers       processes of a local cluster, by default one a processor; not with a scheduler or a client, and in
+                  place of one that is open
     scheduler     address of a Dask scheduler, such as ``tcp://host:8786``
     tls           files for an encrypted connection to it
     retry         which cells of finished tiles to solve again; nothing else is solved then
     on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
     patience      seconds to wait for a server at a URL that stops answering
+    wait          seconds to wait for the first worker of a cluster; its job may be queued for days
     timing        how long the run waits for everything else
 
     >>> import atlas
@@ -41,6 +44,7 @@ class RunOptions:
     retry: Retry | None = None
     on_progress: Callable[[Progress], None] | None = None
     patience: float = LONG
+    wait: float = math.inf
     timing: Timing = TIMING
 
     __repr__ = short_repr
@@ -49,8 +53,9 @@ class RunOptions:
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
             found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
             raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
-        if not self.patience >= 0:
-            raise InputError(f"patience: found {shown(self.patience)}, must be 0 s or more")
+        for name, seconds in (("patience", self.patience), ("wait", self.wait)):
+            if not seconds >= 0:
+                raise InputError(f"{name}: found {shown(seconds)}, must be 0 s or more")
 
     def updated(self, **changed: Unpack["RunFields"]) -> "RunOptions":
         """The options with these fields in place of their own; TypeError for a name that is no field."""
@@ -60,6 +65,10 @@ class RunOptions:
         """Hand a snapshot to ``on_progress``, where there is one."""
         if self.on_progress is not None:
             self.on_progress(progress)
+
+    def wait_for_first(self, seconds: float) -> None:
+        """Report that a cluster has had no worker for these seconds."""
+        self.report(Progress("waiting for the cluster's first worker", seconds=seconds))
 
 
 def with_fields(function: F) -> F:
@@ -83,6 +92,7 @@ class RunFields(TypedDict, total=False):
     retry: Retry | None
     on_progress: Callable[[Progress], None] | None
     patience: float
+    wait: float
     timing: Timing
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
-from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
+from atlas.service.cluster import active_client, connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import Workers, Workforce, tile_labour, workforce
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
@@ -53,8 +53,8 @@ def run(
 
     ``fields`` are those of ``RunOptions``, as in ``run(spec, "plane.zarr", workers=4)``; they replace those of
     ``options``. The tiles run on ``client`` (used, not closed), or where the options say: on the cluster of a
-    scheduler, or on a local one, the default. In a notebook a bar shows the progress, unless there is an
-    ``on_progress``. Where a store at a URL stops answering, the run waits ``patience`` seconds for it.
+    scheduler, else on the Dask client that the caller has open, else on a local cluster. In a notebook a bar shows the
+    progress, unless there is an ``on_progress``. Where a store at a URL stops answering, the run waits ``patience`` seconds for it.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
     server does not answer.
@@ -262,9 +262,17 @@ def check_client(client: "Client | None", options: RunOptions) -> None:
 
 
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
-    """The client to work on: the one given, or one of the scheduler asked for; None if a local cluster is."""
-    if client is not None or options.scheduler is None:
+    """The client to work on: the one given, one of the scheduler asked for, or the one that the caller has open.
+
+    None for a local cluster: where none is open, or a number of workers is asked for.
+    """
+    if client is not None:
         return client
+    if options.scheduler is None:
+        active = active_client() if options.workers is None else None
+        if active is not None:
+            options.report(Progress(f"using the Dask client that is open, of {active.scheduler.address}"))
+        return active
     options.report(Progress(f"connecting to {options.scheduler}", passing=True))
     return stack.enter_context(connected(options.scheduler, options.tls, options.timing))
 
@@ -273,8 +281,7 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
     """Threads of the cluster that a run works on, or the processes that it is going to start."""
     if client is None:
         return options.workers or processors()
-    waiting = Progress("waiting for the scheduler's first worker")
-    return count_threads(client, lambda: options.report(waiting), options.timing)
+    return count_threads(client, options.wait_for_first, options.wait, options.timing.poll)
 
 
 @contextmanager

@@ -69,7 +69,7 @@ def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> st
     refuse_packed(place_of(store))
     options.report(Progress(f"connecting to {scheduler}", passing=True))
     with connected(scheduler, options.tls, timing) as client:
-        count_threads(client, lambda: options.report(Progress("waiting for the scheduler's first worker")), timing)
+        count_threads(client, options.wait_for_first, options.wait, timing.poll)
         path, name = str(place_of(store)), f"atlas-{uuid.uuid4().hex[:8]}"
         settled = replace(options, scheduler=None, tls=None, on_progress=None)
         task = Submission(spec, path, settled, name, SOLVER_VERSION, _run_id(path))
@@ -197,9 +197,9 @@ def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Re
 
 
 def _willing(client: "Client", task: Submission, seconds: float = 0.0) -> list[str]:
-    """Addresses of the workers that have not refused; RunError if there is none for these seconds."""
+    """Addresses of the workers that have not refused; RunError if all have for these seconds."""
     end = time.monotonic() + seconds
-    while not (willing := [worker for worker in worker_threads(client) if worker not in task.refused]):
+    while not (willing := [worker for worker in worker_threads(client) if worker not in task.refused]) and task.refused:
         if time.monotonic() >= end:
             worker, reason = next(iter(task.refused.items()))
             raise RunError(f"no worker can coordinate this run: {worker}: {reason}")
