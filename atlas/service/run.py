@@ -54,7 +54,8 @@ def run(
     ``fields`` are those of ``RunOptions``, as in ``run(spec, "plane.zarr", workers=4)``; they replace those of
     ``options``. The tiles run on ``client`` (used, not closed), or where the options say: on the cluster of a
     scheduler, else on the Dask client that the caller has open, else on a local cluster. In a notebook a bar shows the
-    progress, unless there is an ``on_progress``. Where a store at a URL stops answering, the run waits ``patience`` seconds for it.
+    progress, unless there is an ``on_progress``. Where a store at a URL stops answering, the run waits ``patience``
+    seconds for it.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
     server does not answer.
