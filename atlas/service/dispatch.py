@@ -117,15 +117,20 @@ class Workforce(Generic[J, R]):
         self.thread_seconds += sum(self.threads.values()) * (now - self.looked)
         self.looked = now
         if threads.keys() - self.threads.keys():
-            for worker, (limit, _) in worker_memory(self.client).items():
-                if 0 < limit < self.memory:
-                    needed = f"needs {byte_size(self.memory)}: dask worker --memory-limit"
-                    self.fitness.refuse(Refusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
+            self.need(self.memory)
         self.threads = threads
         self.most_workers = max(self.most_workers, len(self.threads))
         # Dask keeps a job for the workers that it was given to, though all of them are gone.
         lost = self.running.withdraw(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
         self.again.extend(lost)
+
+    def need(self, memory: int) -> None:
+        """From now on jobs take so many bytes: workers with less get no more."""
+        self.memory = memory
+        for worker, (limit, _) in worker_memory(self.client).items():
+            if 0 < limit < memory:
+                needed = f"needs {byte_size(memory)}: dask worker --memory-limit"
+                self.fitness.refuse(Refusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
 
     def workers(self) -> Workers:
         """The workers, as far as the last look and the ends of attempts show."""

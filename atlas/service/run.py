@@ -32,6 +32,7 @@ from atlas.store.sidecar import CLAIM, claim_token, notes_of
 from atlas.store.store import Header, create, find, read_header
 from atlas.store.tiles import listed_tiles, read_tile
 from atlas.store.tiling import Index
+from atlas.task.basins import labelling_bytes
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.solving import kernels_of
 from atlas.task.task import LABELS, Job, Made, Receipt
@@ -203,6 +204,7 @@ class _Run:
                     self.report("solving")
                 if header.spec.basins:
                     self.doing = "labelling the attractors"
+                    force.need(force.memory + labelling_bytes(header))
                     self._make(force, [replace(job, level=LABELS)])
                 self.doing = "writing overviews"
                 for level in self.overviews.levels:

@@ -1,6 +1,9 @@
 """The last step of an atlas of basins: labels of attractors that the reference set missed, and the table of all."""
 
-from collections.abc import Mapping
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,67 +14,102 @@ from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import read_tile, write_tile
 from workers.attractors.starts import wilson
-from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL
+from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME
 
 if TYPE_CHECKING:
     from workers.attractors.basins import Table
 
 POINTS = 256
 """Section states of each attractor in the table."""
+BYTES_OF_LABEL = 64
+"""Of a cell that is labelled, besides its state: labels, its place and the order."""
 
 
 def complete_basins(header: Header) -> None:
     """Give every initial state its last label, and write the table of the attractors.
 
-    Cells are labelled in the order of the plane, so that tiles, workers and interruptions decide no label. Nothing is
-    done while tiles are missing, or if all is done.
+    Cells are labelled in the order of the plane, so that tiles, workers and interruptions decide no label, and band by
+    band of tiles, so that the memory does not grow with the plane: see ``labelling_bytes``. Nothing is done while tiles
+    are missing, or if all is done.
     """
-    from workers.attractors.basins import Table, added, fixed_values
+    from workers.attractors.basins import Table, fixed_values
 
     spec, tiles = header.spec, sorted(done_tiles(header))
     if len(tiles) < header.tiling.count:
         return
-    labels = np.full(spec.shape, UNKNOWN_LABEL, dtype=np.int64)
-    for index in tiles:
-        labels[header.tiling.at(index).slices] = read_tile(header, index, [LABEL.name])[LABEL.name]
-    if group_attributes(header, ATTRACTORS) is not None and not (labels == BEYOND_TABLE).any():
+    complete = group_attributes(header, ATTRACTORS) is not None
+    if complete and not any((_labels(header, index) == BEYOND_TABLE).any() for index in tiles):
         return
     assert spec.attractors is not None
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
     defaults = {p.name: p.default for p in spec.record.parameters}
     values = fixed_values(spec.record, defaults | params)
     table = Table(spec.record, values, spec.settings, spec.attractors)
-    beyond = (labels == BEYOND_TABLE) | (labels >= len(table.attractors))
-    if beyond.any():
-        labels[beyond] = added(table, _states(header, tiles, beyond))
-        for index in tiles:
-            part = header.tiling.at(index).slices
-            if beyond[part].any():
-                arrays = read_tile(header, index)
-                arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
-                write_tile(header, index, arrays)
-    regimes = (read_tile(header, index, [REGIME.name])[REGIME.name] for index in tiles)
-    solved = sum(int((regime != INVALID).sum()) for regime in regimes)
-    columns = _columns(header, table, labels, solved)
+    reference, solved = len(table.attractors), 0
+    hits: Counter[int] = Counter()
+    for _, band in itertools.groupby(tiles, lambda index: index[: _leading(header.tile)]):
+        for index, labels in _label_band(header, table, reference, list(band)):
+            found, counts = np.unique(labels, return_counts=True)
+            hits.update(dict(zip(found.tolist(), counts.tolist(), strict=True)))
+            solved += int((read_tile(header, index, [REGIME.name])[REGIME.name] != INVALID).sum())
+    columns = _columns(header, table, hits, solved)
     write_table(header, ATTRACTORS, columns, {"title": "attractors by their labels"})
 
 
-def _states(header: Header, tiles: list[tuple[int, ...]], wanted: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """The states on their attractors of these cells, in the order of the plane."""
-    states = np.full((*wanted.shape, len(header.spec.record.states)), np.nan)
-    for index in tiles:
-        part = header.tiling.at(index).slices
-        if wanted[part].any():
-            states[part] = read_tile(header, index, ["state"])["state"]
-    return states[wanted]
+def labelling_bytes(header: Header) -> int:
+    """Memory that ``complete_basins`` takes at most, besides that of a tile: where a whole band is beyond the table."""
+    place = _leading(header.tile)
+    cells = math.prod(header.tile[:place]) * math.prod(header.spec.shape[place:])
+    return cells * (2 * 8 * len(header.spec.record.states) + BYTES_OF_LABEL)
 
 
-def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: int) -> Mapping[str, StoredArray]:
-    """The table's variables. Shares are of the initial states of the plane that are not beyond a stop."""
+def _leading(tile: tuple[int, ...]) -> int:
+    """How many leading dimensions tell bands apart: in the order of the plane each band ends before the next begins."""
+    return next((dim for dim, side in enumerate(tile) if side > 1), len(tile) - 1) + 1
+
+
+def _labels(header: Header, index: tuple[int, ...]) -> NDArray[np.int64]:
+    return read_tile(header, index, [LABEL.name])[LABEL.name].astype(np.int64)
+
+
+def _label_band(
+    header: Header, table: "Table", reference: int, band: list[tuple[int, ...]]
+) -> Iterator[tuple[tuple[int, ...], NDArray[np.int64]]]:
+    """The tiles of a band and their last labels, once these are written.
+
+    What is beyond the ``reference`` attractors is labelled, what an attempt that died has labelled too.
+    """
+    from workers.attractors.basins import added
+
+    labels = {index: _labels(header, index) for index in band}
+    beyond = {index: (each == BEYOND_TABLE) | (each >= reference) for index, each in labels.items()}
+    beyond = {index: mask for index, mask in beyond.items() if mask.any()}
+    if beyond:
+        places = np.concatenate([_places(header, index, mask) for index, mask in beyond.items()])
+        states = np.concatenate([read_tile(header, index, ["state"])["state"][mask] for index, mask in beyond.items()])
+        order, last = np.argsort(places), np.empty(places.size, dtype=np.int64)
+        last[order] = added(table, states[order])
+        ends = np.cumsum([int(mask.sum()) for mask in beyond.values()])
+        for (index, mask), given in zip(beyond.items(), np.split(last, ends[:-1]), strict=True):
+            labels[index][mask] = given
+            arrays = read_tile(header, index)
+            arrays[LABEL.name][mask] = given
+            write_tile(header, index, arrays)
+    yield from labels.items()
+
+
+def _places(header: Header, index: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The places of some cells of a tile in the order of the plane."""
+    begins = [part.start for part in header.tiling.at(index).slices]
+    return np.ravel_multi_index(tuple((np.argwhere(mask) + begins).T), header.spec.shape)
+
+
+def _columns(header: Header, table: "Table", cells: Mapping[int, int], solved: int) -> Mapping[str, StoredArray]:
+    """The table's variables, by the cells of each label. Shares are of initial states that are not beyond a stop."""
     from workers.attractors.basins import section_points
 
     count = len(table.attractors)
-    hits = np.array([np.count_nonzero(labels == k) for k in range(count)], dtype=np.int64)
+    hits = np.array([cells[k] for k in range(count)], dtype=np.int64)
     low, high = wilson(hits, max(solved, 1))
     columns: dict[str, tuple[NDArray[Any], str]] = {
         "cells": (hits, "initial states of the plane that reach it"),
