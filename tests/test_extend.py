@@ -1,5 +1,6 @@
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,20 +14,25 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.service.extend import extend
 from atlas.spec.axis import Axis
 from atlas.spec.grown import keep_values, refined
+from atlas.store.location import LocalPlace
 from atlas.store.machine import machine_of
 from atlas.store.machines import machines, record_machine
+from atlas.store.schema import Origin
 from atlas.store.store import create, done_tiles, read_header
 from atlas.task.retry import checked_retry
+from atlas.task.reuse import known_cells
 from tests.synthetic import set_attribute
 from workers import tile as solving
 from workers.results import FAILED, result_variables
 
 pytestmark = pytest.mark.slow
 
+READS = 4
+"""Of an object of the origin: by the program twice or thrice, by its one worker once."""
 SOLVE = {"max_periods": 300, "tolerance": 0.1, "section_samples": 2}
 
 
@@ -334,3 +340,31 @@ def test_the_command_refines_and_extends(old: Path, tmp_path: Path, client: Clie
     for args in ([old], [old, tmp_path / "spec.toml", "--refine", 2], [old, "--refine", "two"]):
         assert call(*args, "-o", tmp_path / "c.zarr").exit_code == 2
     assert not (tmp_path / "c.zarr").exists()
+
+
+def test_the_origin_is_read_once_for_all_tiles_that_copy_from_it(
+    old: Path, tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: six tiles read its metadata and its axes six times."""
+    read: list[str] = []
+    whole = LocalPlace.get
+
+    def get(place: LocalPlace, key: str) -> bytes | None:
+        if place.local == old:
+            read.append(key)
+        return whole(place, key)
+
+    monkeypatch.setattr(LocalPlace, "get", get)
+    summary = extend(old, tmp_path / "new.zarr", spec_of(b=(0.1, 0.2, 0.3, 0.5)), client=client)
+    assert summary.tiles_done == 4
+    assert max(Counter(read).values()) <= READS
+
+
+def test_an_origin_that_another_store_has_replaced_is_noticed(old: Path, tmp_path: Path) -> None:
+    spec = spec_of(b=(0.1, 0.2, 0.3, 0.5))
+    header = create(tmp_path / "new.zarr", spec, (2, 2), Origin(str(old), read_header(old).run_id))
+    known_cells(header, (slice(0, 2), slice(0, 2)))
+    shutil.rmtree(old)
+    create(old, spec_of(), (2, 2))
+    with pytest.raises(RunError, match="another store than the one that was extended"):
+        known_cells(header, (slice(0, 2), slice(0, 2)))

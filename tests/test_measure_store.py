@@ -18,12 +18,13 @@ import atlas
 from atlas.cli.main import main
 from atlas.curves.table import Curve, Curves, write_curves
 from atlas.errors import InputError, RunError
-from atlas.measures.job import MeasureJob, measure_and_keep, pieces, read_measured
+from atlas.measures.job import MeasureJob, group_of, measure_and_keep, pieces, read_measured
 from atlas.measures.plane import checked_scale, margin_request, margins_of
 from atlas.measures.table import (
     LINEAR,
     MARGIN,
     MEASURES,
+    SHOCKS,
     VERSION,
     Stored,
     empty,
@@ -36,7 +37,7 @@ from atlas.service import curves
 from atlas.service.measures import _content, _digest, measure_attractors
 from atlas.service.options import RunOptions
 from atlas.store.groups import STABILITY
-from atlas.store.parts import kept_parts, part_names
+from atlas.store.parts import get_part, kept_parts, part_names, put_part
 from atlas.store.store import create, read_header
 from atlas.task.part import Site
 from tests import synthetic
@@ -157,7 +158,7 @@ def test_a_run_that_was_stopped_loses_nothing(unmeasured: Path, measured: Path, 
     path = copied(unmeasured, tmp_path)
     header = read_header(path)
     digest = _digest({LINEAR: {"content": _content(header), "norm": NORM}})
-    kept_parts(header, STABILITY, digest)
+    kept_parts(header, group_of(LINEAR), digest)
     parts = list(pieces(header, LINEAR))
     site = Site(str(path), header.run_id, SOLVER_VERSION)
     for k, (name, tile, first, last) in list(enumerate(parts))[::2]:
@@ -171,12 +172,24 @@ def test_a_run_that_was_stopped_loses_nothing(unmeasured: Path, measured: Path, 
 
 def test_parts_of_another_request_are_not_taken(unmeasured: Path, tmp_path: Path) -> None:
     header = read_header(copied(unmeasured, tmp_path))
-    kept_parts(header, STABILITY, "one")
+    kept_parts(header, group_of(LINEAR), "one")
     (name, tile, first, last) = next(iter(pieces(header, LINEAR)))
     site = Site(str(header.place), header.run_id, SOLVER_VERSION)
     measure_and_keep(MeasureJob((0,), name, LINEAR, tile, first, last, (), site))
-    assert kept_parts(header, STABILITY, "one") >= {name}
-    assert name not in kept_parts(header, STABILITY, "another")
+    assert name.removeprefix("linear/") in kept_parts(header, group_of(LINEAR), "one")
+    assert name.removeprefix("linear/") not in kept_parts(header, group_of(LINEAR), "another")
+
+
+def test_measuring_one_family_keeps_the_finished_parts_of_another(
+    unmeasured: Path, tmp_path: Path, client: Client
+) -> None:
+    """Truth: plain measure threw away what an interrupted measure --shocks had found in hours."""
+    header = read_header(copied(unmeasured, tmp_path))
+    kept_parts(header, group_of(SHOCKS), "shocks")
+    put_part(header, group_of(SHOCKS), "0.0-0", b"hours")
+    measure_attractors(header.path, client=client)
+    assert get_part(header, group_of(SHOCKS), "0.0-0") == b"hours"
+    assert not list(part_names(header, group_of(LINEAR)))
 
 
 def test_parts_of_another_version_of_the_measures_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -356,7 +369,7 @@ def test_shocks_of_a_store_are_those_of_single_cells(tmp_path: Path, client: Cli
 def test_a_store_is_read_without_a_warning_while_other_measures_are_under_way(measured: Path, tmp_path: Path) -> None:
     """Warnings are errors: Zarr warns of what is no array among those of a group."""
     header = read_header(copied(measured, tmp_path))
-    kept_parts(header, STABILITY, "another")
+    kept_parts(header, group_of(LINEAR), "another")
     assert "reactivity" in atlas.open(header.path)
     assert "reactivity" in xr.open_zarr(header.path, group=STABILITY, consolidated=False)
 

@@ -215,6 +215,20 @@ def test_a_sweep_is_drawn_into_one_of_ones_own_axes_for_each_plot() -> None:
     plt.close(figure)
 
 
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ("ax", r"^ax: found 3, must be matplotlib axes"),
+        ("overlay", r"^overlay: found 3, must be a name or a list of names$"),
+        ("curves", r"^curves: found 3, must be a name or a list of names$"),
+        ("style", r"^style: found 3, must be a style of matplotlib's or the path of a file$"),
+    ],
+)
+def test_a_number_where_an_option_is_none_is_named_in_one_line(option: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        render.figure(plane(), **{option: 3})
+
+
 def test_one_overlay_may_be_given_as_a_text() -> None:
     one, several = (
         render.figure(plane(), overlay=each).legends[0].get_texts()[-1] for each in ("grazing", ["grazing"])

@@ -20,7 +20,7 @@ from atlas.service.batches import Labour
 from atlas.service.dispatch import Workers
 from atlas.service.timing import Timing
 from atlas.store.store import create, done_tiles, read_header
-from atlas.task import task as jobs
+from atlas.task import known
 from atlas.task.attempt import run_job
 from atlas.task.task import Job, RefusedError
 from tests.planes import plane_of
@@ -150,7 +150,7 @@ def test_a_setup_that_fails_for_a_while_is_tried_again_by_the_next_job(
 def test_a_run_reads_its_header_once_in_each_process(
     tmp_path: Path, two_workers: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    read, whole = [], jobs.read_header
+    read, whole = [], known.read_header
     first = threading.Lock()
 
     def reading(place: Any) -> Any:
@@ -158,11 +158,11 @@ def test_a_run_reads_its_header_once_in_each_process(
             read.append(place)
         return whole(place)
 
-    monkeypatch.setattr(jobs, "read_header", reading)
+    monkeypatch.setattr(known, "read_header", reading)
     summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
     assert summary.tiles_done == 35
     assert 1 <= len(read) <= 2  # the two workers of this process may begin at once
-    assert not [key for key in jobs._headers if key[0] == str(tmp_path / "out.zarr")]
+    assert not [key for key in known._headers if key[0] == str(tmp_path / "out.zarr")]
 
 
 def made(store: Path) -> Job:

@@ -448,3 +448,23 @@ def test_a_parameter_that_no_entry_uses_is_told() -> None:
 @pytest.mark.parametrize("name", system_names())
 def test_every_parameter_of_a_packaged_system_is_used(name: str) -> None:
     assert find_system(name).unused == ()
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_rows_whose_squares_are_beyond_double_precision_are_rows_like_others(size: float) -> None:
+    """Truth: a row and its multiple are the same contact; numpy printed an overflow, and warnings are errors here."""
+    two = {"coordinates": ["x1", "x2"], "mass": [[1, 0], [0, 1]], "stiffness": [[1, -1], [-1, 1]], "force": [1, 0]}
+    given = {
+        "name": "rows",
+        "damping": [[0.1, 0], [0, 0.1]],
+        **two,
+        "gap": [size, 0],
+        "upper": size,
+        "restitution": 0.5,
+    }
+    System.from_mapping(given)
+    contacts = [{"name": "a", "gap": [size, 0], "upper": size, "restitution": 0.5}]
+    contacts += [{"name": "b", "gap": [2 * size, 0], "upper": size, "restitution": 0.5}]
+    longer = {name: value for name, value in given.items() if name not in ("gap", "upper", "restitution")}
+    with pytest.raises(DefinitionError, match="depend"):
+        System.from_mapping(longer | {"contacts": contacts})

@@ -28,6 +28,11 @@ AT_ONCE = {LINEAR: 2048, SHOCKS: 4}
 """Cells of a job: a second or a few of work, up to minutes for shocks."""
 
 
+def group_of(family: str) -> str:
+    """Where the parts of a family lie while it is measured, by themselves: another request needs others of them."""
+    return f"{STABILITY}/{family}"
+
+
 @dataclass(frozen=True)
 class MeasureJob:
     """Some cells of a tile, in C order from ``first`` to before ``last``, and the part that is to hold their measures.
@@ -60,7 +65,7 @@ def pieces(header: Header, family: str) -> Iterator[tuple[str, tuple[int, ...], 
     for tile in (each.index for each in header.tiling.tiles()):
         count, most = int(np.prod(header.tiling.at(tile).shape)), AT_ONCE[family]
         for first in range(0, count, most):
-            yield f"{family}-{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
+            yield f"{family}/{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
 
 
 def measure_and_keep(job: MeasureJob) -> MeasureReceipt:

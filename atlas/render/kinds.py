@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.errors import InputError, check_names
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.window import axis_names
+from atlas.render.options import names_in
 from workers.results import ERROR, LABEL, LARGEST, REGIME, SETTLED, SPECTRUM
 
 if TYPE_CHECKING:
@@ -260,7 +261,7 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
     """The kinds of curves that are asked for, given as a list or with commas between, or "all"; None where none are."""
     if curves is None or curves == "all":
         return None if curves is None else CURVES
-    wanted = tuple(curves.split(",") if isinstance(curves, str) else curves)
+    wanted = names_in("curves", curves)
     for each in wanted:
         if each not in CURVES:
             raise InputError(f"unknown kind of curve {each!r}; possible: {', '.join(CURVES)}")

@@ -1,13 +1,13 @@
 """The options of pictures, with the names that the commands give them, as keyword arguments of functions."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar, Unpack
 
-from atlas.errors import InputError
+from atlas.errors import InputError, shown
 from atlas.query.window import Window
 
 if TYPE_CHECKING:
@@ -100,10 +100,19 @@ class Wanted:
         from atlas.render.page import page  # with it matplotlib
 
         look: dict[str, Any] = dict(options)
-        overlay, curves = look.pop("overlay", ()), chosen_curves(look.pop("curves", None))
+        lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
         own = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
-        lines = (overlay,) if isinstance(overlay, str) else tuple(overlay)
         return cls(page(**look), kind, window, lines, curves, pixels=pixels, **own)
+
+
+def names_in(option: str, given: object) -> tuple[str, ...]:
+    """The names that an option is given: one, or several with commas between or in a list; InputError otherwise."""
+    if isinstance(given, str):
+        return tuple(given.split(","))
+    names = tuple(given) if isinstance(given, Iterable) else (given,)
+    if not all(isinstance(each, str) for each in names):
+        raise InputError(f"{option}: found {shown(given)}, must be a name or a list of names")
+    return names
 
 
 _DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title": True, "legend": True}

@@ -1,6 +1,7 @@
 """The page that a picture is drawn on: its size, type and resolution, its scale's ends, or axes that are given."""
 
 import math
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -225,9 +226,15 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
     unknown = set(look) - set(Look.__annotations__)
     if unknown:
         raise InputError(f"unknown option {sorted(unknown)[0]!r}; possible: {', '.join([*Look.__annotations__, 'ax'])}")
-    given = () if ax is None else (ax,) if isinstance(ax, Axes) else tuple(ax)
+    wrong = InputError(
+        f"ax: found {shown(ax)}, must be matplotlib axes, one or, for a sweep, one for each of its plots"
+    )
+    try:
+        given = () if ax is None else (ax,) if isinstance(ax, Axes) else tuple(ax)
+    except TypeError:
+        raise wrong from None
     if any(not isinstance(each, Axes) for each in given):
-        raise InputError("ax: must be matplotlib axes, one or, for a sweep, one for each of its plots")
+        raise wrong
     for name in ("width", "height"):
         if given and look.get(name) is not None:
             raise InputError(f"{name}: the given axes have a size already")
@@ -306,6 +313,8 @@ def _style(chosen: str | Path | None) -> dict[str, Any]:
     """The settings of a style, without those that are about windows and not about looks."""
     if chosen is None:
         return {}
+    if not isinstance(chosen, str | os.PathLike):
+        raise InputError(f"style: found {shown(chosen)}, must be a style of matplotlib's or the path of a file")
     if str(chosen) in mpl_style.library:
         found = mpl_style.library[str(chosen)]
     else:

@@ -16,8 +16,8 @@ from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
 from atlas.store.store import Header
+from atlas.task.known import forget_header
 from atlas.task.part import Site, prepare
-from atlas.task.task import forget
 from atlas.text import plural
 from workers import SOLVER_VERSION
 
@@ -66,7 +66,7 @@ class Crew:
             self.client = self.stack.enter_context(local_cluster(self.threads))
             self.begin = time.monotonic()
         site = self.site
-        leave = partial(forget, site.store, site.run_id, site.patience)
+        leave = partial(forget_header, site.store, site.patience)
         labour = Labour(site.store, work, partial(prepare, site, self.kernels), leave)
         with workforce(self.client, labour, self.options.timing) as force:
 

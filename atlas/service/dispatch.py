@@ -17,7 +17,8 @@ from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
 from atlas.task.attempt import do_job
-from atlas.task.task import Job, Made, Receipt, forget, prepare
+from atlas.task.known import forget_header
+from atlas.task.task import Job, Made, Receipt, prepare
 from atlas.text import byte_size, duration, plural
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class Workers:
 
 def tile_labour(job: Job, cells: int) -> Labour[Job, Receipt | Made]:
     """What workers do in a run whose jobs differ from this one by tile and level; a tile has that number of cells."""
-    ready, done = partial(prepare, job), partial(forget, job.store, job.run_id, job.patience)
+    ready, done = partial(prepare, job), partial(forget_header, job.store, job.patience)
     return Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
 
 

@@ -15,6 +15,7 @@ from atlas.measures.job import (
     MeasureJob,
     MeasureReceipt,
     check_store,
+    group_of,
     measure_and_keep,
     pieces,
     read_measured,
@@ -40,7 +41,6 @@ from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
-from atlas.store.groups import STABILITY
 from atlas.store.parts import drop_parts, kept_parts
 from atlas.store.store import Header
 from atlas.store.tiles import read_tile
@@ -132,12 +132,13 @@ def measure_attractors(
         if families:
             crew = Crew(header, kernels_of(header.spec), options, claim, stack, workers, client)
             job = _Measuring(header, crew, tuple(weights.items()))
-            found.arrays.update(job.run(families, _digest({name: wanted[name] for name in families})))
+            found.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
             busy, tasks = job.processor_seconds, job.tasks
         found.requests.update({family: wanted[family] for family in missing})
         ordered = {name: found.arrays[name] for name in MEASURES if name in found.arrays}
         write_measures(header, Stored(ordered, found.requests))
-        drop_parts(header, STABILITY)
+        for family in families:
+            drop_parts(header, group_of(family))
         seconds = time.monotonic() - begin
         return MeasureSummary(str(header.place), summary_of(ordered), found.requests, seconds, busy, tasks)
 
@@ -189,10 +190,14 @@ class _Measuring:
     tasks: int = 0
     processor_seconds: float = 0.0
 
-    def run(self, families: list[str], digest: str) -> Arrays:
-        """The measures of some families over all cells; ``digest`` says for which request parts are kept."""
+    def run(self, families: Mapping[str, str]) -> Arrays:
+        """The measures of some families over all cells; the digest of each says for which request parts are kept."""
         header = self.header
-        kept = kept_parts(header, STABILITY, digest)
+        kept = {
+            f"{family}/{name}"
+            for family, digest in families.items()
+            for name in kept_parts(header, group_of(family), digest)
+        }
         parts = [(family, *piece) for family in families for piece in pieces(header, family)]
         self.cells = sum(last - first for *_, first, last in parts)
         self.done = sum(last - first for _, name, _, first, last in parts if name in kept)

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
 from atlas.spec.spec import Slices, Spec
-from atlas.store.location import place_of
 from atlas.store.machines import machines, record_machine
-from atlas.store.outage import LONG
 from atlas.store.schema import ALLOWANCES, extra_sizes
-from atlas.store.store import Header, is_done, open_arrays, read_header
+from atlas.store.store import Header, is_done, open_arrays
 from atlas.store.tiles import read_tile
+from atlas.task.known import known_header
 from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results
 
 
@@ -85,7 +84,7 @@ def _meetings(
 def _origin_of(header: Header) -> Header:
     assert header.origin is not None
     try:
-        origin = read_header(place_of(header.origin.store, LONG))
+        origin = known_header(header.origin.store)
     except InputError as error:
         found = str(error)
     else:

@@ -2,7 +2,7 @@
 
 import errno
 import time
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,17 +13,18 @@ from atlas.errors import ChunkError, InputError, RunError
 from atlas.overview.pyramid import opened
 from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
-from atlas.store.location import Place, place_of
+from atlas.store.location import Place
 from atlas.store.outage import BRIEF, LONG
 from atlas.store.place import Fence
 from atlas.store.records import read_record, single_records
 from atlas.store.schema import extra_sizes
 from atlas.store.sidecar import CLAIM, note_fence
-from atlas.store.store import ROOT, Header, is_done, read_header
+from atlas.store.store import Header, is_done
 from atlas.store.tiles import finish_replacement, read_tile, write_tile
 from atlas.store.tiling import PART, Tiling
 from atlas.task.basins import complete_basins
 from atlas.task.compile import compile_once
+from atlas.task.known import known_header
 from atlas.task.retry import Retry, solve_again
 from atlas.task.reuse import known_cells
 from atlas.task.solving import kernels_of, solve_block
@@ -35,9 +36,6 @@ _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 Arrays = dict[str, np.ndarray]
 Solver = Callable[[Slices, Arrays, np.ndarray], Arrays]
 """Solves the cells of a mask in some slices, where it is given what is known of all of them."""
-_headers: dict[tuple[str, str, float], tuple[Hashable, Header]] = {}
-"""Headers of the stores of runs that this process works for, each with the state of the store's root."""
-
 
 LABELS = -1
 """The level of the job that labels basins."""
@@ -261,31 +259,21 @@ def header_of(job: Job) -> Header:
     return header.at(guarded(header.place, job.claim, job.note, job.attempt))
 
 
-def forget(store: str, run_id: str, patience: float) -> None:
-    """Drop what this process keeps of a run's store."""
-    _headers.pop((store, run_id, patience), None)
-
-
 def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
-    """The header of the store that a run asks this worker to work on: read once, and again where it has changed.
+    """The header of the store that a run asks this worker to work on, see ``known_header``.
 
     Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
     where the store's disk or server refused.
     """
     check_solver(solver_version)
-    place, known = place_of(store, patience), _headers.get((store, run_id, patience))
-    version = place.version(ROOT)
-    if known is not None and version == known[0]:
-        return known[1]
     try:
-        header = read_header(place)
+        header = known_header(store, patience)
     except InputError as error:
         if isinstance(error.__cause__, OSError):  # the disk or the server is at fault, not the path
             raise error.__cause__ from None
         raise RefusedError(f"{error}; is the path the same on all hosts?") from None
     if header.run_id != run_id:
         raise RefusedError(f"{store} is not the store of run {run_id}; is the path the same on all hosts?")
-    _headers[store, run_id, patience] = version, header
     return header
 
 

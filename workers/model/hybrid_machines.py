@@ -150,8 +150,10 @@ def held_rows(machines: HybridMachines) -> Array:
 
 def dependent(rows: Array) -> Mask:
     """Of which machines (N,) rows (N, R, n) that are not zero depend on each other."""
-    length = np.sqrt(np.vecdot(rows, rows))
-    unit = rows / np.where(length > 0.0, length, 1.0)[..., None]
+    largest = np.abs(rows).max(axis=-1, initial=0.0)
+    scaled = rows / np.where(largest > 0.0, largest, 1.0)[..., None]  # their squares are within double precision
+    length = np.sqrt(np.vecdot(scaled, scaled))
+    unit = scaled / np.where(length > 0.0, length, 1.0)[..., None]
     values = stacked(_singular_values, (len(rows), min(rows.shape[1:])), unit)
     return np.asarray(np.sum(values > INDEPENDENT, axis=1) < np.sum(length != 0.0, axis=1))
 

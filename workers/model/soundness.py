@@ -193,6 +193,7 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
                     f"system.drift: {what} ties {definition.drift} down at the defaults; leave it out"
                 )
         rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
+    rows = rows / np.abs(rows).max(axis=1, keepdims=True)  # whose squares might be beyond double precision
     free = modes[:, squares <= ROUNDING * max(float(squares[-1]), 1e-300)]
     most = np.sqrt(np.vecdot(rows, np.linalg.solve(machine.mass, rows.T).T))  # of a mode in each of them
     seen = (rows @ free) / np.where(most > 0.0, most, 1.0)[:, None]
