@@ -302,7 +302,8 @@ def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "C
     if options.scheduler is None:
         active = active_client() if options.workers is None else None
         if active is not None:
-            options.report(Progress(f"using the Dask client that is open, of {active.scheduler.address}"))
+            address = getattr(active.scheduler, "address", "a scheduler that is gone")
+            options.report(Progress(f"using the Dask client that is open, of {address}"))
         return active
     options.report(Progress(f"connecting to {options.scheduler}", passing=True))
     return stack.enter_context(connected(options.scheduler, options.tls, options.timing))
