@@ -14,7 +14,7 @@ from atlas import Spec
 from atlas.errors import RunError
 from atlas.store.location import LocalPlace
 from atlas.store.schema import extra_sizes
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import notes_of, put_token, remove_token
 from atlas.store.store import Header, chunk_key, create, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
@@ -145,3 +145,28 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
     write_tile(header, (0, 0), arrays)
     assert not {*removed} - {chunk_key(each, (0, 0)) for each in header.variables if each.sparse}
     assert (0, 0) in done_tiles(read_header(header.path))
+
+
+def test_a_tile_whose_worker_was_evicted_is_solved_by_the_next_worker_itself(
+    header: Header, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: a worker that ends in the middle of a tile is no sign that the tile is at fault."""
+    job = job_of(header)
+    how: list[str] = []
+    monkeypatch.setattr(attempt, "solve_and_write", lambda job: how.append("in the worker"))
+    monkeypatch.setattr(attempt, "_solve_apart", lambda header, job: how.append("apart"))
+    monkeypatch.setattr(attempt, "remove_token", lambda *_: None)  # none of them lives to do it
+    for _ in range(4):
+        run_job(job)
+    assert how == ["in the worker", "in the worker", "apart", "apart"]
+
+
+def test_a_note_is_that_of_the_attempt_alone(header: Header) -> None:
+    notes, name = notes_of(header.place), "started-0-0"
+    first, _ = put_token(notes, name)
+    second, number = put_token(notes, name)
+    assert number == 2
+    remove_token(notes, name, first, 1)
+    assert notes.read(name) is not None
+    remove_token(notes, name, second, 2)
+    assert notes.read(name) is None

@@ -96,7 +96,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, subprocess.Co
 
 
 def test_each_tile_is_tried_as_often_as_its_faults_ask_for(faulty: tuple[Run, object]) -> None:
-    assert faulty[0].attempts == {"0-0": 2, "0-1": 3, "0-2": 3, "1-0": 3, "1-1": 1, "1-2": 1}
+    assert faulty[0].attempts == {"0-0": 2, "0-1": 4, "0-2": 3, "1-0": 3, "1-1": 1, "1-2": 1}
 
 
 def test_a_tile_that_kills_every_process_is_marked_failed_with_the_reason(
@@ -240,10 +240,10 @@ def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
     assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
 
 
-def test_a_tile_whose_first_attempt_did_not_live_runs_in_a_process_of_its_own(
+def test_a_tile_whose_first_two_attempts_did_not_live_runs_in_a_process_of_its_own(
     made: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    notes_of(made.store).put("started-1-1", b"1", expected=None)
+    notes_of(made.store).put("started-1-1", b'{"attempt": 2}', expected=None)
     monkeypatch.setattr(jobs, "_solve_part", None)  # not in this process
     receipt = run_job(made)
     assert receipt.cells == sum(receipt.counts.values()) == 6

@@ -137,7 +137,7 @@ def test_a_tile_that_kills_its_process_is_not_marked_after_the_claim_is_lost(
 ) -> None:
     job = new_store(tmp_path, finished)
     take_over(Path(job.store))
-    notes_of(job.store).put("started-1-1", b"1", expected=None)
+    notes_of(job.store).put("started-1-1", b'{"attempt": 2}', expected=None)
     monkeypatch.setattr(attempt, "solve_isolated", lambda job, slices: "it died")
     before = contents(Path(job.store))
     with pytest.raises(RefusedError, match=LOST):

@@ -41,7 +41,7 @@ def deadly(job: Job, monkeypatch: pytest.MonkeyPatch) -> Receipt:
         if name == "PYTHONPATH":
             monkeypatch.syspath_prepend(value.split(":")[0])
     monkeypatch.setattr(task, "PART", 4)
-    notes_of(job.store).put("started-0-0", b"1", expected=None)
+    notes_of(job.store).put("started-0-0", b'{"attempt": 2}', expected=None)
     return run_job(job)
 
 

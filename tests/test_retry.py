@@ -159,7 +159,7 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
     index = next(i for i in sorted(done_tiles(header)) if (read_tile(header, i)["regime"] == UNDETERMINED).any())
     before = read_tile(header, index)
     chosen = before["regime"] == UNDETERMINED
-    notes_of(store).put("started-" + "-".join(map(str, index)), b"1", expected=None)
+    notes_of(store).put("started-" + "-".join(map(str, index)), b'{"attempt": 2}', expected=None)
     monkeypatch.setattr(attempt, "solve_isolated", lambda job, slices: "it died")
     add_allowances(header, [BUDGET])
     receipt = run_job(Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE)))
@@ -350,7 +350,7 @@ def test_a_tile_of_chaotic_cells_is_solved_again_by_a_process_of_its_own_too(wat
     retry = checked_retry(spec, "chaotic", survival=LONG)
     add_allowances(header, retry.raises)
     index = next(i for i in sorted(done_tiles(header)) if (read_tile(header, i)["regime"] == CHAOTIC).any())
-    notes_of(watched).put("started-" + "-".join(map(str, index)), b"1", expected=None)
+    notes_of(watched).put("started-" + "-".join(map(str, index)), b'{"attempt": 2}', expected=None)
     receipt = run_job(Job(index, str(watched), header.run_id, header.solver_version, retry))
     assert receipt.cells == (read_tile(header, index)["survival"] == LONG).sum() > 0
 

@@ -1,5 +1,6 @@
 """Commands that compute: plan, run, basins, retry, submit, cancel, extend."""
 
+import logging
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from atlas.cli.options import (
     interruptible,
     json_option,
     read_factors,
+    read_whole,
     say,
     scheduler_option,
     spec_argument,
@@ -98,6 +100,8 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @points_option
 @scheduler_option
 @workers_option
+@click.option("--tile", metavar="I,J", help="Do this tile alone in this process, and show what it raises.")
+@click.option("--log", metavar="FILE", help="Write what is decided, and tracebacks of tiles that fail, into a file.")
 @click.pass_context
 def run(
     ctx: click.Context,
@@ -107,14 +111,17 @@ def run(
     points: str | None,
     scheduler: str | None,
     workers: int | None,
+    tile: str | None,
+    log: str | None,
     **tls: str | None,
 ) -> None:
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
     check_workers(scheduler, workers)
     read = Spec.from_toml(spec, points)
-    options = RunOptions(workers, scheduler, _tls(**tls), timing=timing_of(ctx))
+    index = None if tile is None else tuple(read_whole("--tile", each) for each in tile.split(","))
+    options = RunOptions(workers, scheduler, _tls(**tls), tile=index, timing=timing_of(ctx))
     line = _line("run", spec, "-o", out, points=points, scheduler=scheduler, workers=workers, **tls)
-    with _shown(ctx, options, f"resume with\n  {line}") as shown:
+    with _logged(log), _shown(ctx, options, f"resume with\n  {line}") as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
 
@@ -265,6 +272,29 @@ def extend(
     with _shown(ctx, options, "the same command resumes") as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)
+
+
+@contextmanager
+def _logged(path: str | None) -> Iterator[None]:
+    """Append what the package logs to a file; InputError if it cannot be written."""
+    if path is None:
+        yield
+        return
+    logger = logging.getLogger("atlas")
+    level = logger.level
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--log {path}: {error.strerror or error}") from None
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s"))
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        handler.close()
 
 
 @contextmanager

@@ -94,10 +94,9 @@ def explore(
 
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, on the client that the caller has
     open, or on worker processes of this machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at
-    first. With ``keep``,
-    what is solved lies in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into
-    ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go to addresses
-    with their token alone.
+    first. With ``keep``, what is solved lies in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are
+    written into ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go
+    to addresses with their token alone.
     ``prepare`` is called once the input has been checked, before anything starts.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
@@ -147,8 +146,7 @@ def _connection(
     client: "Client | None", scheduler: str | None, workers: int | None, timing: Timing
 ) -> "Callable[[], AbstractContextManager[Client]]":
     if client is not None:
-        given = client
-        return lambda: nullcontext(given)
+        return partial(nullcontext, client)
     if scheduler is not None:
         return partial(connected, scheduler, timing=timing)
     active = active_client() if workers is None else None

@@ -7,6 +7,7 @@ take half as long again.
 import asyncio
 import math
 import time
+import traceback
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -96,7 +97,7 @@ def work(act: Callable[[J], R], job: J) -> Result[R]:
     except StoreFullError as error:
         return Failure(here, str(error), full=True)
     except Exception as error:
-        return Failure(here, _in_words(error))
+        return Failure(here, _in_words(error), trace=traceback.format_exc())
 
 
 class Batches(Generic[J, R]):

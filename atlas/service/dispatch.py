@@ -1,5 +1,6 @@
 """Jobs out to the workers and their outcomes back: a window of jobs under way, failed ones tried again."""
 
+import logging
 import math
 import random
 import time
@@ -24,6 +25,8 @@ from atlas.text import byte_size, duration, plural
 if TYPE_CHECKING:
     from distributed import Client
 
+LOG = logging.getLogger(__name__)
+"""What is decided, and what went wrong on a worker, with its traceback: at DEBUG."""
 IN_FLIGHT, MOST_IN_FLIGHT = 2, 64
 """Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows; of short jobs
 as many as keep it busy for AHEAD, up to so many."""
@@ -119,10 +122,14 @@ class Workforce(Generic[J, R]):
         self.looked = now
         if threads.keys() - self.threads.keys():
             self.need(self.memory)
+        if threads != self.threads:
+            LOG.debug("%s: %s", plural(len(threads), "worker"), ", ".join(sorted(threads)))
         self.threads = threads
         self.most_workers = max(self.most_workers, len(self.threads))
         # Dask keeps a job for the workers that it was given to, though all of them are gone.
         lost = self.running.withdraw(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
+        if lost:
+            LOG.debug("workers are gone: %s given to others", plural(len(lost), "tile"))
         self.again.extend(lost)
 
     def need(self, memory: int) -> None:
@@ -197,16 +204,22 @@ class Workforce(Generic[J, R]):
             self.done += 1
             return result.result
         if isinstance(result, Refusal):
+            LOG.debug("%s refuses tile %s: %s", result.worker, attempt.job.index, result.reason)
             self.fitness.refuse(result)
             self.again.append(attempt)
             return None
         if result.full:
             raise RunError(f"{result.reason}; finished tiles are kept; make room and give the same command again")
+        where, trace = result.worker or "a worker that died", f"\n{result.trace}".rstrip()
+        LOG.debug("tile %s failed on %s: %s%s", attempt.job.index, where, result.reason, trace)
         self.fitness.fail(attempt.job.index, result, attempt.failures)
         attempt = replace(attempt, failures=(*attempt.failures, result))
         at_fault = self.fitness.is_at_fault(attempt.failures, ATTEMPTS)
         if at_fault:
             return _given_up(attempt)
+        LOG.debug(
+            "tile %s is tried again, %s", attempt.job.index, "later" if at_fault is None else "elsewhere if possible"
+        )
         (self.again if at_fault is False else self.doubtful).append(attempt)
         return None
 
@@ -238,4 +251,5 @@ def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
 
 def _given_up(attempt: Attempt[J]) -> TileFailure:
     last = attempt.failures[-1]
-    return TileFailure(attempt.job.index, last.reason, last.worker)
+    LOG.debug("tile %s is given up after %s", attempt.job.index, plural(len(attempt.failures), "attempt"))
+    return TileFailure(attempt.job.index, last.reason, last.worker, last.trace)

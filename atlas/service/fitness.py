@@ -27,11 +27,15 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Failure:
-    """What a job raised, and on which worker, empty if unknown; ``full`` if the store has no room."""
+    """What a job raised, and on which worker, empty if unknown; ``full`` if the store has no room.
+
+    ``trace`` is the traceback there.
+    """
 
     worker: str
     reason: str
     full: bool = False
+    trace: str = ""
 
 
 class Fitness:

@@ -28,6 +28,7 @@ class RunOptions:
     scheduler     address of a Dask scheduler, such as ``tcp://host:8786``
     tls           files for an encrypted connection to it
     retry         which cells of finished tiles to solve again; nothing else is solved then
+    tile          index of a tile to do alone in this process, where what it raises is not caught: to debug it
     on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
     patience      seconds to wait for a server at a URL that stops answering
     wait          seconds to wait for the first worker of a cluster; its job may be queued for days
@@ -42,6 +43,7 @@ class RunOptions:
     scheduler: str | None = None
     tls: Tls | None = None
     retry: Retry | None = None
+    tile: tuple[int, ...] | None = None
     on_progress: Callable[[Progress], None] | None = None
     patience: float = LONG
     wait: float = math.inf
@@ -53,6 +55,8 @@ class RunOptions:
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
             found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
             raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
+        if self.tile is not None and self.scheduler is not None:
+            raise InputError("tile: is done in this process, found a scheduler; give one of the two")
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):
             if not seconds >= 0:
                 raise InputError(f"{name}: found {shown(seconds)}, must be 0 s or more")
@@ -90,6 +94,7 @@ class RunFields(TypedDict, total=False):
     scheduler: str | None
     tls: Tls | None
     retry: Retry | None
+    tile: tuple[int, ...] | None
     on_progress: Callable[[Progress], None] | None
     patience: float
     wait: float

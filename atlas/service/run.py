@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError, RunError, shown
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
 from atlas.service.cluster import active_client, connected, count_threads, leave_if_bootstrapping, local_cluster
@@ -31,7 +31,8 @@ from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
 from atlas.store.store import Header, create, find, read_header
 from atlas.store.tiles import listed_tiles, read_tile
-from atlas.store.tiling import Index
+from atlas.store.tiling import Index, Tiling
+from atlas.task.attempt import run_job
 from atlas.task.basins import labelling_bytes
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.solving import kernels_of
@@ -95,8 +96,9 @@ def complete(
         _check(spec, place, header, options, origin, run_id)
         client = joined(client, options, stack)
         workers = worker_count(client, options)
-        if header is None:
-            _tile(spec, place, workers)
+        tile = _tile(spec, place, workers) if header is None else header.tile
+        if options.tile is not None:
+            _check_index(options.tile, Tiling(spec.shape, tile).grid)
         claim = stack.enter_context(claimed_place(place, options))
         place = claim.guard(waiting(place, options.patience))
         header = find(place)  # once more: before the claim another run may have made it
@@ -106,6 +108,9 @@ def complete(
             create(place, spec, _tile(spec, place, workers), origin, run_id)
             header = read_header(place)
         run = _Run(header, workers, claim, options)
+        if options.tile is not None:
+            run.do_alone(options.tile)
+            return run.totals.summary(str(place))
         if client is None and run.due.any():
             prepare_kernels(options.report, *kernels_of(header.spec))
         run.begin()
@@ -136,6 +141,13 @@ def _check(
         raise InputError(f"{place}: an atlas of all attractors cannot be retried: run it again with more periods")
     if retry and spec.continuation is not None:
         raise InputError(f"{place}: a continued sweep cannot be retried: each cell of it depends on those before it")
+
+
+def _check_index(index: Index, grid: Index) -> None:
+    """InputError unless there is a tile of that index among so many along each dimension."""
+    if len(index) != len(grid) or not all(0 <= i < n for i, n in zip(index, grid, strict=True)):
+        found, most = shown(tuple(index)), ", ".join(f"0 to {n - 1}" for n in grid)
+        raise InputError(f"tile: found {found}, must be the index of a tile: {most}")
 
 
 def _tile(spec: Spec, place: Place, workers: int) -> tuple[int, ...]:
@@ -186,11 +198,27 @@ class _Run:
         """Whether there is a tile to solve, or basins to label."""
         return bool(self.due.any()) or (self.header.spec.basins and group_attributes(self.header, ATTRACTORS) is None)
 
+    def do_alone(self, index: Index) -> None:
+        """Do one of the tiles due in this process. What it raises is not caught."""
+        header = self.header
+        if not self.due[index]:
+            raise InputError(f"{header.place}: nothing is to be done in tile {index}")
+        prepare_kernels(self.options.report, *kernels_of(header.spec))
+        self.begin()
+        self.totals.start()
+        self.report(f"solving tile {index} in this process")
+        receipt = run_job(replace(self._job(), index=index, replaced=index in self.replaced))
+        self.records.add(receipt.index, receipt.record)
+        self.totals.add(receipt)
+
+    def _job(self) -> Job:
+        header, options = self.header, self.options
+        place, token = str(header.place), self.claim.token
+        return Job((), place, header.run_id, header.solver_version, options.retry, options.patience, token)
+
     def hand_out(self, client: "Client") -> None:
         """Send the tiles due to the workers and add up their receipts; then the overviews, level by level."""
-        header, options, totals, order = self.header, self.options, self.totals, Order(self.due)
-        place, token = str(header.place), self.claim.token
-        job = Job((), place, header.run_id, header.solver_version, options.retry, options.patience, token)
+        header, options, totals, order, job = self.header, self.options, self.totals, Order(self.due), self._job()
         totals.start()
         try:
             with workforce(client, tile_labour(job, math.prod(header.tile)), options.timing) as force:
@@ -274,7 +302,8 @@ def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "C
     if options.scheduler is None:
         active = active_client() if options.workers is None else None
         if active is not None:
-            options.report(Progress(f"using the Dask client that is open, of {active.scheduler_info()['address']}"))
+            address = getattr(active.scheduler, "address", "a scheduler that is gone")
+            options.report(Progress(f"using the Dask client that is open, of {address}"))
         return active
     options.report(Progress(f"connecting to {options.scheduler}", passing=True))
     return stack.enter_context(connected(options.scheduler, options.tls, options.timing))

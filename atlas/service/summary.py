@@ -3,7 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from atlas.service.plan import Plan
@@ -14,11 +14,12 @@ from atlas.text import duration, plural, shares
 
 @dataclass(frozen=True)
 class TileFailure:
-    """A tile that ended with an exception: its index, what was raised, and on which worker at last."""
+    """A tile that ended with an exception: its index, what was raised, on which worker at last, and its traceback."""
 
     index: tuple[int, ...]
     message: str
     worker: str = ""
+    traceback: str = field(default="", repr=False)
 
     def __str__(self) -> str:
         return f"tile {self.index} failed{f' on {self.worker}' if self.worker else ''}: {self.message}"

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 import google_crc32c
@@ -78,28 +78,39 @@ def note_fence(store: Place, name: str, token: str, error: type[RunError], lost:
     return check
 
 
-def put_token(notes: Notes, name: str) -> tuple[str, bool]:
-    """Put a new token into a note, whatever it holds; the token, and whether there was no note."""
+def put_token(notes: Notes, name: str) -> tuple[str, int]:
+    """Put a new token into a note, whatever it holds; the token, and which attempt it is of: one after the last."""
     token, found = uuid.uuid4().hex, None
-    while not notes.put(name, _note_of(token), expected=found):
+    while not notes.put(name, _note_of(token, attempt := _attempt(found) + 1), expected=found):
         found = notes.read(name)
-    return token, found is None
+    return token, attempt
 
 
-def remove_token(notes: Notes, name: str, token: str) -> None:
-    """Remove a note that holds this token."""
-    notes.remove(name, _note_of(token))
+def remove_token(notes: Notes, name: str, token: str, attempt: int) -> None:
+    """Remove a note that holds this token of this attempt."""
+    notes.remove(name, _note_of(token, attempt))
 
 
-def _note_of(token: str) -> bytes:
-    return json.dumps({"token": token}).encode()
+def _note_of(token: str, attempt: int) -> bytes:
+    return json.dumps({"token": token, "attempt": attempt}).encode()
 
 
 def _token(note: bytes | None) -> str:
+    return str(_read_note(note).get("token", ""))
+
+
+def _attempt(note: bytes | None) -> int:
+    """The attempt that a note stands for: 0 where there is none, 1 where it does not say."""
+    found = _read_note(note).get("attempt")
+    return int(note is not None) if not isinstance(found, int) else found
+
+
+def _read_note(note: bytes | None) -> dict[str, Any]:
     try:
-        return str(json.loads(note or b"{}").get("token", ""))
-    except (ValueError, AttributeError, RecursionError):
-        return ""
+        found = json.loads(note or b"{}")
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Attempts at a tile: the first in the worker itself; after one that died, its parts in processes of their own."""
+"""Attempts at a tile: in the worker itself; after two that died, its parts in processes of their own."""
 
 import sys
 from collections import Counter
@@ -30,6 +30,9 @@ from atlas.task.task import (
 )
 from workers.results import FAILED, PROCESS_ENDED, REASON, REASONS, REGIME
 
+DEATHS = 2
+"""Attempts at a tile that did not live, after which it is suspected to kill its workers."""
+
 
 def do_job(job: Job) -> Receipt | Made:
     """Do any job of a run: a tile, a chunk of the overviews, or the labels of basins."""
@@ -43,11 +46,11 @@ def run_job(job: Job) -> Receipt:
 
     NetworkError if the store does not answer within the job's patience.
 
-    While it runs, a note of the store says so, with the token of this attempt. A job that finds that note is the second
-    attempt at a tile whose first did not live to remove it, or lives where its run cannot reach it. With its own token
-    in the note nothing more is written by the first. It solves the tile part by part, each in a process of its own: a
-    tile that kills its process takes no second worker with it, and only the cells of a part that kills again are marked
-    failed.
+    While it runs, a note of the store says so, with the token of this attempt. A job that finds that note is the next
+    attempt at a tile whose last did not live to remove it, or lives where its run cannot reach it. With its own token
+    in the note nothing more is written by the last. A worker may be evicted in the middle of any tile: the attempt
+    after DEATHS that did not live suspects the tile, and solves it part by part, each in a process of its own, so that
+    only the cells of a part that kills again are marked failed.
     """
     with file_errors(job.store):
         header = header_of(job)
@@ -58,15 +61,15 @@ def run_job(job: Job) -> Receipt:
             solved = np.full(header.tiling.at(job.index).shape, not job.replaced)
             receipt = receipt_of(header, job.index, stored_tile(header, job.index), solved)
             return replace(receipt, taken=int((~solved).sum()), record=stored_record(header, job.index))
-        token, first = put_token(notes, job.note)
+        token, number = put_token(notes, job.note)
         job = replace(job, attempt=token)
         header = header_of(job)
     try:
-        return solve_and_write(job) if first else _solve_apart(header, job)
+        return solve_and_write(job) if number <= DEATHS else _solve_apart(header, job)
     finally:
         if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
             with file_errors(job.store):
-                remove_token(notes, job.note, token)
+                remove_token(notes, job.note, token, number)
 
 
 def _solve_apart(header: Header, job: Job) -> Receipt:
