@@ -91,9 +91,9 @@ def test_every_impact_of_a_period_of_thousands_is_kept() -> None:
 
 
 def test_a_motion_of_too_many_impacts_is_refused_in_one_line() -> None:
-    """Truth: more than 700 impacts a period cost three evaluations each, and so few periods may cost two million."""
-    many = {"omega": 0.5, "b": 0.002, "R": 0.99}
-    with pytest.raises(ValueError, match=r"^period \d{3}: its budget of evaluations of the motion is spent$"):
+    """Truth: 16,000 impacts a period cost an evaluation each at least; so few periods may cost two million."""
+    many = naive.FIGURES[3] | {"omega": 0.05, "b": 0.002, "R": 0.999}
+    with pytest.raises(ValueError, match=r"^period \d+: its budget of evaluations of the motion is spent$"):
         trace("two-mass", many, 1000, Settings(exponents="none"))
 
 
