@@ -1,6 +1,7 @@
 """Stores with made-up results, for tests of what is read and written and not of what is solved; and naive twins."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,10 @@ import atlas
 from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
 from atlas.store import store
+from atlas.store.record import COVERED, RECORD, RECORDS
+from atlas.store.records import put_together
 from atlas.store.spare import SPARE, packed_spare
+from atlas.store.tiles import put_record, read_tile, record_of
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
@@ -90,6 +94,35 @@ def set_attribute(path: Path, name: str, value: object) -> None:
 def respare(path: Path) -> None:
     """Make a store one whose metadata were made as they are now."""
     (path / SPARE).write_bytes(packed_spare((path / "zarr.json").read_bytes()))
+
+
+def change_root(path: Path, change: Any) -> None:
+    """Change the root's metadata, which ``change`` gets as plain JSON."""
+    root = json.loads((path / "zarr.json").read_text())
+    change(root)
+    (path / "zarr.json").write_text(json.dumps(root))
+    respare(path)
+
+
+def remove_arrays(path: Path, *names: str) -> None:
+    """Make the store one from before there were these arrays."""
+    for name in names:
+        shutil.rmtree(path / name)
+
+    def change(root: dict[str, Any]) -> None:
+        copies = root["consolidated_metadata"]["metadata"]
+        for name in names:
+            del copies[name]
+        for name in (RECORD, RECORDS):
+            covered = copies[name]["attributes"]
+            covered[COVERED] = [each for each in covered[COVERED] if each not in names]
+            (path / name / "zarr.json").write_text(json.dumps(copies[name]))
+
+    change_root(path, change)
+    header = store.read_header(path)
+    for index in store.done_tiles(header):
+        put_record(header, index, record_of(header, index, read_tile(header, index)))
+    put_together(header)
 
 
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:

@@ -43,12 +43,12 @@ class Sleeper:
 
     def start(self) -> None:
         self._thread.start()
-        assert self._sleeping.wait(60)
+        assert self._sleeping.wait(600)  # kernels may have to be compiled
 
     def asleep(self) -> None:
         if threading.current_thread() is self._thread and not self._sleeping.is_set():
             self._sleeping.set()
-            assert self._awake.wait(60)
+            assert self._awake.wait(600)
 
     def wake(self) -> None:
         self._awake.set()

@@ -321,6 +321,23 @@ def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves
     assert notes_of(store).read(CLAIM) == THEIRS.pack()
 
 
+def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "out.zarr"
+
+    def taken(progress: Progress) -> None:
+        notes = notes_of(store)
+        found = Record.unpack(notes.read(CLAIM) or b"")
+        if progress.tiles_done == 1 and found is not None and found.token != THEIRS.token:
+            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
+        atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=taken))
+    assert len(done_tiles(read_header(store))) < 9
+
+
 def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_run(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,6 +15,7 @@ from obstore.exceptions import GenericError
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, RunError
+from atlas.service.lease import claimed
 from atlas.store import outage
 from atlas.store.location import ObjectPlace
 from atlas.store.sidecar import CLAIM, notes_at_url, notes_of
@@ -109,12 +110,34 @@ def test_notes_of_thousands_of_tiles_are_removed_by_a_few_requests(server: Objec
     assert [*server.objects] == [f"bucket/.plane.zarr.run/{CLAIM}"]
 
 
-def test_a_note_that_is_dropped_leaves_nothing(server: ObjectStore) -> None:
+def test_a_note_that_is_removed_leaves_nothing(server: ObjectStore) -> None:
     notes = notes_of(URL)
     notes.put("started-0-0", b"1", expected=None)
-    notes.drop("started-0-0")
-    notes.drop("started-0-0")
+    assert notes.remove("started-0-0", b"1")
+    assert not notes.remove("started-0-0", b"1")
     assert not server.objects
+
+
+def test_a_claim_that_is_released_leaves_nothing(server: ObjectStore) -> None:
+    with claimed(notes_of(URL), URL):
+        assert [*server.objects] == [f"bucket/.plane.zarr.run/{CLAIM}"]
+    assert not server.objects
+
+
+def test_a_removal_whose_answer_is_lost_is_not_made_again(server: ObjectStore) -> None:
+    """By then the note may be somebody else's."""
+    place = ObjectPlace(URL)
+    place.put("note", b"mine")
+    server.forget()
+    server.trouble = Trouble(0, 1, "lost")
+    assert not place.remove_once("note")
+    assert server.counts.total() == 1
+    assert not server.objects
+
+
+def test_a_process_has_one_client_of_a_place(server: ObjectStore) -> None:
+    assert ObjectPlace(URL).client is ObjectPlace(URL, patience=3.0).client
+    assert ObjectPlace(URL).client is ObjectPlace(URL).behind(lambda: None).client
 
 
 def test_zarr_outlives_an_outage_too(server: ObjectStore) -> None:
@@ -193,7 +216,9 @@ def test_an_outage_begins_with_the_first_failure_and_not_with_the_request(monkey
     assert len(asked) == 2
 
 
-def test_a_job_at_a_url_asks_twice_for_the_claim_of_its_run(server: ObjectStore) -> None:
+def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_each_other_write(
+    server: ObjectStore,
+) -> None:
     header = create(ObjectPlace(URL), plane_of(), (2, 3))
     job = Job((0, 0), URL, header.run_id, header.solver_version)
 
@@ -206,8 +231,9 @@ def test_a_job_at_a_url_asks_twice_for_the_claim_of_its_run(server: ObjectStore)
     plain = requests(job)
     notes_of(URL).put(CLAIM, b'{"token": "ours"}', expected=None)
     fenced = requests(replace(job, index=(0, 1), claim="ours"))
-    assert len(fenced) == len(plain) + 2
-    assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == 2
+    looks = 3 + sum(each.sparse for each in header.variables)  # all results, the record, the regime
+    assert len(fenced) == len(plain) + looks
+    assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == looks
 
 
 def test_nobody_listening_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ from atlas.store.tiles import put_record, read_tile, record_of
 from atlas.task.retry import Retry
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
+from tests.synthetic import remove_arrays
 from workers import solve_tile
 from workers.cell import cells
 from workers.results import (
@@ -64,10 +65,8 @@ def store(solved: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def older(store: Path) -> Path:
-    """A store as it was made before there were reasons and records."""
-    for name in ("reason", "tiles"):
-        shutil.rmtree(store / name)
-    zarr.consolidate_metadata(store)
+    """A store as it was made before there were reasons."""
+    remove_arrays(store, "reason")
     return store
 
 

@@ -1,6 +1,5 @@
 """Maps of any variable, and exponents of -inf in pictures, counts and means."""
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,15 @@ from atlas.overview.coarsen import coarsen, from_cells
 from atlas.query.extremes import extremes
 from atlas.render import scales
 from atlas.render.kinds import TABLE
+from atlas.store.schema import extra_sizes
+from atlas.store.store import create
+from atlas.store.tiles import write_tile
 from tests.pictures import colour, labels, line, pixel, plane
+from tests.planes import plane_of
+from tests.synthetic import remove_arrays
 from workers import Settings, solve_tile
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, UNDETERMINED
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, UNDETERMINED, empty_results
 
-DATA = Path(__file__).parent / "data"
 SPEED = {"long_name": "fastest impact; and more", "units": "1"}
 LOST = r"$-\infty$: rest on a stop erases disturbances"
 
@@ -144,10 +147,12 @@ def test_a_sweep_has_no_map() -> None:
 
 
 def test_the_command_draws_a_variable_of_an_older_store_or_says_why_not_and_writes_nothing(tmp_path: Path) -> None:
-    with zipfile.ZipFile(DATA / "stores-solver-4.zip") as packed:
-        packed.extractall(tmp_path)
-    store, out = str(tmp_path / "plane.zarr"), tmp_path / "speed.png"
-    call = ["plot", store, "-o", str(out), "--variable"]
+    header, out = create(tmp_path / "plane.zarr", plane_of((5, 7)), (5, 7)), tmp_path / "speed.png"
+    arrays = empty_results(header.spec.variables, (5, 7), extra_sizes(header.spec))
+    arrays["regime"][:], arrays["min_impact_speed"][:] = PERIODIC, np.linspace(0.1, 1.0, 7)
+    write_tile(header, (0, 0), arrays)
+    remove_arrays(header.path, "max_impact_speed", "mean_impact_speed")
+    call = ["plot", str(header.path), "-o", str(out), "--variable"]
     missing = CliRunner().invoke(main, [*call, "max_impact_speed"])
     assert missing.exit_code == 2
     assert "min_impact_speed" in missing.output

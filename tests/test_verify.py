@@ -1,7 +1,6 @@
 import json
 import os
 import shutil
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -425,21 +424,11 @@ def test_tiles_or_chunks_exchanged_with_another_tiles_are_found(whole: Path, nam
     assert RECORD in names or exchanged == [(0, 0), (1, 1)]  # exchanged are the records of all four
 
 
-def test_a_store_without_digests_is_verified_and_said_to_have_none(whole: Path) -> None:
-    shutil.rmtree(whole / TILES)
-    with warnings.catch_warnings(action="ignore"):  # Zarr's, that consolidated metadata are an extension
-        zarr.consolidate_metadata(whole)
-    report = verify(whole, sample=0)
-    assert (report.fine, report.digests) == (True, False)
-    assert "digests  none" in str(report)
-
-
 def test_records_that_are_gone_are_found_and_a_repair_makes_them_anew(whole: Path) -> None:
     shutil.rmtree(whole / TILES)
-    assert f"{RECORD}/zarr.json is damaged, or its copy is" in message(verify(whole, sample=0))
+    assert f"{RECORD}/zarr.json is missing: atlas verify --repair {whole} writes them again" in message(verify(whole))
     verify(whole, sample=0, repair=True)
-    report = verify(whole, sample=0)
-    assert (report.fine, report.digests) == (True, True)
+    assert verify(whole, sample=0).fine
 
 
 @pytest.mark.parametrize("byte", [0, -1])

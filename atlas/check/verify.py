@@ -34,6 +34,7 @@ from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.location import place_of
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
+from atlas.store.making import refused
 from atlas.store.record import COVERED, WIDTH, Rows
 from atlas.store.records import Records, write_compaction
 from atlas.store.schema import ALLOWANCES
@@ -100,7 +101,8 @@ def verify(
     place = place_of(store)
     if repair:
         refuse_packed(place)
-    spare = read_spare(place)
+    with refused(place, "read"):
+        spare = read_spare(place)
     if spare is None:
         read_header(place)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed

@@ -146,7 +146,8 @@ def _connection(
     client: "Client | None", scheduler: str | None, workers: int | None, timing: Timing
 ) -> "Callable[[], AbstractContextManager[Client]]":
     if client is not None:
-        return partial(nullcontext, client)
+        given = client
+        return lambda: nullcontext(given)
     if scheduler is not None:
         return partial(connected, scheduler, timing=timing)
     active = active_client() if workers is None else None
