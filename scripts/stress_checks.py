@@ -121,6 +121,9 @@ def _flights(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> lis
         held = abs(int(section.contact[0])) == 1
         rows = motion.impacts[: int(motion.tally[RECORDED])].copy()
         for time, side, speed in rows:
+            if speed == 0.0:  # the beginning of a rest, at the end of a chatter: no flight leads there
+                held, t = True, float(time)
+                continue
             there = motion_at(section.h, int(section.contact[0]))
             propagate(osc, there, float(time))
             beyond = side * _gap(osc, there.h, float(time)) - (osc.b_upper if side > 0 else osc.b_lower)

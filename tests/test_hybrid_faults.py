@@ -186,3 +186,29 @@ def test_a_forcing_period_of_too_many_turns_is_refused_in_every_machine(more: di
     }  # fmt: skip
     found = solve_tile(System.from_mapping(machine | more), {"omega": 1e-8})
     assert (found["regime"], REASONS[int(found["reason"])].name) == (INVALID, "long_period")
+
+
+# Friction that turns in an instant and sticks in the same one: what begins then is a stick
+
+
+def test_one_friction_that_sticks_as_another_slips_off_does_not_slip_at_once() -> None:
+    """Truth: the orbit and its multipliers by an independent simulator, and by trying all nine pairs of slips there."""
+    definition = {
+        "name": "pair", "coordinates": ["x1", "x2"], "mass": [[1, 0], [0, 1]], "damping": [[0.1, 0], [0, 0.1]],
+        "stiffness": [[2, 0], [0, 0.9]], "force": [0, 1.7], "load": [0.3, -0.3],
+        "friction": [
+            {"name": "pair", "row": [-1, 1], "kinetic": 0.5}, {"name": "ground", "row": [1, 0], "kinetic": 0.3}
+        ],
+    }  # fmt: skip
+    found = solve_tile(System.from_mapping(definition), {"omega": 0.6}, Settings(exponents="spectrum"))
+    assert (found["regime"], found["period"]) == (PERIODIC, 1)
+    np.testing.assert_allclose(found["state"], [0.60709954, -1.75971489, 0.17369369, 1.43800252], rtol=0.0, atol=1e-8)
+    exact = [math.log(0.54262087), math.log(0.22823832), math.log(0.22823832), -math.inf]
+    np.testing.assert_allclose(found["spectrum"], exact, rtol=1e-7)
+
+
+@pytest.mark.parametrize("seed", [4711000278, 4711000389, 4712001881, 4713001040])
+def test_frictions_that_change_in_one_instant(seed: int) -> None:
+    """Machines whose second friction turned and stuck at once; one of them changed its modes without end."""
+    machine = random_machine(seed, switched_elements=seed % 2 == 1)
+    agree(machine, random_state(machine, seed))

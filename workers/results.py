@@ -64,7 +64,7 @@ REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("beyond_stop", INVALID, "the initial state lies beyond a stop"),
     ("out_of_range", INVALID, "a parameter lies outside its valid range"),
     ("no_oscillator", INVALID, "the parameters make no oscillator"),
-    ("resonance", INVALID, "undamped resonance: no periodic forced response exists"),
+    ("resonance", INVALID, "undamped resonance: no periodic forced response exists, or none that doubles resolve"),
     ("long_period", INVALID, "a forcing period spans too many radians of a free oscillation"),
     ("rigid_mode", INVALID, "masses can drift freely without changing the gap, or in more than one way"),
     ("coupled_damping", INVALID, "damping couples two modes that double precision cannot tell apart"),

@@ -18,6 +18,10 @@ UNSEEN = 1e-9
 OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
 """The fields of machines that decide their structure and their loading."""
 
+RESONANT = 1e-8
+"""Share of its terms below which the stiffness that an oscillation at the forcing frequency feels counts as resonance:
+the forced response is then so large that a motion which grows for thousands of periods seems to close beside it."""
+
 ULPS = 8.0
 """Units in the last place by which entries of a machine may be wrong: what a few operations leave of exact ones."""
 
@@ -149,7 +153,7 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask
     unit = np.where(size > 0.0, size, 1.0)
     re, im = re / unit, im / unit
     square = re * re + im * im
-    resonant = (push != 0.0) & (size * np.sqrt(square) < 1e-13 * (lam + w**2))
+    resonant = (push != 0.0) & (size * np.sqrt(square) < RESONANT * (lam + w**2))
     Z = np.where(push != 0.0, push / (square * unit), 0.0) * (re - 1j * im)
     rate = 1j * w * Z - l0
     response = np.empty((len(w), lam.shape[2], 2, w.shape[1]), dtype=np.complex128)

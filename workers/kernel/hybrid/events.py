@@ -112,6 +112,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begu
         reset(f, n, row, brake, 0.0, 1.0)
         for i in range(W.shape[0]):
             reset(W[i], n, row, brake, 0.0, 1.0)
+        begun[g] = 0  # it may have turned in this instant: what begins now is a stick, not the slide after the turn
     else:
         slips[e] = -1 if force > 0.0 else 1
         begun[g] = -slips[e]
