@@ -248,13 +248,22 @@ def test_matrices_of_a_phase_that_are_not_symmetric_make_no_machine() -> None:
 
 
 def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
-    """Of rigid contacts and friction: the row of a contact also holds friction on it, and soft contacts hold none."""
-    found = hybrid(System.from_toml(RIG), omega=np.ones(5))
-    found.slide[1, 0] = [2.0, 0.0]  # along the wall's, twice as long
-    found.slide[2, 0] = [1.0, 0.0]  # the wall's, as is the guide's
+    """Of rigid contacts and friction: the row of a contact also holds friction on it, and soft contacts hold none.
+
+    Two frictions of one row stick at once where the contact is open, and what each of them takes is not determined.
+    """
+    found = hybrid(System.from_toml(RIG), omega=np.ones(9))
+    found.slide[1, 0] = [2.0, 0.0]  # along the guide's, twice as long
+    found.slide[2] = [[-2.0, 0.0], [0.0, 1.0]]  # against the wall's, twice as long, and no other there
     found.slide[3, 1] = [0.0, -1.0]  # against the ground's
     found.row[4, 1] = [1.0, 0.0]  # a soft contact
-    assert hybrid_faults(found).tolist() == [NO_REASON, OUT_OF_RANGE, NO_REASON, OUT_OF_RANGE, NO_REASON]
+    found.slide[5, 0] = [1e-200, 0.0]  # along the guide's, however short
+    found.row[6, 0] = [1e-200, 0.0]  # the wall's, along the guide's still
+    found.soft[7:, 1] = 0.0
+    found.row[7, 1] = [-3e-200, 0.0]  # a rigid contact against the wall's
+    found.slide[8] = [[0.0, 1e-200], [1e200, 1e200]]  # friction on no contact's row, beside the wall's and the pad's
+    wrong = np.isin(np.arange(9), [1, 3, 5, 7, 8])
+    assert hybrid_faults(found).tolist() == np.where(wrong, OUT_OF_RANGE, NO_REASON).tolist()
     assert each(found, lambda field: field[:0]).mass.shape == (0, 2, 2)
     assert hybrid_faults(each(found, lambda field: field[:0])).tolist() == []
 
@@ -322,7 +331,7 @@ WRONG = [
     ({"friction__0__row": None}, "system.friction[0]: row missing; give a row"),
     ({"friction__0__row": [1, 0, 0]}, "system.friction[0].row: found 3 entries, must be 2"),
     ({"friction__0__row": [0, 0]}, "system.friction[0].row: found zeros only; give the row that makes the sliding"),
-    ({"friction__0__row": [2, 0]}, "system.friction[0].row: found [2.0, 0.0] at the defaults, depends on rows of"),
+    ({"friction__0__row": [2, 0]}, "system.friction[1].row: found [1.0, 0.0] at the defaults, depends on rows of"),
     ({"friction__0__kinetic": None}, "system.friction[0]: kinetic missing; give a force"),
     ({"friction__0__kinetic": -1}, "system.friction[0].kinetic: found -1 at the defaults, must be 0 or more"),
     ({"friction__1__static": 0.05}, "system.friction[1].static: found 0.05, kinetic 0.1 at the defaults, must not be"),

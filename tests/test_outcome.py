@@ -11,7 +11,7 @@ from workers import Settings
 from workers.cell.cells import Cells
 from workers.cell.outcome import end_stopped, put_averaged, put_periodic
 from workers.kernel.averages import COUNT, add_to_blocks
-from workers.kernel.motion import MARCH_GAVE_UP, NOT_FINITE, OUT_OF_WORK, RUNNING, STATUS, STUCK, UPPER, WORK
+from workers.kernel.motion import MARCH_GAVE_UP, MIN_SPEED, NOT_FINITE, OUT_OF_WORK, RUNNING, STATUS, STUCK, UPPER, WORK
 from workers.results import CHAOTIC, COSTLY_PERIOD, FAILED, GAVE_UP, NO_REASON, PENDING, UNDETERMINED, WORK_SPENT
 from workers.results import NOT_FINITE as NO_LONGER_FINITE
 
@@ -70,11 +70,11 @@ def test_a_motion_whose_work_is_spent_is_chaotic_where_its_average_is_clearly_po
 
 
 def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None:
-    """Three units of time in ten periods of 2 pi / omega."""
+    """Three units of time in ten periods of 2 pi / omega; what rests on a stop has its slowest impact at speed 0."""
     cells = one_cell()
     cells.averaging[0], cells.flown[0] = True, 10
     cells.batch.levels[0, 0, COUNT] = 10.0
-    cells.batch.motions.tally[0, STUCK] = 3.0
+    cells.batch.motions.tally[0, [STUCK, MIN_SPEED]] = 3.0, 0.0
     with np.errstate(all="ignore"):
         put_averaged(cells, ONE)
     found = {name: values[0] for name, values in cells.found.items()}
@@ -86,7 +86,7 @@ def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None
 def test_the_turn_that_counts_the_impacts_of_an_orbit_is_counted_too() -> None:
     """Three periods of an orbit beside twenty that its proof has cost."""
     cells = one_cell()
-    cells.used[0], cells.orbits.period[0], cells.orbits.tally[0, UPPER] = 20, 3, 6.0
+    cells.used[0], cells.orbits.period[0], cells.orbits.tally[0, [UPPER, MIN_SPEED]] = 20, 3, (6.0, 0.1)
     put_periodic(cells, ONE)
     assert cells.found["periods_used"][0] == 23
     assert cells.found["impacts_per_period"][0] == 2.0

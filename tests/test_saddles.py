@@ -174,7 +174,7 @@ def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
             states = np.array([1.0, 0.0]) + powers * (state - np.array([1.0, 0.0]))
             return states[:-1], states[-1], np.diag(powers[-1])
 
-    monkeypatch.setattr(tracking, "touches_a_stop", lambda oscillator, states: False)
+    monkeypatch.setattr(tracking, "not_smooth", lambda oscillator, states: "")
     monkeypatch.setattr(tracking, "reached", lambda table, states: (states[:, 1] > 0.0).astype(np.int64))
     tracker = object.__new__(tracking._Tracker)
     tracker.own, tracker.weights, tracker.map = 0, np.ones(2), Turning()  # type: ignore[assignment]

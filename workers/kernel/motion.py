@@ -8,6 +8,7 @@ from numba.extending import register_jitable, typeof_impl
 from numpy.typing import NDArray
 
 from workers.kernel.apart import FLOATS
+from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.oscillator import Held, Mode, Oscillator, each
@@ -150,8 +151,8 @@ def axes(n: int) -> NDArray[np.float64]:
     return frame
 
 
-@register_jitable
-def slanted(n: int) -> NDArray[np.float64]:
+@kernel
+def slanted(n):
     """2n orthogonal tangent vectors (2n, n, 2): cos(pi (2i + 1) (2k + 1) / 8n), the cosine transform of type IV.
 
     The first r of them are independent in any r of the block axes (odd powers of r cosines, Vandermonde's determinant).
@@ -160,7 +161,7 @@ def slanted(n: int) -> NDArray[np.float64]:
     frame = np.empty((2 * n, n, 2))
     for i in range(2 * n):
         for k in range(2 * n):
-            frame[i, k // 2, k % 2] = np.cos(np.pi * (2 * i + 1) * (2 * k + 1) / (8 * n))
+            _, frame[i, k // 2, k % 2] = sin_cos(np.pi * (2 * i + 1) * (2 * k + 1) / (8 * n))
     return frame
 
 

@@ -51,7 +51,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
             made = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
             raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
     _check_independent(list(rows), held_rows(many))
-    _check_independent(list(rows)[-many.slide.shape[1] :], many.slide)
+    _check_independent(list(rows)[len(machine.row) :], many.slide)
     _check_slopes(definition, many)
     for where in (name for name in matrices if name.endswith("stiffness")):
         _check_free_motions(definition, machine, where, matrices[where])
