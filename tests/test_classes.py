@@ -196,6 +196,21 @@ def test_a_mass_that_loads_press_on_a_stop_each_period_is_periodic(start: float,
     assert found["periods_used"] < 100
 
 
+@pytest.mark.parametrize("R", [0.3, 0.7])
+def test_a_mass_that_dies_away_at_an_equilibrium_on_its_stop_never_locks(R: float) -> None:
+    """Truth: it is scale-free, each half turn takes off the share R e^(-zeta pi / w), so that it strikes for ever."""
+    still = machine(stiffness=[[1.0]], force=[0.0], gap=[1.0], upper=0.0, restitution=R)
+    found = solved(still, omega=0.8, x=-0.3)
+    assert found["regime"] == UNDETERMINED
+    assert not found["sticks"]
+
+
+def test_a_force_so_near_undamped_resonance_that_growth_seems_to_close_has_no_class() -> None:
+    """Truth: its own history moves on by .084 a period, for thousands of periods."""
+    for omega in (1.0 + 1e-9, 1.0 - 1e-12):
+        assert solved("friction-oscillator", omega=omega, zeta=0.0, A=1.3, s=1.0)["regime"] == FAILED
+
+
 @pytest.mark.parametrize("load", [0.999, 1.0])
 def test_a_load_up_to_static_friction_leaves_an_unforced_mass_where_it_is(load: float) -> None:
     held = {"friction": [{"name": "rail", "row": [1.0], "kinetic": 0.5, "static": 1.0}]}

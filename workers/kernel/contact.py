@@ -66,7 +66,7 @@ def chatter_end(known, t, left, theta, R):
 def hop_is_rounding(load, w, scale, period):
     """Whether a hop at speed w under this load is too low, w^2 / (2 load) < 1e4 eps scale, or too short to be seen.
 
-    Motion that dies away at an equilibrium on a stop has hops with no load but rounding's: it never rests, and where its
+    Motion that dies away at an equilibrium on a stop hops under no load but rounding's: it never rests, and where its
     squares underflow, zero is not below zero.
     """
     return w * w < 2e4 * load * EPS * scale or 2.0 * w < SHORTEST_HOP * period * load
