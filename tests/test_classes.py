@@ -9,6 +9,7 @@ import pytest
 from atlas import Spec
 from atlas.check.rules import broken_rules
 from workers import Settings, System, solve_tile
+from workers.cell.averages import shears
 from workers.results import (
     FAILED,
     LOCKING,
@@ -174,7 +175,30 @@ def test_growth_without_end_is_the_reason_that_a_resonant_mass_gives() -> None:
 
 
 def test_a_mass_that_flies_from_wall_to_wall_without_loss_is_a_torus_still() -> None:
-    assert solved("impact-pair", alpha=0.0, v=0.5, R=1.0)["regime"] == QUASIPERIODIC
+    """Truth: faster masses strike earlier by more and more, in proportion to the time: exponents are zero."""
+    spec = Spec("impact-pair", {"v": [0.5, 0.77]}, parameters={"alpha": 0.0, "R": 1.0}, solve={"exponents": "spectrum"})
+    arrays = solve_tile(spec.record, spec.cell_params((slice(0, 2),)), spec.settings)
+    assert (arrays["regime"] == QUASIPERIODIC).all()
+    assert (np.abs(arrays["largest"]) <= arrays["error"]).all() and (arrays["error"] < 3e-4).all()
+    assert broken_rules(spec, (slice(0, 2),), arrays) == {}
+
+
+@pytest.mark.parametrize("begun", [-50.0, 0.0, 200.0])
+def test_growth_in_proportion_to_the_time_is_that_of_shear_whenever_it_began(begun: float) -> None:
+    """Growth of t - begun over two stretches, beside a small exponent that is not zero and one that falls faster."""
+
+    def weighted(growth: Any, start: float, periods: int) -> float:
+        u = (np.arange(periods) + 0.5) / periods
+        return float(np.average(growth(start + periods * u), weights=np.exp(-1.0 / (u * (1.0 - u)))))
+
+    laws = [
+        lambda t: 1.0 / (t - begun),
+        lambda t: 1e-4 + 0.0 * t,
+        lambda t: 2.0 / (t - begun),
+        lambda t: -1.0 / (t - begun),
+    ]
+    previous, now = (np.array([weighted(law, t, n) for law in laws]) for t, n in ((2000.0, 2000), (4000.0, 4000)))
+    assert shears(previous, now, np.full(4, 3000.0)).tolist() == [True, False, False, False]
 
 
 # Rest

@@ -373,4 +373,5 @@ def test_the_angle_between_force_and_phases_is_an_axis_of_curves(tmp_path: Path,
     solve = {"survival": 1000, "tolerance": 0.1}
     spec = atlas.Spec("gear-mesh", axes, parameters={"omega": 0.5, "E": 0.4}, solve=solve)
     atlas.run(spec, tmp_path / "mesh.zarr", client=client)
-    assert plane_of(read_header(tmp_path / "mesh.zarr")).regime.shape == (6, 6)
+    plane = plane_of(read_header(tmp_path / "mesh.zarr"))
+    assert (sorted(plane.axes), plane.shape) == (["eps", "tau"], (6, 6))

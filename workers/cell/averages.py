@@ -21,6 +21,9 @@ CHANGED = 3.0
 NEVER_RESTARTED = np.isin(np.arange(TALLIES), (WORK, STATUS))
 """What a motion counts from its start to its end."""
 
+SHEAR_LIMIT, SHEAR = 3e-4, 0.02
+"""Mean growth below which it may be that of shear, and the share by which it may differ from that: see ``shears``."""
+
 FARTHEST = 1e9
 """Ratio of error to tolerance above which its size does not matter: no budget has the periods."""
 
@@ -28,6 +31,17 @@ FARTHEST = 1e9
 def clearly_positive(mean: Array, error: Array, periods: Array) -> Mask:
     """Which mean growths over this many periods are certainly positive."""
     return (mean > CLEAR * error) & (mean * periods > GROWN)
+
+
+def shears(previous: Array, now: Array, apart: Array) -> Mask:
+    """Which weighted mean growths of two stretches, whose middles lie ``apart`` periods, are those of shear.
+
+    Without loss the frequencies of a torus depend on its amplitude: a disturbance grows in proportion to the time, its
+    logarithm by 1 / (t - c) a period, and 1 / now - 1 / previous = apart whatever c is. The exponent is zero.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        linear = np.abs(1.0 / now - 1.0 / previous - apart) < SHEAR * apart
+    return np.asarray(linear & (now > 0.0) & (now < SHEAR_LIMIT))
 
 
 def periods_for(periods: Array, error: Array, wanted: Array | float) -> Array:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from workers.cell import averages, outcome
-from workers.cell.averages import clearly_positive, periods_for, under_way
+from workers.cell.averages import clearly_positive, periods_for, shears, under_way
 from workers.cell.cells import RETURNS, Cells
 from workers.cell.exponents import impact_count
 from workers.cell.orbits import LONG_PERIOD, NEAR, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
@@ -86,7 +86,7 @@ class Course:
     stage      of each cell; stretch: periods that it is to go next
     memory     periods that its transient should take, NaN until known
     watched    periods of watching
-    weighted   the weighted average of its last stretch
+    weighted   the weighted average of its last stretch, and middle that stretch's, in periods flown
     half       standard error of an average over half of the periods that the tolerance takes
     recurrence whether it comes back to what it was
 
@@ -108,7 +108,7 @@ class Course:
         self.half = math.sqrt(2.0) * self.settings.tolerance
         self.stage = np.full(N, SEARCHING)
         self.stretch = np.full(N, FIRST_STRETCH)
-        self.memory, self.weighted = np.full((2, N), math.nan)
+        self.memory, self.weighted, self.middle = np.full((3, N), math.nan)
         self.watched = np.zeros(N, dtype=np.int64)
         self.recurrence = Recurrence(N)
 
@@ -292,10 +292,12 @@ class Course:
         """Look for tori and, where the exponent is clearly negative, for long orbits."""
         cells, batch = self.cells, self.cells.batch
         previous, now = self.weighted[rows], batch.weighted[rows, 0] / batch.weighted[rows, 1]
-        self.weighted[rows] = now
-        spread = np.abs(now - previous)
+        middle = cells.flown[rows] - 0.5 * batch.periods[rows]
+        linear = shears(previous, now, middle - self.middle[rows])
+        self.weighted[rows], self.middle[rows] = now, middle
+        spread = np.where(linear, now, np.abs(now - previous))
         flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
-        flat &= self.recurrence.same[rows] & self.recurrence.strikes[rows]
+        flat = (flat | linear) & self.recurrence.same[rows] & self.recurrence.strikes[rows]
         flat[flat] = far_from_closing(
             cells.oscillators.gap.blocks, batch.motions.h, batch.sections, rows[flat], RETURNS, TORUS_RETURN
         )
