@@ -20,6 +20,7 @@ from atlas.errors import ChunkError, InputError
 from atlas.store import store
 from atlas.store.location import LocalPlace
 from tests.planes import plane_of
+from tests.synthetic import respare
 
 DIGESTS = {
     "plane": "a07830e9a9b7ad28233fb7721af0d5d942a9e1eb70637aa9268e041ac55926a8",
@@ -193,8 +194,12 @@ def test_values_that_were_exchanged_for_others_are_not_used(tmp_path: Path) -> N
 @pytest.mark.parametrize("key", ["start", "stop"])
 def test_an_end_that_is_not_that_of_the_coordinate_is_found(tmp_path: Path, key: str) -> None:
     path = store.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
+    right = plane_of().outline()["axes"][0][key]
     change_spec(path, lambda spec: spec["axes"][0].update({key: 2.5}))
     assert store.read_header(path).spec.axes[0].values == plane_of().axes[0].values
+    (fault,) = verify(path).faults
+    assert str(fault).startswith(f"zarr.json has attribute spec.axes[0].{key} 2.5, must be {right}: ")
+    respare(path)
     assert [str(fault) for fault in verify(path).faults] == ["zarr.json: axis omega differs from its coordinate"]
 
 

@@ -17,6 +17,7 @@ from atlas.cli.main import main
 from atlas.cli.output import to_json
 from atlas.service.timing import TIMING, Timing
 from tests.faults import ATLAS
+from workers.results import PERIODS_SPENT, REASONS
 
 ROOT = Path(__file__).parent.parent
 
@@ -110,6 +111,7 @@ def test_query_at_a_point_gives_the_nearest_cell(folder: Path) -> None:
 
 def test_query_gives_the_shares_of_regimes(folder: Path) -> None:
     message = json.loads(call("query", folder / "out.zarr", "--window", "omega=2:3", "--json").stdout)
+    assert message.pop("reasons") == {REASONS[PERIODS_SPENT].text: 3}
     assert sum(message.values()) == pytest.approx(1.0)
 
 
@@ -132,7 +134,7 @@ def test_a_window_without_a_cell_is_refused_and_nothing_written(folder: Path, tm
 def test_the_shares_of_whole_tiles_come_from_their_records_and_of_cut_tiles_from_their_cells(folder: Path) -> None:
     assert call("query", folder / "out.zarr").stderr == "0 chunks read from the store\n"
     cut = call("query", folder / "out.zarr", "--window", "omega=2:2.2").stderr
-    assert cut == "4 chunks read from the store\n"
+    assert cut == "6 chunks read from the store\n"  # four with classes, and in two of their tiles reasons
 
 
 def test_render_takes_a_window_and_reports_how_many_chunks_it_read(folder: Path, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ P, C, N, Q, U = PERIODIC, CHAOTIC, NO_IMPACT, PENDING, UNDETERMINED
 
 def made(path: Path, seed: int, nx: int = 45, **parameters: float) -> store.Header:
     given = spec_of(nx=nx)
-    changed = atlas.Spec("two-mass", axes={axis.name: axis.values for axis in given.axes}, parameters=parameters)
+    changed = atlas.Spec("two-mass", axes={axis.name: list(axis.values) for axis in given.axes}, parameters=parameters)
     header = store.create(path, changed, (19, 23))
     fill(header, seed=seed)
     keep(header)

@@ -314,9 +314,9 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
     theirs = Stored(empty(of_family(LINEAR), header.spec.shape), {LINEAR: {"content": "theirs", "norm": NORM}})
 
     @contextmanager
-    def claimed_late(place: Any, options: RunOptions) -> Iterator[None]:
+    def claimed_late(place: Any, options: RunOptions) -> Iterator[Any]:
         write_measures(header, theirs)
-        yield
+        yield SimpleNamespace(guard=lambda place: place)
 
     monkeypatch.setattr("atlas.service.measures.claimed_place", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; run the same command again"):

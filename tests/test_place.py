@@ -25,6 +25,7 @@ from atlas.store import store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
 from atlas.store.remote import RemoteStore
 from atlas.store.sidecar import notes_at_url
+from atlas.store.spare import SPARE, read_spare
 from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
 from tests.planes import find, plane_of
@@ -207,7 +208,7 @@ def test_the_root_is_written_last_so_that_a_creation_cut_short_leaves_no_store(
         patch.setattr(ObjectPlace, "put", dies)
         with pytest.raises(InputError, match="cannot be written: the network is gone"):
             store.create(place, plane_of(), (2, 3))
-    assert "zarr.json" not in order
+    assert "zarr.json" not in order and SPARE not in order
     with pytest.raises(InputError, match="no such store"):
         store.read_header(place)
     assert find(place, plane_of()) is None  # what is left is in nobody's way
@@ -228,6 +229,29 @@ def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: 
     monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
     with pytest.raises(InputError, match="another run has just made a store here"):
         store.create(place, plane_of(), (2, 3))
+    assert verify(str(place), sample=0).faults == ()
+
+
+def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
+    bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that comes second has written all but the root when it is told."""
+    place = place_of(f"{bucket}/second/plane.zarr")
+    whole = ObjectPlace.put_new
+
+    def overtaken(self: ObjectPlace, key: str, data: bytes) -> bool:
+        if key != "zarr.json":
+            return whole(self, key, data)
+        with monkeypatch.context() as patch:
+            patch.setattr(ObjectPlace, "put_new", whole)
+            with pytest.raises(InputError, match="another run has just made a store here"):
+                assert whole(self, key, data)
+                store.create(place, plane_of(), (2, 3))
+        return True
+
+    monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
+    header, spare = store.create(place, plane_of(), (2, 3)), read_spare(place)
+    assert spare is not None and spare["attributes"]["run_id"] == header.run_id
     assert verify(str(place), sample=0).faults == ()
 
 

@@ -177,7 +177,8 @@ def tear(path: Path) -> None:
 
 def flip(path: Path) -> None:
     data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0x10
+    at = data.find(b"float64") if path.name == "zarr.json" else len(data) // 2  # in a column's name it would do no harm
+    data[at] ^= 0x10
     path.write_bytes(data)
 
 

@@ -39,8 +39,8 @@ atlas       CurveSettings Retry RunOptions Settings Spec __version__ attractors 
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
 commands    demo example plan run submit cancel retry extend basins status verify pack cite query regions extremes
-            basin-measures export compare curves label measure render figures point stability saddles portrait branch
-            explore systems
+            basin-measures export compare find-curves label-attractors measure-attractors plot figures point stability
+            saddles portrait branch explore systems
 variables   attractors average error exact impact_energy impacts_lower impacts_per_period impacts_upper kaplan_yorke
             label largest left lumped lumped_distance max_impact_speed mean_impact_speed min_impact_speed mirror own
             peak_to_peak period periods_used reason regime section settled share share_error share_high share_low
@@ -51,8 +51,8 @@ events      branch kind omega x1 x2 v1 v2 unstable kappa period impacts_upper im
 curves      curve kind period impacts_upper impacts_lower symmetric omega b unstable
 regions     label period cells area share centre_omega centre_b cell_omega cell_b omega_from omega_to b_from b_to cut
 extremes    regime extreme omega b value error cells
-ds.atlas    at basins beside boundary branch compare curves distance_to explore extremes fractions labels page
-            per_unit_time plot portrait reasons regions where_regime
+ds.atlas    at basin_measures beside boundary branch compare curves distance_to explore extremes fractions labels
+            page per_unit_time plot portrait reasons regions where_regime
 """
 JSON = """
 plan SPEC: axes dims shape cells tile tiles bytes workers seconds seconds_range seconds_per_cell processor_seconds

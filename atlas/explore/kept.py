@@ -155,7 +155,8 @@ class Keeper:
             ending = self._stopped.wait(pause)
             with self._lock:
                 batch = [(key, self._waiting[key]) for key in list(self._waiting)[:TOGETHER]]
-            if self.header is not None and (batch or (self._seen and time.monotonic() - noted > RECENT)):
+            due = batch or self._trouble or (self._seen and time.monotonic() - noted > RECENT)
+            if self.header is not None and due:  # in trouble too, which is over once a turn has come to its end
                 noted = time.monotonic()
                 self._turn(self.header, batch)
                 pause = min(2.0 * pause, LONGEST_PAUSE) if self._trouble else PAUSE

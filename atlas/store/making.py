@@ -22,7 +22,7 @@ from atlas.store.location import LocalPlace, Place
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import Origin, coordinate_names
-from atlas.store.spare import remedy
+from atlas.store.spare import SPARE, remedy
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES
 from workers.results import REGIME
@@ -93,16 +93,18 @@ def _refuse_foreign(place: Place, spec: Spec) -> None:
 def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
     """Make a store without a result, which appears at once or not at all.
 
-    On a disk a rename does that; at a URL the root's metadata do, which are put last and only if there are none.
+    On a disk a rename does that; at a URL the root's metadata do, which are put after all others and only if there are
+    none. Their spare follows, so that it is that of the run whose root it is.
     """
     path = place.local
     if path is None:
         with tempfile.TemporaryDirectory() as folder:
             built = LocalPlace(Path(folder) / "store")
             build(built.path, spec, tile, origin, run_id)
-            place.put_all(built.get_all(key for key in built.list_keys() if key != ROOT))
+            place.put_all(built.get_all(key for key in built.list_keys() if key not in (ROOT, SPARE)))
             if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
                 raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
+            place.put(SPARE, (built.path / SPARE).read_bytes())
         return
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
     try:

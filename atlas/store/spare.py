@@ -7,6 +7,7 @@ spare from the root's. It lies in the folder of an array, where no reader of Zar
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 from atlas.errors import message_of, shown
@@ -113,7 +114,23 @@ def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
     if whole:
         fields = [name for name in alone(right) if name != "attributes"]
         pairs = [(name, found.get(name), right[name]) for name in fields] + pairs
-    yield from (f"has {name} {shown(value)}, must be {shown(must)}" for name, value, must in pairs if value != must)
+    for pair in pairs:
+        yield from _unlike(*pair)
     if not whole:
         wrong = (key for key, node in nodes_of(right).items() if alone(copies.get(key, {})) != alone(node))
         yield from (f"has consolidated metadata that differ from those of {key}" for key in wrong)
+
+
+def _unlike(name: str, found: Any, must: Any) -> Iterator[str]:
+    """Where two values differ, in the innermost parts that both have; the spec is kept as JSON, and looked into."""
+    if isinstance(found, str) and isinstance(must, str) and must.startswith("{"):
+        with suppress(ValueError, RecursionError):
+            found, must = json.loads(found), json.loads(must)
+    if isinstance(found, dict) and isinstance(must, dict) and found.keys() == must.keys():
+        for key in must:
+            yield from _unlike(f"{name}.{key}", found[key], must[key])
+    elif isinstance(found, list) and isinstance(must, list) and len(found) == len(must) and dict in map(type, must):
+        for number, pair in enumerate(zip(found, must, strict=True)):
+            yield from _unlike(f"{name}[{number}]", *pair)
+    elif found != must:
+        yield f"has {name} {shown(found)}, must be {shown(must)}"
