@@ -86,7 +86,7 @@ class Course:
     stage      of each cell; stretch: periods that it is to go next
     memory     periods that its transient should take, NaN until known
     watched    periods of watching
-    weighted   the weighted average of its last stretch, and middle that stretch's, in periods flown
+    weighted   the weighted average of its last stretch; middle: of that stretch, in periods flown
     half       standard error of an average over half of the periods that the tolerance takes
     recurrence whether it comes back to what it was
 
