@@ -38,7 +38,7 @@ SOLVE = {"max_periods": 300, "tolerance": 0.1, "section_samples": 2}
 
 def spec_of(omega: Any = (2.0, 2.4, 3.0, 4.0), b: Any = (0.1, 0.3, 0.5), **changes: Any) -> atlas.Spec:
     given = {"parameters": {}, "solve": SOLVE, "store": {"tile": [2, 2]}} | changes
-    return atlas.Spec("two-mass", axes={"omega": omega, "b": b}, **given)
+    return atlas.Spec("two-mass", axes={"omega": list(omega), "b": list(b)}, **given)
 
 
 @pytest.fixture(scope="module")

@@ -128,7 +128,7 @@ def test_a_tile_that_raises_each_time_is_reported_and_left_for_another_run(
     ended = faulty[1]
     assert ended.returncode == 1
     last = ended.stderr.splitlines()[-1]
-    assert re.fullmatch(r"tile \(1, 0\) failed on tcp://127\.0\.0\.1:\d+: ZeroDivisionError: attempt 3", last)
+    assert re.fullmatch(r"tile \(1, 0\) failed on tls://127\.0\.0\.1:\d+: ZeroDivisionError: attempt 3", last)
 
 
 def test_no_note_is_left_beside_the_store(faulty: tuple[Run, object]) -> None:
