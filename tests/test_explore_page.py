@@ -227,7 +227,7 @@ def test_a_number_typed_beside_a_slider_moves_it_and_one_out_of_range_is_refused
 
 def test_other_axes_are_chosen_in_the_page_and_back_leads_to_those_before(tab: Tab) -> None:
     address = tab.address()
-    tab.page.locator("select:visible").nth(2).select_option(label="R coefficient of restitution")
+    tab.page.locator("select:visible").nth(3).select_option(label="R coefficient of restitution")
     tab.page.wait_for_url("**axes=omega,R**")
     tab.until(tab.image)
     assert "coefficient of restitution R" in tab.models("LinearAxis", "axis_label")

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -84,7 +84,8 @@ class Crew:
                     take(outcome)
                     self._report(doing())
             except RunError:
-                self.header.place.confirm()  # if the claim was taken, workers refuse for that reason
+                with suppress(OSError):  # a store that cannot be reached says nothing of its claim
+                    self.header.place.confirm()  # if the claim was taken, workers refuse for that reason
                 raise
 
     def _report(self, progress: Progress, trouble: str = "") -> None:

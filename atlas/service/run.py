@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
@@ -242,7 +242,8 @@ class _Run:
             self.report("interrupted, dropping the tiles under way")
             raise
         except RunError:
-            header.place.confirm()  # if the claim was taken, workers refuse for that reason
+            with suppress(OSError):  # a store that cannot be reached says nothing of its claim
+                header.place.confirm()  # if the claim was taken, workers refuse for that reason
             raise
 
     def _make(self, force: Workforce[Job, Receipt | Made], jobs: list[Job]) -> None:
