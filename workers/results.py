@@ -83,7 +83,7 @@ REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("two_impacts", FAILED, "a rigid contact is struck while another one is held: what follows is not defined"),
     ("runs_away", FAILED, "motion grows without bound: damping and friction do not hold what drives it"),
     ("periods_spent", UNDETERMINED, "its budget of forcing periods is spent before its class is certain"),
-    ("never_recurs", UNDETERMINED, "its energy still rises or falls when its budget ends: it has not come back to what it was"),
+    ("never_recurs", UNDETERMINED, "its energy still rises or falls when its budget ends: it has not come back"),
 )))  # fmt: skip
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 
