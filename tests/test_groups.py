@@ -42,7 +42,7 @@ def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_curves(header, BOTH)
     put_part(header, CURVES, "seed-0", b'{"found": []}')
     write_measures(header, Stored(empty(of_family(LINEAR), header.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
-    put_part(header, STABILITY, "linear/0.0-0", b"")
+    put_part(header, STABILITY, "linear-0.0-0", b"")
     make_plane(header, PLANE, {"digest": f"{PLANE}...", "parameters": {}})
     sheet = store.create(sheet_place(header, PLANE, "x0_y0_0_0"), header.spec, header.tile)
     write_tile(sheet, (0, 0), read_tile(header, (0, 0)))

@@ -44,7 +44,7 @@ def test_figs_3_and_4_show_the_motions_that_the_paper_describes(name: str, words
 def test_all_figures_are_drawn_into_a_folder(tmp_path: Path, client: Client) -> None:
     """Fig. 6 on six cells of its own spec, in this process: the cluster has tests of its own."""
     whole = Spec.from_toml(paper.SWEEP)
-    axis = whole.axes[0].values[::200]
+    axis = list(whole.axes[0].values[::200])
     short = Spec(whole.system, {"omega": axis}, whole.parameters, whole.settings)
     stages: list[str] = []
     written = paper.figures(

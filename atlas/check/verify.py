@@ -6,7 +6,7 @@ import random
 import time
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -35,6 +35,7 @@ from atlas.store.location import place_of
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
 from atlas.store.making import refused
+from atlas.store.place import Place
 from atlas.store.record import COVERED, WIDTH, Rows
 from atlas.store.records import Records, write_compaction
 from atlas.store.schema import ALLOWANCES
@@ -110,7 +111,7 @@ def verify(
         notify = report or (lambda _: None)
         claim = stack.enter_context(claimed(notes_of(place), str(place))) if repair else None
         place = place if claim is None else claim.guard(place)
-        lost = spare_faults(place, spare) if spare is not None else {SPARE: "is missing or damaged"}
+        lost = _unlike_spare(place, spare)
         told = tuple(Fault(None, f"{key} {what}: {remedy(place)}") for key, what in lost.items())
         if spare is not None and lost and claim is None:  # whatever is read through wrong metadata means nothing
             header = header_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
@@ -124,6 +125,11 @@ def verify(
                 place.put(SPARE, packed_spare(place.get(ROOT) or b""))
             found = replace(found, mended=(*(f"{key} written again" for key in lost), *found.mended))
         return replace(found, faults=(*told, *found.faults))
+
+
+def _unlike_spare(place: Place, spare: Mapping[str, Any] | None) -> dict[str, str]:
+    """The faults of a store's metadata beside its spare, by their keys; a spare of None is itself the fault."""
+    return {SPARE: "is missing or damaged"} if spare is None else spare_faults(place, spare)
 
 
 def _begun(header: Header, seed: int) -> Report:
@@ -239,11 +245,13 @@ def _with_zoom(
         notify(Progress(f"reading the zoom levels: sheet {k} of {len(found)}", passing=True))
         try:
             inner = read_header(sheet_place(header, plane, sheet))
+            lost = _unlike_spare(inner.place, read_spare(inner.place))
         except InputError as error:
             faults.append(Fault(None, str(error)))
             bad.append((plane, sheet))
             continue
         own = _verified(inner, int((plane, sheet) in solved), None, report.seed, lambda _: None)
+        own = replace(own, faults=(*(Fault(None, f"{key} {fault}") for key, fault in lost.items()), *own.faults))
         bad += [(plane, sheet)] if own.faults else []
         for all_of, some in ((faults, own.faults), (doubts, own.doubts)):
             all_of += [Fault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
