@@ -2,11 +2,11 @@
 
 ``Spec`` says what to compute, ``Settings`` how one cell is solved; ``run`` computes it into a store, ``open`` gives the
 store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``plan`` gives the cost before, ``status`` the
-progress meanwhile. ``extend`` computes a larger or finer atlas
-from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
-a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
-a plane, within the budget of ``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one
-branch from cell to cell; ``measure_attractors`` measures how stable the attractors of an atlas are.
+progress meanwhile. ``extend`` computes a larger or finer atlas from it, ``retry`` one with some cells solved again,
+``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how a run
+computes. ``find_curves`` finds the exact curves that bound the regions of a plane, within the budget of
+``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one branch from cell to cell;
+``measure_attractors`` measures how stable the attractors of an atlas are.
 Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``stability`` measures how stable
 they are, ``saddles`` finds the unstable orbits between their basins, ``portrait`` draws its motion, ``branch`` follows
 its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`` gives a motion in time.
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from atlas import errors
     from atlas.api import (
         CurveSettings,
-        Retry,
         RunOptions,
         Settings,
         Spec,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
         plan,
         point,
         portrait,
+        retry,
         run,
         saddles,
         stability,
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CurveSettings",
-    "Retry",
     "RunOptions",
     "Settings",
     "Spec",
@@ -64,6 +63,7 @@ __all__ = [
     "plan",
     "point",
     "portrait",
+    "retry",
     "run",
     "saddles",
     "solve_tile",

@@ -20,11 +20,11 @@ from atlas.service.options import RunOptions
 from atlas.service.pack import pack
 from atlas.service.plan import Plan, make_plan
 from atlas.service.probe import probed
+from atlas.service.retry import retry
 from atlas.service.run import run
 from atlas.service.status import Status, read_status
 from atlas.spec.spec import Spec, given_values
 from atlas.store.store import read_header
-from atlas.task.retry import Retry
 from workers import Settings
 from workers.model.system import DEFAULT, System
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CurveSettings",
-    "Retry",
     "RunOptions",
     "Settings",
     "Spec",
@@ -48,6 +47,7 @@ __all__ = [
     "plan",
     "point",
     "portrait",
+    "retry",
     "run",
     "saddles",
     "stability",

@@ -62,9 +62,9 @@ def fill(header: store.Header, skip: tuple[Index, ...] = (), seed: int = 0) -> N
         header.path.joinpath("regime", "c", *map(str, index)).unlink()
 
 
-def overviews_of(header: store.Header, pending: tuple[Index, ...] = (), side: int = 8, least: int = 8) -> Overviews:
+def overviews_of(header: store.Header, side: int = 8, least: int = 8) -> Overviews:
     """Overviews with chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
-    return Overviews(header, pending, side=side, least=least)
+    return Overviews(header, side=side, least=least)
 
 
 def keep(header: store.Header, side: int = 8, least: int = 8) -> int:

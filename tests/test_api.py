@@ -10,14 +10,12 @@ import pytest
 import xarray as xr
 
 import atlas
-from atlas.errors import InputError
 from atlas.service.options import RunFields
 from atlas.service.progress import Progress
 from tests.synthetic import complete
-from workers.results import FAILED, UNDETERMINED
 
 ROOT = Path(__file__).parent.parent
-PUBLIC = ["Retry", "RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point"]
+PUBLIC = ["RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point", "retry"]
 PUBLIC += ["attractors", "measure_attractors", "plan", "saddles", "stability", "status", "trace"]
 PUBLIC += ["CurveSettings", "branch", "find_curves", "label_attractors", "portrait", "run", "solve_tile", "verify"]
 
@@ -64,12 +62,6 @@ def test_the_errors_are_there_before_anything_else_is_used() -> None:
 def test_a_point_is_solved_with_the_defaults_of_the_system() -> None:
     found = atlas.point({"omega": 4.0, "b": 0.5}, settings=atlas.Settings(max_periods=500))
     assert (found["system"], found["regime"], found["parameters"]["R"]) == ("two-mass", "no_impact", 0.8)
-
-
-def test_a_retry_takes_regimes_by_name() -> None:
-    assert atlas.Retry(("failed", "undetermined"), 9) == atlas.Retry((FAILED, UNDETERMINED), 9)
-    with pytest.raises(InputError, match="unknown regime to retry 'faild'; did you mean 'failed'"):
-        atlas.Retry(("faild",))
 
 
 def test_a_plan_without_a_probe_has_cells_and_tiles_and_no_time() -> None:

@@ -3,8 +3,10 @@
 Truth: the bytes of the store before and after.
 """
 
+import os
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,12 @@ from atlas import Spec
 from atlas.errors import RunError
 from atlas.store.location import LocalPlace
 from atlas.store.schema import extra_sizes
-from atlas.store.sidecar import notes_of, put_token, remove_token
+from atlas.store.sidecar import Attempt, notes_of, put_attempt
 from atlas.store.store import Header, chunk_key, create, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job
-from atlas.task.task import Job, header_of, solve_cells, stored_cells
+from atlas.task.task import Job
 from tests.planes import plane_of
 from workers import tile as solving
 from workers.results import empty_results
@@ -96,11 +98,6 @@ def test_an_attempt_that_sleeps_while_another_does_its_tile_writes_nothing_more(
     when(sleeper, monkeypatch)
     sleeper.start()
 
-    def here(job: Job, slices: Any) -> Any:
-        known = stored_cells(header_of(job), job, slices)
-        return solve_cells(header.spec, job, slices, *known)
-
-    monkeypatch.setattr(attempt, "solve_isolated", here)
     assert run_job(job).cells > 0
     before = {key: header.place.version(key) for key in header.place.list_keys()}
     sleeper.wake()
@@ -147,26 +144,47 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
     assert (0, 0) in done_tiles(read_header(header.path))
 
 
-def test_a_tile_whose_worker_was_evicted_is_solved_by_the_next_worker_itself(
+def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """From now on attempts at tiles do not live to remove their notes; the runs of those that solved one."""
+    solved: list[str] = []
+    monkeypatch.setattr(attempt, "solve_and_write", lambda job: solved.append(job.claim))
+    monkeypatch.setattr(Attempt, "remove", lambda *_: None)
+    return solved
+
+
+def test_a_tile_whose_process_died_twice_is_not_tried_again_and_the_last_is_named(
     header: Header, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Truth: a worker that ends in the middle of a tile is no sign that the tile is at fault."""
-    job = job_of(header)
-    how: list[str] = []
-    monkeypatch.setattr(attempt, "solve_and_write", lambda job: how.append("in the worker"))
-    monkeypatch.setattr(attempt, "_solve_apart", lambda header, job: how.append("apart"))
-    monkeypatch.setattr(attempt, "remove_token", lambda *_: None)  # none of them lives to do it
-    for _ in range(4):
+    job, solved = job_of(header), unfinished(monkeypatch)
+    for _ in range(2):
         run_job(job)
-    assert how == ["in the worker", "in the worker", "apart", "apart"]
+    for _ in range(2):
+        with pytest.raises(RunError, match=rf"has died 2 times, the last was .*, process {os.getpid()}$"):
+            run_job(job)
+    assert len(solved) == 2
+
+
+def test_attempts_of_another_run_do_not_count(header: Header, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: a run that somebody ends in the middle of a tile is no sign that the tile is at fault."""
+    solved = unfinished(monkeypatch)
+    monkeypatch.setattr(attempt, "header_of", lambda job: header)
+    for claim in ("first", "second", "third", "third"):
+        run_job(replace(job_of(header), claim=claim))
+    assert solved == ["first", "second", "third", "third"]
 
 
 def test_a_note_is_that_of_the_attempt_alone(header: Header) -> None:
     notes, name = notes_of(header.place), "started-0-0"
-    first, _ = put_token(notes, name)
-    second, number = put_token(notes, name)
-    assert number == 2
-    remove_token(notes, name, first, 1)
+    first, second = put_attempt(notes, name, "run", 9), put_attempt(notes, name, "run", 9)
+    assert (first.number, second.number) == (1, 2)
+    first.remove(notes, name)
     assert notes.read(name) is not None
-    remove_token(notes, name, second, 2)
+    second.remove(notes, name)
     assert notes.read(name) is None
+
+
+@pytest.mark.parametrize("note", [b"", b"{", b"[]", b'{"run": "run", "number": "many"}'])
+def test_a_note_that_makes_no_sense_counts_as_none(header: Header, note: bytes) -> None:
+    notes = notes_of(header.place)
+    notes.put("started-0-0", note, expected=None)
+    assert put_attempt(notes, "started-0-0", "run", 1).number == 1

@@ -11,7 +11,8 @@ import pytest
 
 from atlas.cli.main import main
 from atlas.spec.spec import Spec
-from atlas.store.schema import ALLOWANCES, FORMAT_VERSION
+from atlas.store.origin import ALLOWANCES
+from atlas.store.schema import FORMAT_VERSION
 from workers import SOLVER_VERSION, Settings, System
 from workers.results import REASONS, REGIMES, result_variables
 

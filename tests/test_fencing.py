@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import zarr
 from distributed import Client
@@ -25,19 +24,17 @@ from atlas.service.progress import Progress
 from atlas.spec.grown import refined
 from atlas.store import sidecar
 from atlas.store.location import LocalPlace
+from atlas.store.origin import Origin, Retry
 from atlas.store.record import RECORDS
 from atlas.store.records import Records, write_compaction
-from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, done_tiles, open_group, read_header
-from atlas.store.tiles import read_tile, write_tile
-from atlas.task import attempt, task
+from atlas.task import task
 from atlas.task.attempt import run_job
-from atlas.task.retry import Retry
 from atlas.task.task import Job, RefusedError
 from tests.planes import plane_of
 from workers import tile as solving
-from workers.results import FAILED
+from workers.settings import MOST_PERIODS
 
 LOST = "the run of this tile has lost its claim of the store; nothing more is written"
 OURS = Record("ours", 3, "here", 1, "")
@@ -55,18 +52,10 @@ def take_over(store: Path) -> None:
     assert notes_of(store).put(CLAIM, THEIRS.pack(), expected=OURS.pack())
 
 
-def claimed_job(store: Path, index: tuple[int, ...], retry: Retry | None = None) -> Job:
+def claimed_job(store: Path, index: tuple[int, ...]) -> Job:
     header = read_header(store)
     notes_of(store).put(CLAIM, OURS.pack(), expected=None)
-    return Job(index, str(store), header.run_id, header.solver_version, retry, claim=OURS.token)
-
-
-def fail_some(store: Path, index: tuple[int, ...]) -> None:
-    """Mark a cell of a finished tile as failed, so that a retry has something to do."""
-    header = read_header(store)
-    arrays = read_tile(header, index)
-    arrays["regime"][0, 0] = FAILED
-    write_tile(header, index, arrays)
+    return Job(index, str(store), header.run_id, header.solver_version, claim=OURS.token)
 
 
 def new_store(folder: Path, _: Path) -> Job:
@@ -74,8 +63,9 @@ def new_store(folder: Path, _: Path) -> Job:
 
 
 def retried_store(folder: Path, finished: Path) -> Job:
-    fail_some(finished, (1, 1))
-    return claimed_job(finished, (1, 1), Retry((FAILED,)))
+    header = read_header(finished)
+    origin = Origin(str(finished), header.run_id, Retry(("periodic",), max_periods=MOST_PERIODS))
+    return claimed_job(create(folder / "again.zarr", header.spec, header.tile, origin).path, (1, 1))
 
 
 def extended_store(folder: Path, finished: Path) -> Job:
@@ -132,19 +122,6 @@ def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finis
     assert done_tiles(read_header(job.store)) == set()
 
 
-def test_a_tile_that_kills_its_process_is_not_marked_after_the_claim_is_lost(
-    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = new_store(tmp_path, finished)
-    take_over(Path(job.store))
-    notes_of(job.store).put("started-1-1", b'{"attempt": 2}', expected=None)
-    monkeypatch.setattr(attempt, "solve_isolated", lambda job, slices: "it died")
-    before = contents(Path(job.store))
-    with pytest.raises(RefusedError, match=LOST):
-        run_job(job)
-    assert contents(Path(job.store)) == before
-
-
 @pytest.mark.parametrize("kind", JOBS)
 @pytest.mark.parametrize("after", ["largest", "periods_used"])
 def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
@@ -166,28 +143,6 @@ def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
     assert job.index not in done_tiles(read_header(store))
     written = {key.partition("/")[0] for key, data in contents(store).items() if before.get(key) != data}
     assert "regime" not in written
-    if kind == "of a retry":
-        assert written == set()
-
-
-def test_a_retry_that_loses_the_claim_before_it_drops_the_old_tile_leaves_it(
-    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = retried_store(tmp_path, finished)
-    before, whole = read_tile(read_header(finished), job.index), LocalPlace.put
-
-    def put(place: LocalPlace, key: str, data: bytes) -> None:
-        whole(place, key, data)
-        if "replaced" in key:
-            take_over(finished)
-
-    monkeypatch.setattr(LocalPlace, "put", put)
-    with pytest.raises(RefusedError, match=LOST):
-        run_job(job)
-    after = read_tile(read_header(finished), job.index)
-    assert all(
-        np.array_equal(after[name], values, equal_nan=values.dtype.kind == "f") for name, values in before.items()
-    )
 
 
 def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_the_attempt(

@@ -27,9 +27,10 @@ from atlas.spec.system import checked_system
 from atlas.store import store
 from atlas.store.groups import CURVES, TABLES
 from atlas.store.machine import MACHINES
+from atlas.store.origin import ALLOWANCES
 from atlas.store.parts import PARTS
 from atlas.store.record import TILES
-from atlas.store.schema import ALLOWANCES, OVERVIEWS
+from atlas.store.schema import OVERVIEWS
 from tests.test_systems import table
 from workers import Settings, System
 from workers.model.entries import DefinitionError

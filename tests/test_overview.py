@@ -25,7 +25,7 @@ from atlas.query.resample import view
 from atlas.service.progress import Progress
 from atlas.store import store
 from atlas.store.location import LocalPlace
-from atlas.store.tiles import drop_tile, read_tile, write_tile
+from atlas.store.tiles import drop_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import do_job
 from atlas.task.task import Job, RefusedError, commit, make_chunk
@@ -321,9 +321,10 @@ def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(begun: Path, tmp
     assert (xr.open_zarr(tmp_path / "a.zarr", group="overviews/1").regime.values != PENDING).all()
 
 
-def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.Header) -> None:
+def test_a_lost_tile_that_is_solved_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.Header) -> None:
     before = {path: path.stat().st_mtime_ns for path in (whole.path / "overviews").rglob("c/*/*") if path.is_file()}
-    overviews = Overviews(whole, [(4, 5)])
+    drop_tile(whole, (4, 5))
+    overviews = Overviews(whole)
     write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
     assert overviews.finish() == 3
     changed = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
@@ -333,19 +334,6 @@ def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(wh
         assert parts
         assert {"/".join(path.parts[-2:]) for path in parts} == {place}
     assert_view_is_true(whole)
-
-
-def test_the_end_of_a_tile_cut_short_by_a_kill_refreshes_what_lies_over_it(whole: store.Header, client: Client) -> None:
-    """Written again by hand, where no run drops what lies over it; the run that finishes it does."""
-    made = results(whole, (0, 0), seed=1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LocalPlace, "remove", lambda *_: (_ for _ in ()).throw(Killed))
-        with pytest.raises(Killed):
-            write_tile(whole, (0, 0), made)
-    atlas.run(whole.spec, whole.path, client=client)
-    np.testing.assert_array_equal(read_tile(whole, (0, 0))["largest"], made["largest"])
-    assert_view_is_true(whole)
-    assert (xr.open_zarr(whole.path, group="overviews/1").regime.values != PENDING).all()
 
 
 def test_overviews_that_cannot_be_written_are_told(filled: store.Header, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -502,11 +490,13 @@ def killed_after(monkeypatch: pytest.MonkeyPatch, writes: int) -> None:
 
 
 def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, tile: tuple[int, int]) -> bool:
-    """Solve a tile again as a run does, killed after that many writes; whether it came to its end."""
+    """Repair a tile and solve it as a run does, killed after that many writes; whether it came to its end."""
     with monkeypatch.context() as patch:
         killed_after(patch, writes)
         try:
-            overviews = Overviews(header, [tile])  # as a run does, which goes by what the store has
+            Pyramid(header).drop([tile])
+            drop_tile(header, tile)
+            overviews = Overviews(header)  # as a run does, which goes by what the store has
             write_tile(header, tile, results(header, tile, seed=1))
             overviews.finish()
         except Killed:
@@ -526,7 +516,6 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     header = complete(tmp_path / "a.zarr", (8, 8), spec, least=10)
     steps = 0
     while not survive(header, monkeypatch, steps, (2, 2)):
-        # A kill while the tile itself is written leaves it half new: not the overviews' matter, the claim is on them.
         assert_overviews_are_of(header)
         steps += 1
     assert steps > 25  # arrays of the tile and of the chunk over it

@@ -17,14 +17,10 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.query import queries as query
-from atlas.service.extend import extend
-from atlas.service.status import read_status
 from atlas.store.store import read_header
 from atlas.store.tiles import put_record, read_tile, record_of
-from atlas.task.retry import Retry
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
-from tests.synthetic import remove_arrays
 from workers import solve_tile
 from workers.cell import cells
 from workers.results import (
@@ -61,13 +57,6 @@ def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
 @pytest.fixture
 def store(solved: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(solved, tmp_path / "out.zarr"))
-
-
-@pytest.fixture
-def older(store: Path) -> Path:
-    """A store as it was made before there were reasons."""
-    remove_arrays(store, "reason")
-    return store
 
 
 def record(store: Path, cell: tuple[int, int]) -> None:
@@ -201,41 +190,3 @@ def test_a_reason_of_another_regime_is_a_fault(store: Path, cell: tuple[int, int
     assert record.what.startswith("the record of tile")
     assert digest.what.startswith("its chunks were not written together here")
     assert fault.what.startswith("reason is not one for this regime: 1 cell,")
-
-
-def test_a_retry_that_solves_a_failed_cell_takes_its_reason_away(store: Path, client: Client) -> None:
-    group = zarr.open_group(store, mode="r+")
-    for name, value in {"regime": FAILED, "reason": 1}.items():
-        group[name][4, 0] = value
-    record(store, (4, 0))
-    atlas.run(plane_of(x1=0.25), store, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
-    assert zarr.open_group(store, mode="r")["reason"][4, 0] == NO_REASON
-    assert verify(store, sample=35).fine
-
-
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
-def test_a_store_from_before_there_were_reasons_is_sound_and_reports_its_shares(older: Path) -> None:
-    assert verify(older, sample=35).fine
-    assert read_status(read_header(older)).reasons == {}
-    assert json.loads(call("query", older, "--json").stdout)["invalid"] == pytest.approx(0.4)
-    assert call("query", older, "--at", "omega=3", "--at", "b=0.1").exit_code == 0
-    assert call("plot", older, "-o", older.parent / "map.png").exit_code == 0
-
-
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
-def test_a_store_from_before_there_were_reasons_can_be_gone_on_with(older: Path, client: Client) -> None:
-    (older / "regime" / "c" / "0" / "1").unlink()
-    summary = atlas.run(plane_of(x1=0.25), older, client=client)
-    assert (summary.tiles_solved, summary.reasons) == (1, {BEYOND: 6})
-    zarr.open_group(older, mode="r+")["regime"][4, 0] = FAILED
-    record(older, (4, 0))
-    assert atlas.run(plane_of(x1=0.25), older, client, atlas.RunOptions(retry=Retry((FAILED,)))).cells_solved == 1
-    assert not (older / "reason").exists()
-    assert read_status(read_header(older)).reasons == {}
-    assert verify(older, sample=35).fine
-
-
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
-def test_cells_taken_over_from_an_older_store_have_their_reasons(older: Path, tmp_path: Path, client: Client) -> None:
-    extend(older, tmp_path / "new.zarr", refine={"omega": 2}, client=client)
-    assert verify(tmp_path / "new.zarr", sample=0).fine

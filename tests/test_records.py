@@ -23,7 +23,6 @@ from atlas.store.records import Records, RunRecords, put_together, single_record
 from atlas.store.store import Header, done_tiles, open_arrays, read_header
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write_tile
 from atlas.task.attempt import run_job
-from atlas.task.retry import Retry
 from atlas.task.task import Job
 from tests.chunk_keys import noted_keys
 from tests.planes import plane_of
@@ -247,54 +246,12 @@ def test_the_next_run_records_what_an_earlier_one_did_not(finished: Path, client
     np.testing.assert_array_equal(Records(header).rows[2, 2], before[2, 2])
 
 
-def test_a_retry_leaves_the_records_true(finished: Path, client: Client, keys: list[str]) -> None:
-    spec, path = plane_of(), finished
-    before = read_status(read_header(path))
-    fail(read_header(path), (1, 1))
-    assert read_status(read_header(path)).regimes["failed"] == 2
-    atlas.run(spec, path, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
-    keys.clear()
-    assert read_status(read_header(path)).regimes == before.regimes
-    assert keys == []
-
-
-def test_a_retry_reads_no_tile_whose_record_has_none_of_the_cells(
-    finished: Path, client: Client, keys: list[str]
-) -> None:
-    fail(read_header(finished), (1, 1))
-    keys.clear()
-    atlas.run(plane_of(), finished, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
-    assert {key for key in keys if key.startswith("regime/")} == {"regime/c/1/1"}
-
-
 def fail(header: Header, index: tuple[int, ...]) -> None:
     """Make two cells of a tile failed ones."""
     arrays = read_tile(header, index)
     arrays["regime"][0, :2] = FAILED
     arrays["reason"] = np.where(arrays["regime"] == FAILED, GAVE_UP, 0).astype(np.int8)
     write_tile(header, index, arrays)
-
-
-def test_a_coordinator_killed_after_a_retried_tile_leaves_no_wrong_record(
-    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The tile is written, its receipt lost: what was there before must not count."""
-    spec, path = plane_of(), finished
-    header = read_header(path)
-    fail(header, (1, 1))
-    put_together(header)
-
-    class Killed(BaseException):
-        pass
-
-    def killed(*_: object) -> None:
-        raise Killed
-
-    monkeypatch.setattr(RunRecords, "add", killed)
-    with pytest.raises(Killed):
-        atlas.run(spec, path, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
-    assert "failed" not in counts_of(path)
-    assert_true(read_status(header), path)
 
 
 def test_a_tile_dropped_and_solved_by_hand_is_not_taken_for_its_old_self(finished: Path) -> None:
@@ -373,23 +330,6 @@ def test_records_are_right_whenever_a_run_is_killed_that_puts_them_together(whol
     changes = killed_everywhere(whole, put_together, true)
     assert changes[0] == f"put {RECORDS}/c.0.0.0"
     assert sorted(changes[1:]) == [f"remove {record_key(index)}" for index in ((0, 0), (1, 1), (2, 1))]
-
-
-@pytest.mark.parametrize("together", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_records_are_right_whenever_a_worker_is_killed_that_writes_a_finished_tile_again(
-    whole: Header, together: bool
-) -> None:
-    if together:
-        put_together(whole)
-
-    def write(header: Header) -> None:
-        write_tile(header, (1, 1), results(header, (1, 1), seed=1))
-
-    changes = killed_everywhere(whole, write, lambda header: assert_true(read_status(header), header.path))
-    regime = changes.index("put regime/c/1/1")
-    assert changes[regime - 1] == f"put {record_key((1, 1))}"
-    dropped = changes.index("remove regime/c/1/1")
-    assert changes[dropped - 1] == f"put {record_key((1, 1))}"
 
 
 def test_records_are_right_whenever_a_worker_is_killed_that_writes_a_first_tile(whole: Header) -> None:

@@ -34,8 +34,8 @@ PAGE = (ROOT / "docs/stability.md").read_text(encoding="utf-8")
 # The promise. A name may be added here; one that goes needs a major version.
 
 PROMISED = """
-atlas       CurveSettings Retry RunOptions Settings Spec __version__ attractors branch errors extend find_curves
-            label_attractors measure_attractors open pack plan point portrait run saddles solve_tile stability
+atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch errors extend find_curves
+            label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
 commands    demo example plan run submit cancel retry extend basins status verify pack cite query regions extremes

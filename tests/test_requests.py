@@ -82,7 +82,7 @@ def test_a_run_that_resumes_lists_tiles_notes_and_records_once_and_new_records_a
         drop_tile(read_header(URL), (0, 0))
     server.forget()
     assert atlas.run(plane_of(), URL, client=client).tiles_solved == lost
-    assert listings(server) == {"plane.zarr/regime/": 1, ".plane.zarr.run/": 1, "plane.zarr/tiles/record/": 1 + lost}
+    assert listings(server) == {"plane.zarr/regime/c/": 1, ".plane.zarr.run/": 1, "plane.zarr/tiles/record/": 1 + lost}
 
 
 def test_a_tile_is_written_without_the_metadata_of_each_array(server: ObjectStore, client: Client) -> None:

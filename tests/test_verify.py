@@ -338,12 +338,13 @@ def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path) -> 
     assert "sample   not solved again: the store has solver version 3, this program" in str(report)
 
 
-def test_failed_cells_are_not_solved_again(whole: Path) -> None:
+def test_a_cell_that_was_marked_failed_by_hand_is_solved_again_and_found(whole: Path) -> None:
     values = {v.name: v.fill for v in result_variables(SPEC.settings)} | {"regime": FAILED, "reason": GAVE_UP}
     for name, value in values.items():
         change(whole, name, lambda regime: np.arange(regime.size).reshape(regime.shape) == 0, value)
     report = verify(whole, sample=12)
-    assert (report.fine, report.cells_solved) == (True, 11)
+    assert report.cells_solved == 12
+    assert [fault.tile for fault in report.faults if "solved again" in fault.what] == [(0, 0)]
 
 
 def test_metadata_that_differ_from_their_consolidated_copy_are_found(whole: Path) -> None:

@@ -47,18 +47,17 @@ class Reason:
 
 
 (
-    NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
+    NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
     MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY, PERIODS_SPENT, NEVER_RECURS,
-) = range(27)  # fmt: skip
+) = range(26)  # fmt: skip
 
 REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("none", PENDING, ""),
     ("gave_up", FAILED, "the time of the next impact could not be found"),
     ("not_finite", FAILED, "the state is no longer finite"),
     ("arithmetic", FAILED, "a calculation met an overflow, a zero divisor or a singular matrix"),
-    ("process_ended", FAILED, "the process that solved its tile died"),
     ("costly_period", UNDETERMINED, "one forcing period takes more than a million evaluations of the motion"),
     ("work_spent", UNDETERMINED, "its budget of evaluations of the motion is spent"),
     ("beyond_stop", INVALID, "the initial state lies beyond a stop"),

@@ -13,7 +13,7 @@ from atlas.spec.spec import Spec
 from atlas.store.groups import TABLES
 from atlas.store.machine import MACHINES
 from atlas.store.record import RECORD, TILES
-from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
+from atlas.store.schema import OVERVIEWS, extra_sizes
 from atlas.store.spare import alone
 from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_group
 from atlas.store.tiles import covered_variables, object_shape
@@ -47,11 +47,8 @@ def metadata_faults(header: Header) -> list[str]:
     sizes, variables = extra_sizes(spec), header.variables
     shapes = {name: coordinate.values.shape for name, coordinate in header.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
-    given = {each.name for each in ALLOWANCES}
     for name in [*shapes, *(own.keys() | copied.keys()) - shapes.keys()]:
         where = f"{name}/{ROOT}"
-        if name in given and name not in copied:
-            continue  # a kill has come between the two; the next run copies it
         if name not in own:
             faults.append(f"{where} is missing")
         elif name in shapes and own[name].shape != shapes[name]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from atlas.spec.spec import Spec
-from atlas.store.schema import ALLOWANCES
+from atlas.store.origin import ALLOWANCES
 from atlas.task.solving import solve_apart
 from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, REGIMES, leading
 

@@ -35,10 +35,10 @@ from atlas.store.location import place_of
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
 from atlas.store.making import refused
+from atlas.store.origin import ALLOWANCES
 from atlas.store.place import Place
 from atlas.store.record import COVERED, WIDTH, Rows
 from atlas.store.records import Records, write_compaction
-from atlas.store.schema import ALLOWANCES
 from atlas.store.sidecar import notes_of
 from atlas.store.spare import (
     SPARE,
@@ -66,7 +66,7 @@ from atlas.store.tiling import Tiling
 from atlas.store.zoom import sheet_place, sheets
 from atlas.text import plural
 from workers import SOLVER_VERSION
-from workers.results import FAILED, REGIME
+from workers.results import REGIME
 
 SAMPLE = 32
 
@@ -324,11 +324,9 @@ def _check(header: Header, arrays: dict[str, Any], records: Records, index: Inde
         cell = tuple(part.start + i for part, i in zip(tile.slices, inner, strict=True))
         one = tuple(slice(i, i + 1) for i in inner)
         samples.append(Sample(cell, index, {name: array[one].copy() for name, array in values.items()}))
-    sparse = [v for v in (*header.variables, *header.unknown) if v.sparse and v.name in values]
+    sparse = [v for v in (*header.variables, *header.unknown, *header.allowances) if v.sparse and v.name in values]
     chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
-    # A failed cell may be one that ends its process, which is why it was marked so: it is not solved.
-    kept = tuple(one for one in samples if one.regime != FAILED)
-    return _Checked(index, chunks, tile.size, faults, kept, row)
+    return _Checked(index, chunks, tile.size, faults, tuple(samples), row)
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:

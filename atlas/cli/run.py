@@ -34,6 +34,8 @@ from atlas.service.lease import cancel as cancel_run
 from atlas.service.options import RunOptions
 from atlas.service.plan import make_plan, refuse_shortage
 from atlas.service.probe import probed, with_time
+from atlas.service.retry import retry as retry_store
+from atlas.service.retry import submit_retry
 from atlas.service.run import run as run_spec
 from atlas.service.submit import submit as submit_spec
 from atlas.service.summary import Summary
@@ -41,8 +43,6 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
-from atlas.store.store import read_header
-from atlas.task.retry import checked_retry
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
@@ -128,13 +128,13 @@ def run(
 
 @click.command(
     epilog=examples(
-        "atlas retry plane.zarr failed",
-        "atlas retry plane.zarr undetermined --max-periods 100000",
-        "atlas retry plane.zarr chaotic --survival 500000 --scheduler tcp://10.0.0.1:8786 --submit",
+        "atlas retry plane.zarr undetermined --max-periods 100000 -o decided.zarr",
+        "atlas retry plane.zarr chaotic --survival 500000 -o watched.zarr --scheduler tcp://10.0.0.1:8786 --submit",
     )
 )
 @store_argument
 @click.argument("regimes")
+@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
 @click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than the spec's.")
 @click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer watch than the spec's.")
 @_tls_options
@@ -147,6 +147,7 @@ def retry(
     /,
     store: str,
     regimes: str,
+    out: str,
     max_periods: int | None,
     survival: int | None,
     scheduler: str | None,
@@ -154,23 +155,22 @@ def retry(
     leave: bool,
     **tls: str | None,
 ) -> None:
-    """Solve cells of finished tiles in STORE again, with more periods or a longer survival than its spec gives.
+    """Solve cells of STORE again, with more periods or a longer survival, into a new store with all its other cells.
 
-    REGIMES is one or more of failed, undetermined, chaotic, aperiodic, separated by commas. Cells keep their old values
-    until the new ones are stored. The same command resumes a retry that was stopped.
+    REGIMES is one or more of undetermined, chaotic, aperiodic, separated by commas. STORE does not change. The same
+    command resumes a retry that was stopped.
     """
     check_workers(scheduler, workers)
     if leave and scheduler is None:
         raise InputError("--submit leaves the work to a cluster: give its --scheduler too")
-    spec = read_header(store).spec
-    again = checked_retry(spec, regimes, max_periods, survival)
-    options = RunOptions(workers, scheduler, _tls(**tls), again, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, _tls(**tls), timing=timing_of(ctx))
     if leave:
-        _submit(spec, store, options)
+        _submit(out, options, lambda shown: submit_retry(store, out, regimes, max_periods, survival, shown))
         return
     words = {"max_periods": max_periods, "survival": survival, "scheduler": scheduler, "workers": workers}
-    with _shown(ctx, options, f"resume with\n  {_line('retry', store, regimes, **words, **tls)}") as shown:
-        summary = run_spec(spec, store, options=shown)
+    line = _line("retry", store, regimes, "-o", out, **words, **tls)
+    with _shown(ctx, options, f"resume with\n  {line}", timed=False) as shown:
+        summary = retry_store(store, out, regimes, max_periods, survival, options=shown)
     _report(ctx, summary)
 
 
@@ -211,16 +211,17 @@ def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, worke
 def submit(ctx: click.Context, /, spec: str, out: str, points: str | None, scheduler: str, **tls: str | None) -> None:
     """Have a cluster compute SPEC into a store, and leave."""
     options = RunOptions(scheduler=scheduler, tls=_tls(**tls), timing=timing_of(ctx))
-    _submit(Spec.from_toml(spec, points), out, options)
+    read = Spec.from_toml(spec, points)
+    _submit(out, options, lambda shown: submit_spec(read, out, shown))
 
 
-def _submit(spec: Spec, out: str, options: RunOptions) -> None:
-    """Hand a run to the cluster of the options' scheduler, and print who coordinates it."""
+def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str]) -> None:
+    """Hand a run to a cluster, by a function that says who coordinates it there, and print that."""
     store = shlex.quote(out)
     advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
     try:
         with progress.reporter(sys.stderr) as show:
-            where = submit_spec(spec, out, replace(options, on_progress=show))
+            where = hand_over(replace(options, on_progress=show))
     except KeyboardInterrupt:
         say(f"interrupted: the cluster may have begun already\n{advice}")
         raise
@@ -298,11 +299,14 @@ def _logged(path: str | None) -> Iterator[None]:
 
 
 @contextmanager
-def _shown(ctx: click.Context, options: RunOptions, advice: str) -> Iterator[RunOptions]:
-    """The options of a run whose progress is shown; an interruption ends it with the advice how to resume."""
+def _shown(ctx: click.Context, options: RunOptions, advice: str, timed: bool = True) -> Iterator[RunOptions]:
+    """The options of a run whose progress is shown; an interruption ends it with the advice how to resume.
+
+    The time left is ``timed`` by a few cells before the first tile, where the cells of a run are of one kind.
+    """
     try:
         with interruptible(), progress.reporter(sys.stderr) as show:
-            yield replace(options, on_progress=show if options.retry else with_time(show))
+            yield replace(options, on_progress=with_time(show) if timed else show)
     except KeyboardInterrupt:
         say(f"interrupted: finished tiles are kept; {advice}")
         ctx.exit(INTERRUPTED)

@@ -20,8 +20,9 @@ from zarr.storage import WrapperStore
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
 from atlas.store.groups import TABLES
+from atlas.store.origin import ALLOWANCES
 from atlas.store.remote import zarr_store
-from atlas.store.schema import ALLOWANCES, OVERVIEWS
+from atlas.store.schema import OVERVIEWS
 from atlas.store.store import ROOT, Header
 from workers.results import REGIME
 

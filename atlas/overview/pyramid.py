@@ -5,7 +5,7 @@ the coordinator hands out (``upkeep``). They are a cache of finished work and ne
 
 - A chunk is written when every tile below it is done, all its arrays first and ``regime`` last. Its regimes are there,
   none of them pending, if and only if the chunk is current.
-- Before a tile is written for a second time, the chunks over it are dropped: ``regime`` first.
+- Where a tile is lost, the chunks over it are dropped before it is written again: ``regime`` first.
 
 So a kill at any moment leaves a chunk current or missing, and what is missing is computed from the level before when
 it is asked for (``atlas.query.source``).

@@ -1,9 +1,9 @@
-"""The overviews of a store during a run: stale chunks go before the first tile, missing ones are made at the end.
+"""The overviews of a store during a run: what lies over a lost tile goes, and what is missing is made at the end.
 
 The store itself says which chunks are missing and can be made, so that a kill leaves nothing to be remembered.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,15 +17,13 @@ from workers.results import REGIME
 class Overviews:
     """The overviews of a store that a run writes.
 
-    At the beginning it makes the groups of all levels, and drops what lies over unfinished tiles and over ``pending``
-    ones, which are finished and are to be written again. ``side`` and ``least`` are those of ``Levels``; a store that
-    has overviews keeps its own.
+    At the beginning it makes the groups of all levels, and drops what lies over tiles that are no longer finished.
+    ``side`` and ``least`` are those of ``Levels``; a store that has overviews keeps its own.
     """
 
     def __init__(
         self,
         header: Header,
-        pending: Iterable[Index] = (),
         *,
         side: int = SIDE,
         least: int = LEAST,
@@ -37,7 +35,7 @@ class Overviews:
             return
         self._pyramid.create()
         stale = np.ones(header.tiling.grid, dtype=bool)
-        for tile in done_tiles(header) - set(pending):
+        for tile in done_tiles(header):
             stale[tile] = False
         self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
 

@@ -14,9 +14,9 @@ from atlas.service.run import complete
 from atlas.service.summary import Summary
 from atlas.spec.grown import extended, refined
 from atlas.spec.spec import Spec
-from atlas.store.location import place_of
-from atlas.store.schema import Origin
-from atlas.store.store import done_tiles, read_header
+from atlas.store.location import Place, place_of
+from atlas.store.origin import Origin
+from atlas.store.store import Header, done_tiles, read_header
 from atlas.task.reuse import absent_results, count_shared
 from atlas.text import plural
 from workers import SOLVER_VERSION
@@ -58,17 +58,7 @@ def extend(
     if (spec is None) == (refine is None):
         raise InputError("give either a spec or by how much to refine")
     grown = refined(old.spec, refine, old.tile) if spec is None else extended(old.spec, spec, str(old.place))
-    place = place_of(into)
-    if place == old.place:
-        raise InputError(f"{place}: is the store to be extended; the new one needs another path")
-    if old.solver_version != SOLVER_VERSION:
-        raise InputError(
-            f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
-            "their numbers do not mix: compute the new atlas by atlas run"
-        )
-    if absent := absent_results(old):
-        names = ", ".join(absent)
-        raise InputError(f"{old.place}: too old, it has no {names}: compute the new atlas by atlas run")
+    place = place_from(old, into)
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
@@ -77,3 +67,19 @@ def extend(
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
         return complete(grown, place, client, options, Origin(str(old.place), old.run_id))
+
+
+def place_from(old: Header, into: str | os.PathLike[str]) -> Place:
+    """The place of a new store that takes over cells; InputError where none of them could be."""
+    place = place_of(into)
+    if place == old.place:
+        raise InputError(f"{place}: is the store to take cells from; the new one needs another path")
+    if old.solver_version != SOLVER_VERSION:
+        raise InputError(
+            f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
+            "their numbers do not mix: compute the new atlas by atlas run"
+        )
+    if absent := absent_results(old):
+        names = ", ".join(absent)
+        raise InputError(f"{old.place}: too old, it has no {names}: compute the new atlas by atlas run")
+    return place

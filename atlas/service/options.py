@@ -11,7 +11,6 @@ from atlas.service.cluster import Tls
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.outage import LONG
-from atlas.task.retry import Retry
 from atlas.text import short_repr
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -27,7 +26,6 @@ class RunOptions:
                   place of one that is open
     scheduler     address of a Dask scheduler, such as ``tcp://host:8786``
     tls           files for an encrypted connection to it
-    retry         which cells of finished tiles to solve again; nothing else is solved then
     tile          index of a tile to do alone in this process, where what it raises is not caught: to debug it
     on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
     patience      seconds to wait for a server at a URL that stops answering
@@ -42,7 +40,6 @@ class RunOptions:
     workers: int | None = None
     scheduler: str | None = None
     tls: Tls | None = None
-    retry: Retry | None = None
     tile: tuple[int, ...] | None = None
     on_progress: Callable[[Progress], None] | None = None
     patience: float = LONG
@@ -93,7 +90,6 @@ class RunFields(TypedDict, total=False):
     workers: int | None
     scheduler: str | None
     tls: Tls | None
-    retry: Retry | None
     tile: tuple[int, ...] | None
     on_progress: Callable[[Progress], None] | None
     patience: float

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from atlas.service.plan import Plan
 from atlas.task.compile import Compilation, compile_once, warming
 from atlas.text import duration, plural, shares
-from workers.results import FAILED, REASONS, REGIMES
+from workers.results import REASONS, REGIMES
 
 LOG_INTERVAL = 5.0
 """Seconds between two plain lines in a log."""
@@ -18,7 +18,7 @@ class Progress:
 
     stage                     what is being done now, in words
     plan                      known from its stage on, else None
-    tiles, cells              in all: of the atlas, or in a retry of the tiles to solve again
+    tiles, cells              in all
     tiles_done, cells_done    in the store, including earlier runs
     cells_solved, seconds     of this run, since its first tile was submitted; before it of the stage, where it counts
     counts                    cells solved in this run by regime
@@ -79,9 +79,8 @@ class Progress:
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
     """A line for each reason why results are missing or uncertain: ``3 invalid cells: the initial state lies ...``."""
     regimes = {regime.code: regime.name for regime in REGIMES}
-    # How a process died has words of its own.
     meant = {reason.text: regimes[reason.regime] for reason in REASONS}
-    return [f"{plural(count, f'{meant.get(text, regimes[FAILED])} cell')}: {text}" for text, count in reasons.items()]
+    return [f"{plural(count, f'{meant[text]} cell')}: {text}" for text, count in reasons.items()]
 
 
 def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:

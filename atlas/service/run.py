@@ -7,8 +7,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
-import numpy as np
-
 from atlas.errors import InputError, RunError, shown
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
@@ -22,19 +20,16 @@ from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
-from atlas.store.added import add_allowances
 from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.location import Place, place_of, waiting
 from atlas.store.making import check_run, remove_half_made
+from atlas.store.origin import Origin
 from atlas.store.records import Records, RunRecords
-from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
-from atlas.store.store import Header, create, find, read_header
-from atlas.store.tiles import listed_tiles, read_tile
+from atlas.store.store import Header, create, done_tiles, find, read_header
 from atlas.store.tiling import Index, Tiling
 from atlas.task.attempt import run_job
 from atlas.task.basins import labelling_bytes
-from atlas.task.retry import NEEDED, Retry
 from atlas.task.solving import kernels_of
 from atlas.task.task import LABELS, Job, Made, Receipt
 from atlas.text import plural
@@ -128,19 +123,12 @@ def _check(
 ) -> None:
     """InputError or RunError unless a run may make the store at a place, or complete the one with this header."""
     check_run(place, spec, header)
-    retry = options.retry is not None
     if header is None:
-        if retry:
-            raise InputError(f"{place}: no such store, so there is nothing to retry")
         return
     if run_id and run_id != header.run_id:
         raise RunError(f"{place}: not the store of run {run_id}")
     if origin and origin != header.origin:
-        raise InputError(f"{place}: is a store already, and not one that extends {origin.store}; choose another path")
-    if retry and spec.attractors is not None:
-        raise InputError(f"{place}: an atlas of all attractors cannot be retried: run it again with more periods")
-    if retry and spec.continuation is not None:
-        raise InputError(f"{place}: a continued sweep cannot be retried: each cell of it depends on those before it")
+        raise InputError(f"{place}: is a store already, and not this one made from {origin.store}; choose another path")
 
 
 def _check_index(index: Index, grid: Index) -> None:
@@ -164,33 +152,20 @@ class _Run:
     def __init__(self, header: Header, workers: int, claim: Claim, options: RunOptions) -> None:
         self.header, self.claim, self.options, self.doing = header, claim, options, "solving"
         plan = make_plan(header.spec, workers, header.tile)
-        done, self.replaced = listed_tiles(header)
-        self.stored = Records(header, done - self.replaced)
-        if options.retry is not None:
-            options.report(Progress("looking for the cells to solve again"))
-            selected = _selected(header, self.stored, options.retry)
-            self.due = selected > 0
-            for index in self.replaced:  # its worker finishes that, and selects again
-                self.due[index] = True
-            self.totals = Totals(plan, int(self.due.sum()), int(selected.sum()), retried=True)
-        else:
-            self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
-            self.totals = Totals(plan, plan.tiling.count, plan.tiling.cells, int(self.stored.done.sum()), cells)
+        self.stored = Records(header, done_tiles(header))
+        self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
+        retried = header.origin is not None and header.origin.retry is not None
+        self.totals = Totals(plan, int(self.stored.done.sum()), cells, retried)
 
     def begin(self) -> None:
-        """Give the store the arrays that it lacks, and drop the overviews of tiles that are solved again."""
-        totals, retry, stage = self.totals, self.options.retry, "starting"
-        if retry is not None:
-            stage = f"solving {plural(totals.cells, 'cell')} in {plural(totals.tiles, 'tile')} again"
-        elif totals.tiles_done:
+        """Say how far the store is, and give it the groups of overviews."""
+        totals, stage = self.totals, "starting"
+        if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
             if self.header.place.local is not None:
                 refuse_shortage(totals.plan, self.header.place.local, int(self.due.sum()))
         self.report(stage)
-        if retry is not None:
-            add_allowances(self.header, retry.raises)
-        again = {*_indices(self.due)} if retry is not None else self.replaced
-        self.overviews = Overviews(self.header, again)
+        self.overviews = Overviews(self.header)
         self.records = RunRecords(self.header, self.stored, self.due)
 
     @property
@@ -207,14 +182,14 @@ class _Run:
         self.begin()
         self.totals.start()
         self.report(f"solving tile {index} in this process")
-        receipt = run_job(replace(self._job(), index=index, replaced=index in self.replaced))
+        receipt = run_job(replace(self._job(), index=index))
         self.records.add(receipt.index, receipt.record)
         self.totals.add(receipt)
 
     def _job(self) -> Job:
         header, options = self.header, self.options
         place, token = str(header.place), self.claim.token
-        return Job((), place, header.run_id, header.solver_version, options.retry, options.patience, token)
+        return Job((), place, header.run_id, header.solver_version, options.patience, token)
 
     def hand_out(self, client: "Client") -> None:
         """Send the tiles due to the workers and add up their receipts; then the overviews, level by level."""
@@ -222,8 +197,7 @@ class _Run:
         totals.start()
         try:
             with workforce(client, tile_labour(job, math.prod(header.tile)), options.timing) as force:
-                tiles = (replace(job, index=index, replaced=index in self.replaced) for index in order)
-                for outcome in force.outcomes(tiles, self._tick):
+                for outcome in force.outcomes((replace(job, index=index) for index in order), self._tick):
                     if isinstance(outcome, Receipt):
                         order.note(outcome.index, outcome.solve_seconds)
                         self.records.add(outcome.index, outcome.record)
@@ -271,20 +245,6 @@ class _Run:
     def report(self, stage: str) -> None:
         """Report where the run is."""
         self.options.report(self.totals.progress(stage))
-
-
-def _selected(header: Header, records: Records, retry: Retry) -> np.ndarray:
-    """How many cells of each finished tile a retry solves again, as an array over the tiles."""
-    selected = np.zeros(header.tiling.grid, dtype=np.int64)
-    for index in _indices(records.done & ~records.lack(map(int, retry.regimes))):
-        selected[index] = retry.selects(read_tile(header, index, NEEDED)).sum()
-    return selected
-
-
-def _indices(mask: np.ndarray) -> Iterator[Index]:
-    """Indices where the mask is set, row by row, one at a time."""
-    for position in np.flatnonzero(mask):
-        yield tuple(map(int, np.unravel_index(position, mask.shape)))
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:

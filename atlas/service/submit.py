@@ -17,7 +17,8 @@ from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
-from atlas.store.location import place_of
+from atlas.store.location import Place, place_of
+from atlas.store.origin import Origin
 from atlas.store.sidecar import notes_of
 from atlas.store.store import find, read_header
 from atlas.task.task import RefusedError, check_solver, checked_header
@@ -36,6 +37,7 @@ class Submission:
     name             of this submission, on the scheduler
     solver_version   the submitter's: no other may coordinate
     run_id           of the store, empty if the submitter sees none
+    origin           the store that it takes cells over from
     refused          workers that must not coordinate, and why
     """
 
@@ -45,6 +47,7 @@ class Submission:
     name: str
     solver_version: int
     run_id: str
+    origin: Origin | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, refusal: Refusal) -> "Submission":
@@ -52,7 +55,7 @@ class Submission:
         return replace(self, refused={**self.refused, refusal.worker: refusal.reason})
 
 
-def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> str:
+def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOptions, origin: Origin | None = None) -> str:
     """Have the cluster at ``options.scheduler`` compute an atlas, and leave; the address of the coordinating worker.
 
     Returns once tiles are being solved, or the atlas is complete. The coordinator is a task that takes no thread from
@@ -72,7 +75,7 @@ def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> st
         count_threads(client, options.wait_for_first, options.wait, timing.poll)
         path, name = str(place_of(store)), f"atlas-{uuid.uuid4().hex[:8]}"
         settled = replace(options, scheduler=None, tls=None, on_progress=None)
-        task = Submission(spec, path, settled, name, SOLVER_VERSION, _run_id(path))
+        task = Submission(spec, path, settled, name, SOLVER_VERSION, _run_id(path), origin)
         options.report(Progress("starting the coordinator on the cluster"))
         begun, run_id = Event(name, client=client), Variable(name, client=client)
         run_id.set("")
@@ -166,7 +169,7 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
             begin(run_id)
 
     options = replace(task.options, on_progress=report)
-    summary = complete(task.spec, place_of(task.store), client, options, run_id=run_id)
+    summary = complete(task.spec, place_of(task.store), client, options, task.origin, run_id)
     if summary.failures:
         first, count = summary.failures[0], plural(len(summary.failures), "tile")
         note_end(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")

@@ -29,7 +29,7 @@ class TileFailure:
 class Summary:
     """What a run did.
 
-    tiles, tiles_done              in all (in a retry, of the tiles to solve again); done now
+    tiles, tiles_done              in all; done now
     tiles_solved, cells_solved     by this run
     counts, reasons                cells solved by regime; those without a certain result by the reason
     seconds                        from the first tile to the last
@@ -38,7 +38,7 @@ class Summary:
     periods                        forcing periods simulated
     peak_bytes                     most memory that the process of any worker ever had
     failures, refused              tiles that raised; workers that got no more tiles, and why
-    retried, changed               whether cells of finished tiles were solved again; how many changed regime
+    retried, changed               whether the store is one of a retry; how many cells changed their regime there
     """
 
     store: str
@@ -75,8 +75,6 @@ class Summary:
 
     def __str__(self) -> str:
         done = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
-        if self.retried:
-            done = f"{self.store}: cells solved again in {self.tiles_done} of {plural(self.tiles, 'tile')} that had any"
         if not self.tiles_solved:
             return done
         lines = [
@@ -97,11 +95,10 @@ class Summary:
 class Totals:
     """The state of a run between its snapshots: its receipts added up."""
 
-    def __init__(
-        self, plan: Plan, tiles: int, cells: int, tiles_done: int = 0, cells_done: int = 0, retried: bool = False
-    ) -> None:
+    def __init__(self, plan: Plan, tiles_done: int = 0, cells_done: int = 0, retried: bool = False) -> None:
         self.plan, self.retried, self.workers = plan, retried, plan.workers
-        self.tiles, self.cells, self.tiles_done, self.cells_done = tiles, cells, tiles_done, cells_done
+        self.tiles, self.cells = plan.tiling.count, plan.tiling.cells
+        self.tiles_done, self.cells_done = tiles_done, cells_done
         self.tiles_solved = self.cells_solved = self.changed = self.periods = self.peak_bytes = 0
         self.solve_seconds = self.write_seconds = self.processor_seconds = self.seconds = 0.0
         self.counts, self.reasons = Counter[str](), Counter[str]()

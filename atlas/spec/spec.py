@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -235,6 +236,12 @@ class Spec:
         axes = None if self.points else {axis.name: axis for axis in self.axes}
         points = self.points or None
         return Spec(self.record, axes, self.parameters, self.settings, store, points, Starts())
+
+    def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
+        """The same spec, with tiles of this shape."""
+        other = copy(self)
+        object.__setattr__(other, "tile", tile)
+        return other
 
     @property
     def basins(self) -> bool:

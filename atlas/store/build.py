@@ -1,6 +1,7 @@
 """The metadata, attributes and coordinates of a store, before there is a result in it."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,17 +9,9 @@ from atlas.spec.spec import Spec
 from atlas.store.axes import ROOT, copies
 from atlas.store.location import LocalPlace
 from atlas.store.machine import MACHINES
+from atlas.store.origin import ALLOWANCES, Origin
 from atlas.store.record import create_arrays
-from atlas.store.schema import (
-    ALLOWANCES,
-    DIMENSIONS,
-    Origin,
-    StoredArray,
-    coordinates,
-    extra_sizes,
-    root_attributes,
-    variable_attributes,
-)
+from atlas.store.schema import DIMENSIONS, StoredArray, coordinates, extra_sizes, root_attributes, variable_attributes
 from atlas.store.spare import SPARE, packed_spare
 from atlas.store.tiling import Tiling, part_side
 from workers.results import Variable
@@ -38,8 +31,9 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
         create_whole(group, name, coordinate)
     for key, data in copies(spec).items():
         LocalPlace(path).put(key, data)
-    for variable in variables:
-        create_variable(group, variable, spec, tiling, variable_attributes(variable, [*spec.parameters, *spec.points]))
+    retried = [replace(each, fill=each.of_spec(spec)) for each in ALLOWANCES] if origin and origin.retry else []
+    for variable in (*variables, *retried):
+        create_variable(group, variable, spec, tiling)
     create_arrays(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
     consolidate(group)
     LocalPlace(path).put(SPARE, packed_spare((path / ROOT).read_bytes()))
@@ -62,9 +56,7 @@ def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
         array.with_config({"write_empty_chunks": True})[...] = values
 
 
-def create_variable(
-    group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling, attributes: dict[str, Any]
-) -> None:
+def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling) -> None:
     """Make the array of a result, one object a tile: a chunk, of a large tile a shard of smaller ones."""
     sizes = extra_sizes(spec)
     extra = tuple(sizes[dim] for dim in variable.extra)
@@ -78,7 +70,7 @@ def create_variable(
         fill_value=variable.fill,
         dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
         compressors=codecs(),
-        attributes=attributes,
+        attributes=variable_attributes(variable, [*spec.parameters, *spec.points]),
     )
 
 

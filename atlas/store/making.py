@@ -20,8 +20,9 @@ from atlas.store.axes import ROOT
 from atlas.store.build import build, consolidate
 from atlas.store.location import LocalPlace, Place
 from atlas.store.machine import MACHINES
+from atlas.store.origin import Origin
 from atlas.store.record import TILES
-from atlas.store.schema import Origin, coordinate_names
+from atlas.store.schema import coordinate_names
 from atlas.store.spare import SPARE, remedy
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES

@@ -77,6 +77,10 @@ class Place:
         """Write an object if there is none of that key; else write nothing and return False."""
         raise self._read_only()
 
+    def take_all(self, other: "Place", keys: Iterable[str]) -> None:
+        """Write objects as they are at another place, without their bytes where they need not move; none if absent."""
+        self.put_all(other.get_all(keys))
+
     def remove(self, key: str) -> None:
         """Remove an object; nothing happens if there is none."""
         raise self._read_only()
@@ -123,11 +127,30 @@ class LocalPlace(Place):
         return LocalPlace(self.path / folder).behind(self.fence)
 
     def put(self, key: str, data: bytes) -> None:
-        with self._written(key, data) as written:
+        with self._written(key, lambda written: written.write_bytes(data)) as written:
+            os.replace(written, self.path / key)
+
+    def take_all(self, other: Place, keys: Iterable[str]) -> None:
+        """See Place. On one file system the object gets a second name: no object is ever changed, only replaced."""
+        rest = []
+        for key in keys:
+            try:
+                self._link(other, key)
+            except FileNotFoundError:
+                continue
+            except OSError:  # another file system, one without links, or one with too many links to a file
+                rest.append(key)
+        super().take_all(other, rest)
+
+    def _link(self, other: Place, key: str) -> None:
+        if other.local is None:
+            raise OSError(errno.EXDEV, "not a folder", str(other))
+        source = other.local / key
+        with self._written(key, lambda written: os.link(source, written)) as written:
             os.replace(written, self.path / key)
 
     def put_new(self, key: str, data: bytes) -> bool:
-        with self._written(key, data) as written:
+        with self._written(key, lambda written: written.write_bytes(data)) as written:
             try:
                 os.link(written, self.path / key)  # it appears whole or not at all, on network disks too
             except FileExistsError:
@@ -145,12 +168,13 @@ class LocalPlace(Place):
             yield from (begin + name for name in files if not name.endswith(".partial"))  # of a killed write
 
     @contextmanager
-    def _written(self, key: str, data: bytes) -> Iterator[Path]:
+    def _written(self, key: str, make: Callable[[Path], object]) -> Iterator[Path]:
+        """A file that ``make`` has made next to where an object is to be; it goes if nobody moves it."""
         target = self.path / key
         target.parent.mkdir(parents=True, exist_ok=True)
         written = target.with_name(f"{target.name}.{uuid.uuid4().hex}.partial")
         try:
-            written.write_bytes(data)
+            make(written)
             self.confirm()
             yield written
         finally:

@@ -5,9 +5,8 @@ records are collected in one chunk, the compaction, and the single ones are remo
 from a handful of objects. No kill leaves a wrong record of a finished tile:
 
 - A record without a ``regime`` belongs to an unfinished tile, and is not read.
-- Before a finished tile becomes unfinished, an empty record replaces its own, and wins over the tile's row in the
-  compaction. After a kill there the tile is as it was, and is counted from its chunks. The new record comes before the
-  new ``regime``, and describes all that is there when that comes.
+- Before a damaged tile is dropped, and before one of basins gets its last labels, an empty record replaces its own, and
+  wins over the tile's row in the compaction. After a kill there the tile is as it was, and is counted from its chunks.
 - A single record wins over the compaction, so that a kill between writing that and removing these does no harm. Records
   are removed of tiles that no worker of the run may still write: of the tiles due, those with a receipt. Readers list
   the single ones first, and look again if one has gone when they come to it.

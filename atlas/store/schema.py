@@ -3,7 +3,6 @@
 import json
 import uuid
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from atlas.spec.points import POINT
 from atlas.spec.spec import Spec
 from atlas.store.machine import package_version
+from atlas.store.origin import Origin
 from workers import SOLVER_VERSION
 from workers.model.parameter import Parameter
 from workers.results import ATTRACTOR, REASON, REASONS, REGIME, REGIMES, Variable
@@ -23,37 +23,6 @@ OVERVIEWS = "overviews"
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
 """New names of dimensions: xarray takes a variable that is named like one of its dimensions for a coordinate."""
-
-
-@dataclass(frozen=True)
-class Allowance(Variable):
-    """A variable that says how much of a setting each cell was given: after a retry, more than the spec says.
-
-    Only stores in which cells were given more have it; there its fill value is the spec's setting.
-    """
-
-    setting: str = ""
-
-    def of_spec(self, spec: Spec) -> int:
-        """The amount of a cell that was not retried."""
-        return int(getattr(spec.settings, self.setting))
-
-
-def _allowance(name: str, what: str, setting: str) -> Allowance:
-    return Allowance(name, "int32", 0, f"{what}; as in the spec unless retried", "1", sparse=True, setting=setting)
-
-
-BUDGET = _allowance("budget", "forcing periods that the cell may cost", "max_periods")
-SURVIVAL = _allowance("survival", "forcing periods for which chaos may be watched", "survival")
-ALLOWANCES = (BUDGET, SURVIVAL)
-
-
-@dataclass(frozen=True)
-class Origin:
-    """The store that a grown one copies cells from, and the run that made it."""
-
-    store: str
-    run_id: str
 
 
 def extra_sizes(spec: Spec) -> dict[str, int]:
@@ -105,7 +74,6 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
     """
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
     references = {"references": spec.record.source} if spec.record.source else {}
-    origins = {"origin": origin.store, "origin_run_id": origin.run_id} if origin else {}
     return {
         "Conventions": "CF-1.11",
         "title": f"Impact atlas: {spec.record.title}",
@@ -119,7 +87,7 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
         "spec": json.dumps(spec.outline()),
         "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
         **references,
-        **origins,
+        **(origin.attributes() if origin else {}),
     }
 
 

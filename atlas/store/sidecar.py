@@ -6,6 +6,7 @@ objects next to a store at a URL.
 
 import json
 import os
+import socket
 import time
 import uuid
 from collections.abc import Iterator
@@ -78,31 +79,45 @@ def note_fence(store: Place, name: str, token: str, error: type[RunError], lost:
     return check
 
 
-def put_token(notes: Notes, name: str) -> tuple[str, int]:
-    """Put a new token into a note, whatever it holds; the token, and which attempt it is of: one after the last."""
-    token, found = uuid.uuid4().hex, None
-    while not notes.put(name, _note_of(token, attempt := _attempt(found) + 1), expected=found):
+@dataclass(frozen=True)
+class Attempt:
+    """An attempt at a tile, as a note has it: its own token, that of its run, its number there, and its process."""
+
+    token: str
+    run: str
+    number: int
+    process: str
+
+    def pack(self) -> bytes:
+        """The note's bytes."""
+        return json.dumps(vars(self)).encode()
+
+    def remove(self, notes: Notes, name: str) -> None:
+        """Remove its note, unless that is another attempt's by now."""
+        notes.remove(name, self.pack())
+
+
+def put_attempt(notes: Notes, name: str, run: str, most: int) -> Attempt:
+    """Note a new attempt of a run, whatever the note holds.
+
+    RunError if it holds the ``most``-th of that run: neither this nor any before it lived to remove its note.
+    """
+    found, process = None, f"{socket.gethostname()}, process {os.getpid()}"
+    while True:
+        before = _read_note(found)
+        number = before.get("number") if before.get("run") == run else 0
+        number = number if isinstance(number, int) else 0
+        if number >= most:
+            last = before.get("process", "an unknown one")
+            raise RunError(f"the process that solves it has died {number} times, the last was {last}")
+        attempt = Attempt(uuid.uuid4().hex, run, number + 1, process)
+        if notes.put(name, attempt.pack(), expected=found):
+            return attempt
         found = notes.read(name)
-    return token, attempt
-
-
-def remove_token(notes: Notes, name: str, token: str, attempt: int) -> None:
-    """Remove a note that holds this token of this attempt."""
-    notes.remove(name, _note_of(token, attempt))
-
-
-def _note_of(token: str, attempt: int) -> bytes:
-    return json.dumps({"token": token, "attempt": attempt}).encode()
 
 
 def _token(note: bytes | None) -> str:
     return str(_read_note(note).get("token", ""))
-
-
-def _attempt(note: bytes | None) -> int:
-    """The attempt that a note stands for: 0 where there is none, 1 where it does not say."""
-    found = _read_note(note).get("attempt")
-    return int(note is not None) if not isinstance(found, int) else found
 
 
 def _read_note(note: bytes | None) -> dict[str, Any]:

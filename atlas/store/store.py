@@ -4,7 +4,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,17 +18,9 @@ from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
 from atlas.store.location import Place, place_of
 from atlas.store.making import is_free, make_store, refused
+from atlas.store.origin import ALLOWANCES, Allowance, Origin
 from atlas.store.record import RECORD
-from atlas.store.schema import (
-    ALLOWANCES,
-    FORMAT,
-    FORMAT_VERSION,
-    Origin,
-    StoredArray,
-    coordinate_names,
-    coordinates,
-    variable_of,
-)
+from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates, variable_of
 from atlas.store.spare import read_spare, remedy
 from atlas.store.tiling import Tiling, chunk_index
 from workers.results import ATTRACTOR, REGIME, Variable, leading
@@ -127,6 +119,11 @@ class Header:
         """The results that the store holds, ``regime`` last; an older store may lack some that a new one has."""
         return tuple(variable for variable in self.spec.variables if variable.name in self.arrays)
 
+    @cached_property
+    def allowances(self) -> tuple[Allowance, ...]:
+        """What its cells may have been given more of, if a retry made the store."""
+        return tuple(replace(each, fill=each.of_spec(self.spec)) for each in ALLOWANCES if each.name in self.arrays)
+
     @property
     def regime(self) -> Variable:
         """The result that is written last, by which a tile is done."""
@@ -142,7 +139,7 @@ class Header:
         group: Any = open_group(self.place, "r", consolidated=True)  # one request for all arrays
         if group.attrs.get("run_id") != self.run_id:
             raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
-        names = (each.name for each in (*ALLOWANCES, *self.variables))
+        names = (each.name for each in (*self.allowances, *self.variables))
         return {name: array for name in names if (array := group.get(name)) is not None}
 
     @cached_property
@@ -233,7 +230,7 @@ def header_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) 
         run_id=attrs["run_id"],
         solver_version=attrs["solver_version"],
         arrays={**_array_metadata(place, root.get("consolidated_metadata")), REGIME.name: regime},
-        origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
+        origin=Origin.of_attributes(attrs),
         record=copies[RECORD],
         groups=frozenset(key for key, node in copies.items() if node["node_type"] == "group" and "/" not in key),
     )

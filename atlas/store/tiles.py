@@ -1,9 +1,6 @@
 """The tiles of a store: written whole, and read so that nothing missing or damaged goes unnoticed."""
 
 import errno
-import io
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -13,6 +10,7 @@ from atlas.errors import ChunkError, message_of
 from atlas.spec.spec import Slices
 from atlas.store.machine import this_machine
 from atlas.store.machines import record_machine
+from atlas.store.origin import ALLOWANCES, Allowance
 from atlas.store.record import (
     COVERED,
     DIGEST,
@@ -24,43 +22,70 @@ from atlas.store.record import (
     packed,
     record_key,
 )
-from atlas.store.schema import ALLOWANCES, Allowance
-from atlas.store.store import Header, chunk_key, done_tiles, is_done, open_arrays
-from atlas.store.tiling import chunk_index
-from workers.results import REGIME, Variable
-
-REPLACED = f"{REGIME.name}/replaced/"
-"""Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
+from atlas.store.store import Header, chunk_key, open_arrays
+from workers.results import LABEL, REGIME, Variable
 
 
 def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write a tile as whole objects and return its record. ``regime`` is last, and with it the tile is done.
+    """Write a tile as whole objects and return its record. ``regime`` is last, and with it the tile is done for good.
 
-    The record comes right before. No object is removed before it is written. A finished tile that is written again
-    stays as it is until its new contents lie beside it in one object. It is unfinished while its objects are written,
-    so that a kill leaves no mixture of two solutions; then ``finish_replacement`` writes them from that object.
+    The record comes right before. Another attempt at the tile writes the same bits.
     """
-    to, place = header.writable, header.place
-    record_machine(header, this_machine())
-    arrays = {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
-    row = record_of(header, index, arrays)
-    replaced = is_done(header, index)
-    if replaced:
-        place.put(_replacement_key(index), _packed(arrays))
-        drop_tile(header, index)
-    objects: dict[str, bytes] = {}
-    for variable in (*(each for each in ALLOWANCES if each.name in to), *header.variables):
-        made = encoded(to[variable.name], block(to[variable.name], index), arrays[variable.name], variable.sparse)
-        if variable.name == REGIME.name:
-            place.put_all(objects)
-            put_record(header, index, row)
-            place.put_all(made)
-        elif not made:  # sparse, and here without a value
-            place.remove(chunk_key(variable, index))
-        objects |= made
-    if replaced:
-        place.remove(_replacement_key(index))
+    to, whole = header.writable, _with_allowances(header, index, arrays)
+    objects, done = dict[str, bytes](), dict[str, bytes]()
+    for variable in _written(header):
+        array, values = to[variable.name], whole[variable.name]
+        made = encoded(array, block(array, index), values, variable.sparse)
+        (done if variable.name == REGIME.name else objects).update(made)
+    row = _begin_tile(header, index, whole)
+    header.place.put_all(objects)
+    put_record(header, index, row)
+    header.place.put_all(done)
     return row
+
+
+def take_tile(header: Header, origin: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+    """Write a tile as ``write_tile`` does, but take over its objects from a store of the same cells and tiles.
+
+    ``arrays`` are what was read there, which has shown that the objects are whole.
+    """
+    row = _begin_tile(header, index, _with_allowances(header, index, arrays))
+    *keys, last = [chunk_key(variable, index) for variable in _written(header)]
+    header.place.take_all(origin.place, keys)
+    put_record(header, index, row)
+    header.place.take_all(origin.place, [last])
+    return row
+
+
+def _begin_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+    """Note which machine writes a tile, and remove what a lost tile left where there is to be no object; the record."""
+    record_machine(header, this_machine())
+    sparse = (each for each in _written(header) if each.sparse)
+    absent = [chunk_key(each, index) for each in sparse if is_blank(arrays[each.name], each)]
+    if absent:
+        header.place.remove_all(absent)
+    return record_of(header, index, arrays)
+
+
+def _with_allowances(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Arrays of a tile with those that say how much each cell was given, by default what the spec says."""
+    return {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
+
+
+def _written(header: Header) -> list[Variable]:
+    """The variables of cells that the store has, ``regime`` last."""
+    return [*header.allowances, *header.variables]
+
+
+def relabel_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+    """Give a tile of basins the labels in ``arrays``, which are known once all tiles are; all else there is as stored.
+
+    Meanwhile its record is empty, so that a kill leaves none that contradicts the tile.
+    """
+    array = header.writable[LABEL.name]
+    put_record(header, index, np.zeros(WIDTH))
+    header.place.put_all(encoded(array, block(array, index), arrays[LABEL.name]))
+    put_record(header, index, record_of(header, index, arrays))
 
 
 def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
@@ -88,25 +113,6 @@ def record_of(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.nd
 def put_record(header: Header, index: tuple[int, ...], row: Rows) -> None:
     """Write the record of a tile."""
     header.place.put(record_key(index), packed(row))
-
-
-def finish_replacement(header: Header, index: tuple[int, ...]) -> bool:
-    """Write a tile from what ``write_tile`` put beside it and did not live to write; False if there is nothing."""
-    key = _replacement_key(index)
-    packed = header.place.get(key)
-    arrays = _unpacked(packed) if packed is not None else None
-    if arrays is not None:
-        write_tile(header, index, arrays)
-    if packed is not None:
-        header.place.remove(key)
-    return arrays is not None
-
-
-def listed_tiles(header: Header) -> tuple[set[tuple[int, ...]], set[tuple[int, ...]]]:
-    """Indices of the finished tiles, and of those with contents beside them still to be written, from one listing."""
-    keys = list(header.place.list_keys(f"{REGIME.name}/"))
-    replaced = (chunk_index(key.removeprefix(REPLACED), header.tiling.grid) for key in keys if key.startswith(REPLACED))
-    return done_tiles(header, keys), {index for index in replaced if index is not None}
 
 
 def drop_tile(header: Header, index: tuple[int, ...]) -> None:
@@ -166,25 +172,6 @@ def block(array: Any, index: tuple[int, ...]) -> Slices:
 def object_shape(array: Any) -> tuple[int, ...]:
     """The cells of an array in one object: a shard, or a chunk where there are no shards."""
     return tuple(array.shards or array.chunks)
-
-
-def _replacement_key(index: tuple[int, ...]) -> str:
-    return REPLACED + "/".join(map(str, index))
-
-
-def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
-    file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, **arrays)
-    return file.getvalue()
-
-
-def _unpacked(data: bytes) -> dict[str, np.ndarray] | None:
-    """The inverse; None if the bytes are damaged, which the checksums of the archive's members show."""
-    try:
-        with np.load(io.BytesIO(data)) as arrays:
-            return dict(arrays)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
-        return None
 
 
 def _as_in_spec(header: Header, index: tuple[int, ...], allowance: Allowance) -> np.ndarray:

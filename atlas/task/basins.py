@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.store.groups import ATTRACTORS, group_attributes, write_table
 from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
-from atlas.store.tiles import read_tile, write_tile
+from atlas.store.tiles import read_tile, relabel_tile
 from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME
 
@@ -94,7 +94,7 @@ def _label_band(
             labels[index][mask] = given
             arrays = read_tile(header, index)
             arrays[LABEL.name][mask] = given
-            write_tile(header, index, arrays)
+            relabel_tile(header, index, arrays)
     yield from labels.items()
 
 

@@ -63,18 +63,5 @@ def watched_together(code: str, arguments: Sequence[str], told: Callable[[int, s
         return [each.result() for each in running]
 
 
-def python(code: str, *arguments: str, own_session: bool = False) -> subprocess.CompletedProcess[str]:
-    """Run code in a child process, its output captured; in a session of its own, Ctrl-C on this terminal spares it."""
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        env=_environment(),
-        start_new_session=own_session,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        encoding="utf-8",
-        check=False,
-    )
-
-
 def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONIOENCODING": "utf-8"}

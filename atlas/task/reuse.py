@@ -1,4 +1,4 @@
-"""A tile of a grown atlas: the cells that its origin has are copied to the bit, the others solved."""
+"""A tile of an atlas made from another: the cells that this origin gives are copied to the bit, the others solved."""
 
 import itertools
 from collections.abc import Iterator
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, RunError
 from atlas.spec.spec import Slices, Spec
 from atlas.store.machines import machines, record_machine
-from atlas.store.schema import ALLOWANCES, extra_sizes
+from atlas.store.origin import ALLOWANCES
+from atlas.store.schema import extra_sizes
 from atlas.store.store import Header, is_done, open_arrays
 from atlas.store.tiles import read_tile
 from atlas.task.known import known_header
-from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results
+from workers.results import PENDING, REGIME, empty_results
 
 
 class Shared(NamedTuple):
@@ -24,17 +25,37 @@ class Shared(NamedTuple):
     there: NDArray[np.intp]
 
 
-def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
-    """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved.
+class Known(NamedTuple):
+    """What is known of a tile before it is solved.
 
-    Cells that failed there are to be solved again. RunError if the origin no longer exists.
+    arrays   of all its cells; in a retried atlas the allowances too, which are those of the solution to come
+    regime   of each cell in the origin, PENDING where that does not give it
+    due      the mask of the cells to solve
+    source   the origin, if it has the same cells in the same tiles, so that its objects may be taken over
     """
+
+    arrays: dict[str, np.ndarray]
+    regime: NDArray[np.int8]
+    due: NDArray[np.bool_]
+    source: Header | None = None
+
+
+def known_cells(header: Header, slices: Slices) -> Known:
+    """What is known of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
-    if header.origin is not None:
-        _copy_known(header, slices, arrays)
-    regime = header.leading(arrays)[REGIME.name]
-    return arrays, (regime == PENDING) | (regime == FAILED)
+    arrays |= {each.name: np.full(shape, each.fill, each.dtype) for each in header.allowances}
+    origin = None if header.origin is None else _origin_of(header)
+    if origin is not None:
+        _copy_known(header, origin, slices, arrays)
+    regime = header.leading(arrays)[REGIME.name].copy()
+    due = regime == PENDING
+    if header.origin is None or header.origin.retry is None:
+        return Known(arrays, regime, due)
+    again = header.origin.retry.selects(arrays)
+    for each in header.allowances:
+        arrays[each.name][again] = np.maximum(arrays[each.name], header.origin.retry.given(each))[again]
+    return Known(arrays, regime, due | again, origin)
 
 
 def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
@@ -46,9 +67,8 @@ def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
     )
 
 
-def _copy_known(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
+def _copy_known(header: Header, origin: Header, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
     """Put the finished cells of the origin that lie in a tile into its arrays."""
-    origin = _origin_of(header)
     sources = None
     for index, here, there in _meetings(shared(origin.spec, header.spec), slices, origin.tile):
         if not is_done(origin, index):
@@ -58,11 +78,9 @@ def _copy_known(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) -
             for machine in machines(origin):
                 record_machine(header, machine)
         found = read_tile(origin, index, arrays=sources)
-        # A cell that was given more than the settings say is not what it would come out as here.
-        for each in ALLOWANCES:
-            found[REGIME.name][found.pop(each.name) != each.of_spec(origin.spec)] = PENDING
-        if REASON.name not in found:  # an older store: what is invalid costs nothing, and gets its reason here
-            found[REGIME.name][found[REGIME.name] == INVALID] = PENDING
+        if not header.allowances:  # a cell that was given more than the spec says does not come out the same here
+            for each in ALLOWANCES:
+                found[REGIME.name][found.pop(each.name) != each.of_spec(origin.spec)] = PENDING
         for name, values in found.items():
             arrays[name][np.ix_(*here)] = values[np.ix_(*there)]
 

@@ -1,14 +1,20 @@
 """A block of a spec's cells, solved one by one, or in whole lines where an axis is continued."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from atlas.errors import RunError
 from atlas.spec.spec import Slices, Spec
+from atlas.store.origin import ALLOWANCES
 from atlas.task.compile import ATTRACTORS, kernels_for
 from workers import Settings
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from workers.cell.cells import Results
 
 
@@ -46,3 +52,34 @@ def solve_block(spec: Spec, slices: Slices) -> "Results":
     from workers.sweep import solve_lines
 
     return solve_lines(spec.record, params, spec.settings, axis=axis, backward=backward)
+
+
+def solve_due(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "NDArray[np.bool_]") -> "Results":
+    """The known results of the cells in these slices, with those of the cells that are due solved.
+
+    A cell depends on nothing but its parameters, the settings and the solver, so that cells known from another store
+    have the values that they would get here. With allowances among the known arrays each cell gets its own.
+    """
+    if due.all() and not any(each.name in known for each in ALLOWANCES):
+        return solve_block(spec, slices)
+    arrays = {name: values.copy() for name, values in known.items()}
+    params = {name: np.broadcast_to(value, due.shape) for name, value in spec.cell_params(slices).items()}
+    for settings, cells in _by_settings(spec, known, due):
+        found = solve_apart(spec, {name: values[cells] for name, values in params.items()}, settings)
+        for name, values in found.items():
+            arrays[name][cells] = values
+    return arrays
+
+
+def _by_settings(
+    spec: Spec, known: Mapping[str, Any], due: "NDArray[np.bool_]"
+) -> "Iterator[tuple[Settings, NDArray[np.bool_]]]":
+    """The masks of the cells that are due, by the settings that they are given."""
+    allowances = [each for each in ALLOWANCES if each.name in known]
+    if not allowances:
+        yield from [(spec.settings, due)] if due.any() else []
+        return
+    given = np.stack([known[each.name] for each in allowances], axis=-1)
+    for amounts in np.unique(given[due], axis=0).tolist():
+        more: dict[str, Any] = {each.setting: n for each, n in zip(allowances, amounts, strict=True)}
+        yield replace(spec.settings, **more), due & (given == amounts).all(axis=-1)

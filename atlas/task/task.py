@@ -2,14 +2,13 @@
 
 import errno
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from atlas.errors import ChunkError, InputError, RunError
+from atlas.errors import InputError, RunError
 from atlas.overview.pyramid import opened
 from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
@@ -20,22 +19,19 @@ from atlas.store.records import read_record, single_records
 from atlas.store.schema import extra_sizes
 from atlas.store.sidecar import CLAIM, note_fence
 from atlas.store.store import Header, is_done
-from atlas.store.tiles import finish_replacement, read_tile, write_tile
+from atlas.store.tiles import read_tile, take_tile, write_tile
 from atlas.store.tiling import PART, Tiling
 from atlas.task.basins import complete_basins
 from atlas.task.compile import compile_once
 from atlas.task.known import known_header
-from atlas.task.retry import Retry, solve_again
 from atlas.task.reuse import known_cells
-from atlas.task.solving import kernels_of, solve_block
+from atlas.task.solving import kernels_of, solve_due
 from workers import SOLVER_VERSION
-from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts
+from workers.results import PENDING, REASON, REGIME, REGIMES, empty_results, reason_counts
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 Arrays = dict[str, np.ndarray]
-Solver = Callable[[Slices, Arrays, np.ndarray], Arrays]
-"""Solves the cells of a mask in some slices, where it is given what is known of all of them."""
 
 LABELS = -1
 """The level of the job that labels basins."""
@@ -54,22 +50,19 @@ class Job:
     """Which tile of which store. All that crosses the scheduler; ``attempt.do_job`` does it by hand.
 
     With a ``level`` above 0 it is the chunk of that level of the overviews that has this index; at level LABELS, the
-    last labels of basins. ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one.
-    ``replaced`` says that a killed attempt left the tile's new contents beside it. ``patience`` is how many seconds to
-    wait for a store at a URL that does not answer. ``claim`` is the token of the run's claim of the store: a job whose
-    run has lost the claim writes nothing. A job done by hand has none. ``attempt`` is the token of this attempt at the
-    tile, which ``attempt.run_job`` gives it: of two attempts that live the first writes nothing more.
+    last labels of basins. ``patience`` is how many seconds to wait for a store at a URL that does not answer. ``claim``
+    is the token of the run's claim of the store: a job whose run has lost the claim writes nothing. A job done by hand
+    has none. ``attempt`` is the token of this attempt at the tile, which ``attempt.run_job`` gives it: of two attempts
+    that live the first writes nothing more.
     """
 
     index: tuple[int, ...]
     store: str
     run_id: str
     solver_version: int
-    retry: Retry | None = None
     patience: float = LONG
     claim: str = ""
     level: int = 0
-    replaced: bool = False
     attempt: str = ""
 
     @property
@@ -137,89 +130,54 @@ def label_basins(job: Job) -> Made:
         return Made(job.index, tuple((index, stored_record(header, index)) for index in single_records(header)))
 
 
-def solve_and_write(job: Job, solver: Solver | None = None) -> Receipt:
-    """Solve a tile and write it. ``solver`` solves its parts, by default in this thread."""
+def solve_and_write(job: Job) -> Receipt:
+    """Solve the cells of a tile that the store's origin does not give, and write it."""
     with file_errors(job.store):
         header = header_of(job)
         slices = header.tiling.at(job.index).slices
-        stored, solved = stored_cells(header, job, slices)
+        known = known_cells(header, slices)
     compile_once(*kernels_of(header.spec))  # its own disk may be full, which is not the store's
     begin, busy = time.perf_counter(), time.thread_time()
-    arrays = solve_cells(header.spec, job, slices, stored, solved, solver)
+    arrays = solve_cells(header.spec, slices, known.arrays, known.due)
     middle, processor = time.perf_counter(), time.thread_time() - busy
     with file_errors(job.store):
-        # Another attempt may have finished meanwhile: what is stored then stays.
-        if solved.any() if job.retry is not None else not is_done(header, job.index):
-            record = commit(header, job, arrays)
-        else:
+        if is_done(header, job.index):  # another attempt has finished meanwhile: what is stored stays
             arrays, record = stored_tile(header, job.index), stored_record(header, job.index)
-    changed = (header.leading(arrays)[REGIME.name] != header.leading(stored)[REGIME.name])[solved]
+        else:
+            record = commit(header, job, arrays, known.source if not known.due.any() else None)
+    before, after = known.regime[known.due], header.leading(arrays)[REGIME.name][known.due]
     return replace(
-        receipt_of(header, job.index, arrays, solved, record),
-        taken=int((~solved).sum()) if job.retry is None else 0,
-        changed=0 if job.retry is None else int(changed.sum()),
+        receipt_of(header, job.index, arrays, known.due, record),
+        taken=int((~known.due).sum()),
+        changed=int(((before != PENDING) & (before != after)).sum()),
         solve_seconds=middle - begin,
         processor_seconds=processor,
         write_seconds=time.perf_counter() - middle,
     )
 
 
-def stored_cells(header: Header, job: Job, slices: Slices) -> tuple[Arrays, np.ndarray]:
-    """What is known of some cells of the job's tile, as arrays, and the mask of the cells to solve."""
-    if job.retry is None:
-        return known_cells(header, slices)
-    begins = [each.start for each in header.tiling.at(job.index).slices]
-    within = tuple(slice(part.start - b, part.stop - b) for part, b in zip(slices, begins, strict=True))
-    stored = {name: values[within] for name, values in finished_tile(header, job).items()}
-    return stored, job.retry.selects(stored)
-
-
-def solve_cells(
-    spec: Spec, job: Job, slices: Slices, stored: Arrays, solved: np.ndarray, solver: Solver | None = None
-) -> Arrays:
-    """The arrays of ``stored_cells``, with the cells of its mask solved: part by part, which limits the memory."""
-    solver = solver or partial(_solve_part, spec, job)
-    if spec.continuation is not None or max(solved.shape) <= PART:  # a part of a line has no results of its own
-        return solver(slices, stored, solved)
-    arrays = {name: values.copy() for name, values in stored.items()}
-    for part in Tiling(solved.shape, (PART,) * solved.ndim).tiles():
+def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> Arrays:
+    """The known arrays, with the cells that are due solved: part by part, which limits the memory."""
+    if spec.continuation is not None or max(due.shape) <= PART:  # a part of a line has no results of its own
+        return solve_due(spec, slices, known, due)
+    arrays = {name: values.copy() for name, values in known.items()}
+    for part in Tiling(due.shape, (PART,) * due.ndim).tiles():
         at = part.slices
-        if solved[at].any():
+        if due[at].any():
             cells = tuple(slice(s.start + p.start, s.start + p.stop) for s, p in zip(slices, at, strict=True))
-            known = {name: values[at] for name, values in stored.items()}
-            for name, values in solver(cells, known, solved[at]).items():
+            for name, values in solve_due(spec, cells, {n: v[at] for n, v in known.items()}, due[at]).items():
                 arrays[name][at] = values
     return arrays
 
 
-def _solve_part(spec: Spec, job: Job, slices: Slices, stored: Arrays, solved: np.ndarray) -> Arrays:
-    """The arrays of some cells with those of the mask solved.
-
-    A cell depends on nothing but its parameters, the settings and the solver, so that cells known from the store's
-    origin have the values that they would get here.
-    """
-    from workers.tile import solve_tile
-
-    if job.retry is None and solved.all():
-        return solve_block(spec, slices)
-    cells = {name: np.broadcast_to(value, solved.shape) for name, value in spec.cell_params(slices).items()}
-    if job.retry is not None:
-        return solve_again(spec, cells, stored, job.retry)
-    if solved.any():
-        params = {name: values[solved] for name, values in cells.items()}
-        for name, values in solve_tile(spec.record, params, spec.settings).items():
-            stored[name][solved] = values
-    return stored
-
-
-def commit(header: Header, job: Job, arrays: Arrays) -> tuple[float, ...]:
+def commit(header: Header, job: Job, arrays: Arrays, source: Header | None = None) -> tuple[float, ...]:
     """Write a tile, unless the job may not any more, and the overview over it alone; return its record.
 
-    One case is not excluded: a worker that stands still between a look at the notes and the write that follows, until
-    another run or another attempt has written the tile. In a retry it then writes one object, else the same bits.
+    ``source`` is a store that has the same tile, whose objects are taken over. A worker that stands still between a
+    look at the notes and the write that follows writes later than it may, but the same bits as any other.
     """
     header = header_of(job)  # it may be another store by now
-    record = write_tile(header, job.index, arrays)
+    record = write_tile(header, job.index, arrays) if source is None else take_tile(header, source, job.index, arrays)
     opened(header, job.claim).make_over(job.index, arrays)
     return tuple(record.tolist())
 
@@ -295,16 +253,6 @@ def file_errors(store: str) -> Iterator[None]:
         if error.errno in _FORBIDDEN:
             raise RefusedError(what) from error
         raise
-
-
-def finished_tile(header: Header, job: Job) -> Arrays:
-    """``stored_tile`` of a tile to be solved again; an attempt that died may have left its new contents."""
-    try:
-        return stored_tile(header, job.index)
-    except ChunkError:
-        if not finish_replacement(header, job.index):
-            raise
-        return stored_tile(header, job.index)
 
 
 def stored_tile(header: Header, index: tuple[int, ...]) -> Arrays:

@@ -3,7 +3,6 @@
 FAULTS names a folder. ``script.json`` in it maps a tile ("0-1") to what its attempts meet in turn: "ok", "fail" (an
 exception), "die" (kill -9 of the process), "slow" (0.3 s more), "full", "forbidden" (an error of the disk); the
 last word holds for all further attempts, and "*" is for tiles not named. ``log`` gets a line for each attempt.
-"cell 3-4" maps a cell to "die": so does every process that is to solve it.
 """
 
 import errno
@@ -18,12 +17,10 @@ from pathlib import Path
 
 
 def _install(module):
-    whole = module.solve_cells
+    whole = module.solve_and_write
     folder = Path(os.environ["FAULTS"])
 
-    def faulty(spec, job, slices, stored, solved, solver=None):
-        if solver is not None:  # its parts are solved by other processes
-            return whole(spec, job, slices, stored, solved, solver)
+    def faulty(job):
         tile = "-".join(map(str, job.index))
         with open(folder / "log", "a+") as log:
             log.seek(0)
@@ -42,14 +39,9 @@ def _install(module):
             if word in ("full", "forbidden"):
                 number = errno.ENOSPC if word == "full" else errno.EROFS
                 raise OSError(number, os.strerror(number))
-        for name, word in script.items():
-            if name.startswith("cell ") and word == ["die"]:
-                at = tuple(int(k) - part.start for k, part in zip(name[5:].split("-"), slices, strict=True))
-                if all(0 <= k < n for k, n in zip(at, solved.shape, strict=True)) and solved[at]:
-                    os.kill(os.getpid(), signal.SIGKILL)
-        return whole(spec, job, slices, stored, solved)
+        return whole(job)
 
-    module.solve_cells = faulty
+    module.solve_and_write = faulty
 
 
 class _Finder(importlib.abc.MetaPathFinder):

@@ -9,7 +9,7 @@ from atlas.query.plane import Axis as PlaneAxis
 from atlas.render import words
 from atlas.render.coded import text_of
 from atlas.spec.citation import bibtex, computed_by
-from atlas.store.schema import ALLOWANCES
+from atlas.store.origin import ALLOWANCES
 from atlas.store.store import Header
 from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME, REGIMES
 

@@ -1,0 +1,154 @@
+"""Solving some cells of an atlas again: a new store, which takes over all other cells of the old one."""
+
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Unpack
+
+from atlas.errors import InputError, check_names
+from atlas.service.extend import place_from
+from atlas.service.notebook import reporting
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.progress import Progress
+from atlas.service.run import complete
+from atlas.service.status import read_status
+from atlas.service.submit import submit
+from atlas.service.summary import Summary
+from atlas.spec.spec import Spec
+from atlas.store.location import Place
+from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, Allowance, Origin, Retry
+from atlas.store.store import Header, read_header
+from atlas.text import plural
+from workers.results import APERIODIC, CHAOTIC, REGIMES, UNDETERMINED
+from workers.settings import MOST_PERIODS
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_NEED = {UNDETERMINED: BUDGET, CHAOTIC: SURVIVAL, APERIODIC: SURVIVAL}
+DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.code in _NEED}
+"""What cells of a regime need more of, for else they come out the same. Those of all others do so with more, too."""
+
+
+@with_fields
+def retry(
+    store: str | os.PathLike[str],
+    into: str | os.PathLike[str],
+    regimes: str | Iterable[str],
+    max_periods: int | None = None,
+    survival: int | None = None,
+    client: "Client | None" = None,
+    options: RunOptions = DEFAULTS,
+    **fields: Unpack[RunFields],
+) -> Summary:
+    """Solve some cells of a complete atlas again, with more periods, into a new store that takes over all others.
+
+    ``regimes`` are one or more of undetermined, which a larger budget ``max_periods`` may decide, chaotic and
+    aperiodic, which a longer ``survival`` watches for longer. Each such cell is solved from its beginning, and has the
+    bits of an atlas whose spec has these settings; the variables ``budget`` and ``survival`` of the new store say how
+    much each cell was given. All other cells are those of ``store`` to the bit; where both stores lie on one disk, or
+    in one bucket, tiles without a cell to solve take no more room on that disk, or time on the network. ``store`` does
+    not change, and has to stay where it is until the new one is complete. The same call resumes a retry that was
+    stopped. ``client``, ``options`` and ``fields``: as for ``run``.
+    Raises InputError, before anything is written, for a retry that could change no cell; see also ``run``.
+
+    >>> import atlas
+    >>> summary = atlas.retry("plane.zarr", "again.zarr", "chaotic", survival=100_000, client=client)
+    >>> summary.retried, atlas.status("again.zarr").fraction
+    (True, 1.0)
+    """
+    spec, place, origin, report = asked(store, into, regimes, max_periods, survival)
+    options = options.updated(**fields)
+    with reporting(options.on_progress) as on_progress:
+        options = replace(options, on_progress=on_progress)
+        options.report(Progress(report))
+        return complete(spec, place, client, options, origin)
+
+
+def submit_retry(
+    store: str,
+    into: str,
+    regimes: str,
+    max_periods: int | None,
+    survival: int | None,
+    options: RunOptions,
+) -> str:
+    """Have the cluster at ``options.scheduler`` do a ``retry``, and leave; see ``submit.submit``."""
+    spec, place, origin, report = asked(store, into, regimes, max_periods, survival)
+    options.report(Progress(report))
+    return submit(spec, place, options, origin)
+
+
+def asked(
+    store: str | os.PathLike[str],
+    into: str | os.PathLike[str],
+    regimes: str | Iterable[str],
+    max_periods: int | None,
+    survival: int | None,
+) -> tuple[Spec, Place, Origin, str]:
+    """The spec of a retry, the place of its new store, where that takes cells from, and how many it solves, in words.
+
+    InputError if it could change no cell.
+    """
+    old = read_header(store)
+    if old.spec.attractors is not None:
+        raise InputError(f"{old.place}: an atlas of all attractors cannot be retried: run it again with more periods")
+    if old.spec.continuation is not None:
+        raise InputError(
+            f"{old.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
+        )
+    names = regimes.split(",") if isinstance(regimes, str) else regimes
+    chosen = checked_retry(old, tuple(names), max_periods, survival)
+    place = place_from(old, into)
+    status = read_status(old)
+    if status.fraction < 1:
+        done = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
+        raise InputError(f"{old.place}: {done} done: complete it first, by the command that began it")
+    count = sum(status.regimes.get(name, 0) for name in chosen.regimes)
+    if not count:
+        raise InputError(
+            f"{old.place}: no cell of it is {' or '.join(chosen.regimes)}: there is nothing to solve again"
+        )
+    report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.place} again"
+    return old.spec.in_tiles(old.tile), place, Origin(str(old.place), old.run_id, chosen), report
+
+
+def checked_retry(
+    old: Header, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
+) -> Retry:
+    """The retry of a store that a user asked for; InputError if it could not change a cell."""
+    chosen = [name.strip() for name in regimes if name.strip()]
+    check_names("regime to retry", chosen, DECIDED_BY)
+    if not chosen:
+        raise InputError(f"retry: found none, must be one or more of {', '.join(DECIDED_BY)}")
+    found = Retry(tuple(dict.fromkeys(chosen)), max_periods, survival)
+    for each in ALLOWANCES:
+        _check_amount(old, each, getattr(found, each.setting))
+    for name in chosen:
+        needs = DECIDED_BY[name]
+        if not found.given(needs):
+            option, least = f"--{needs.setting.replace('_', '-')}", _least(old, needs)
+            more = f"give {option} above {least}"
+            raise InputError(f"retry: {name} cells come out the same within the same {needs.name}; {more}")
+    for each in ALLOWANCES:
+        if found.given(each) and each not in {DECIDED_BY[name] for name in chosen}:
+            goes = " or ".join(name for name, needs in DECIDED_BY.items() if needs is each)
+            raise InputError(f"{each.setting}: is for {goes} cells, found {','.join(chosen)}")
+    return found
+
+
+def _check_amount(old: Header, allowance: Allowance, found: int | None) -> None:
+    if found is None:
+        return
+    least = _least(old, allowance)
+    if old.spec.settings.method == "fixed":
+        raise InputError(f'{allowance.setting}: a spec with method = "fixed" has no {allowance.name} to raise')
+    if isinstance(found, bool) or not isinstance(found, int) or not least < found <= MOST_PERIODS:
+        bounds = f"must exceed the {least} that such cells were given and be at most {MOST_PERIODS}"
+        raise InputError(f"{allowance.setting}: found {found}, {bounds}")
+
+
+def _least(old: Header, allowance: Allowance) -> int:
+    """How much the cells of a store were given at most."""
+    retried = old.origin.retry if old.origin is not None else None
+    return max(allowance.of_spec(old.spec), retried.given(allowance) if retried is not None else 0)
