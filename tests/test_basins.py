@@ -17,6 +17,7 @@ from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.query.basins import basin_entropy, table, uncertainty_exponent
+from atlas.store.location import LocalPlace
 from atlas.store.records import Records, RunRecords
 from atlas.store.store import read_header
 from atlas.store.tiles import read_tile, write_tile
@@ -168,6 +169,33 @@ def test_what_an_attempt_to_label_wrote_before_it_died_is_recorded_by_the_next(
         run.add(index, record)
     run.compact(lambda: None)
     assert verify(store, sample=0).fine
+
+
+@pytest.mark.parametrize("dies_at", ["label/c/0/0", "tiles/record/c.0.0.0"])
+def test_a_kill_between_a_tiles_last_labels_and_its_record_leaves_no_fault(
+    solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dies_at: str
+) -> None:
+    store = Path(shutil.copytree(solved, tmp_path / "basins.zarr"))
+    header = read_header(store)
+    known = read_tile(header, (0, 0))
+    write_tile(header, (0, 0), known | {"label": np.full_like(known["label"], BEYOND_TABLE)})
+    shutil.rmtree(store / "attractors")
+    whole, puts = LocalPlace.put, list[str]()
+
+    def put(place: LocalPlace, key: str, data: bytes) -> None:
+        puts.append(key)
+        if puts.count(key) == (1 if dies_at.startswith("label") else 2) and key == dies_at:
+            raise KeyboardInterrupt
+        whole(place, key, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LocalPlace, "put", put)
+        with pytest.raises(KeyboardInterrupt):
+            complete_basins(header)
+    assert not verify(store, sample=0).faults
+    complete_basins(read_header(store))
+    np.testing.assert_array_equal(read_tile(header, (0, 0))["label"], known["label"])
+    assert verify(store, sample=3, seed=1).fine
 
 
 def test_the_table_has_shares_mirror_images_and_section_points(solved: Path) -> None:

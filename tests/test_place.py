@@ -29,6 +29,7 @@ from atlas.store.spare import SPARE, read_spare
 from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
 from tests.planes import find, plane_of
+from workers.settings import MOST_PERIODS
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +91,30 @@ def test_many_objects_are_got_and_removed_together(place: Place) -> None:
     assert (list(place.list_keys()), place.get_all([])) == (["x/b"], {})
 
 
+def test_objects_are_taken_over_from_a_place_of_the_same_kind(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: what is put. None of their bytes come through this process, and either place may replace its own."""
+    other = place_of(f"{place}.new")
+    place.put_all({"a/0": b"zero", "a/1": b"one"})
+    with monkeypatch.context() as patch:
+        patch.setattr(type(place), "get", None)
+        patch.setattr(type(place), "put", None)
+        other.take_all(place, ["a/0", "a/1", "a/none"])
+        other.take_all(place, ["a/1"])
+    assert other.get_all(["a/0", "a/1", "a/none"]) == {"a/0": b"zero", "a/1": b"one"}
+    assert sorted(other.list_keys()) == ["a/0", "a/1"]
+    place.put("a/0", b"changed")
+    other.remove("a/1")
+    assert (other.get("a/0"), place.get("a/1")) == (b"zero", b"one")
+
+
+def test_objects_are_taken_over_from_a_place_of_another_kind(bucket: str, tmp_path: Path) -> None:
+    local, remote = place_of(tmp_path / "plane.zarr"), place_of(f"{bucket}/{tmp_path.name}.zarr")
+    local.put("a/0", b"zero")
+    remote.take_all(local, ["a/0", "a/none"])
+    place_of(tmp_path / "back.zarr").take_all(remote, ["a/0", "a/none"])
+    assert place_of(tmp_path / "back.zarr").get("a/0") == b"zero"
+
+
 def test_an_object_is_put_new_only_once(place: Place) -> None:
     assert [place.put_new("x", b"first"), place.put_new("x", b"second"), place.get("x")] == [True, False, b"first"]
 
@@ -143,6 +168,9 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: 
     assert extend(url, f"{url}-fine", refine={"b": 2}, client=client).cells_solved == 7 * 4
     fine = atlas.open(f"{url}-fine")
     assert fine.state.values[::2].tobytes() == arrays_of(url)["state"]
+    again = atlas.retry(url, f"{url}-again", "chaotic", survival=MOST_PERIODS // 100, client=client)
+    assert 0 < again.cells_solved < 35
+    assert verify(f"{url}-again", sample=4).fine
 
 
 @pytest.mark.slow
