@@ -52,6 +52,11 @@ workers_option = click.option(
     help="Worker processes on this machine; default: one a processor.",
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
+dashboard_option = click.option(
+    "--dashboard/--no-dashboard",
+    default=True,
+    help="Whether Dask shows in the browser what the workers of this machine do; needs Bokeh.",
+)
 window_option = click.option(
     "--window",
     metavar="NAME=LOW:HIGH",
