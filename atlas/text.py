@@ -2,8 +2,9 @@
 
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from html import escape
 from typing import Any
 
 SIGNS = {
@@ -50,6 +51,20 @@ def byte_size(count: int) -> str:
             return f"{size:.3g} {unit}"
         size /= 1000
     return f"{size:.3g} TB"
+
+
+def html_table(rows: Iterable[Sequence[str]]) -> str:
+    """Rows of text as a table for a notebook; the last cell of a short row reaches to the table's edge."""
+    listed = [tuple(row) for row in rows]
+    columns = max(map(len, listed), default=0)
+
+    def cell(text: str, span: int) -> str:
+        return f'<td colspan="{span}" style="text-align: left">{escape(text)}</td>'
+
+    lines = (
+        "".join(cell(text, 1) for text in row[:-1]) + cell(row[-1], columns - len(row) + 1) for row in listed if row
+    )
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 
 def shares(counts: Mapping[str, int]) -> str:

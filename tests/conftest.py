@@ -11,10 +11,12 @@ import pytest
 from distributed import Client, LocalCluster
 
 import atlas
+from atlas.service import cluster
 from tests.browser import started
 from tests.planes import plane_of
 
 dask.config.set({"distributed.worker.profile.enabled": False})  # as local_cluster does, for clusters in this process
+cluster.DASHBOARD = "127.0.0.1:0"  # several tests at once: at a port that is taken Dask leaves a socket open
 
 LONGEST = (
     "test_commands.py", "test_docs_site.py", "test_release.py", "test_warm.py", "test_explore_page.py",
@@ -45,8 +47,8 @@ def client() -> Iterator[Client]:
 def two_workers() -> Iterator[Client]:
     """A cluster of two workers of one thread in this process, of its own for each test."""
     with (
-        LocalCluster(processes=False, n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
-        Client(cluster, set_as_default=False) as made,
+        LocalCluster(processes=False, n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as local,
+        Client(local, set_as_default=False) as made,
     ):
         yield made
 

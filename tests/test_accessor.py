@@ -30,7 +30,7 @@ P, C, Q, N = PERIODIC, CHAOTIC, QUASIPERIODIC, PENDING
 
 
 def with_units(ds: xr.Dataset) -> xr.Dataset:
-    ds.largest.attrs.update(units="1/period", long_name="largest Lyapunov exponent per forcing period")
+    ds.largest.attrs.update(units="1", long_name="largest Lyapunov exponent per forcing period")
     return ds
 
 
@@ -123,7 +123,7 @@ def test_per_unit_time_divides_by_the_forcing_period(fixed: bool) -> None:
     made = ds.atlas.per_unit_time().largest
     np.testing.assert_allclose(made, ds.largest / (2 * np.pi / ds.omega))
     assert made.dims == ds.largest.dims
-    assert made.attrs == {"units": "1/time", "long_name": "largest Lyapunov exponent per unit time"}
+    assert made.attrs == {"units": "1", "long_name": "largest Lyapunov exponent per unit time"}
 
 
 def test_exponents_are_not_converted_twice() -> None:
@@ -181,7 +181,7 @@ def test_plot_draws_a_kind_in_a_window() -> None:
 
 
 def test_exponents_per_unit_time_are_not_drawn_under_the_label_of_others() -> None:
-    with pytest.raises(InputError, match="pictures draw exponents per forcing period, found units 1/time"):
+    with pytest.raises(InputError, match="pictures draw exponents per forcing period, found per unit time"):
         with_units(plane([1, 2], [0.1, 0.2])).atlas.per_unit_time().atlas.plot()
 
 

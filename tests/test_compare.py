@@ -140,7 +140,9 @@ def test_a_value_that_differs_in_its_last_bit_is_named_with_all_its_digits() -> 
 
 def test_exponents_in_other_units_are_not_compared(folder: Path) -> None:
     ds = atlas.open(folder / "a.zarr")
-    with pytest.raises(InputError, match="the units of exponents differ: '1/period' here, '1/time' there"):
+    with pytest.raises(
+        InputError, match="exponents differ in their unit: per forcing period here, per unit time there"
+    ):
         ds.atlas.compare(ds.atlas.per_unit_time())
 
 

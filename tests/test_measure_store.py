@@ -122,7 +122,7 @@ def test_plain_xarray_opens_the_group_and_explains_its_codes(measured: Path) -> 
     assert set(LINEAR_NAMES) <= set(group.data_vars)
     assert group["return_time"].dims == ("b", "omega", "attractor")
     assert group["omega"].values.tolist() == [3.5, 3.6, 4.0]
-    assert group["return_time"].attrs["units"] == "forcing periods"
+    assert group["return_time"].attrs["units"] == "1"
     assert group["unmeasured"].attrs["flag_meanings"].split() == list(FLAGS)
     assert group.attrs["linear"]["norm"] == NORM
 

@@ -1,6 +1,8 @@
 """What an interpreter and a notebook show of a result: it fits on a screen."""
 
 import re
+from dataclasses import replace
+from html import unescape
 from types import SimpleNamespace
 from typing import Any
 
@@ -70,4 +72,31 @@ def test_xarray_writes_no_unit_on_the_axis_of_a_pure_number(header: store.Header
     ds = atlas.open(header.path)
     assert label_from_attrs(ds["omega"]) == "forcing frequency"
     assert not [name for name in ds.variables if "[1]" in label_from_attrs(ds[name])]
-    assert label_from_attrs(ds["largest"]).endswith("[1/period]")
+    assert label_from_attrs(ds["largest"]) == "largest Lyapunov exponent per forcing period"
+
+
+def rows_of(html: str) -> list[str]:
+    """The rows of a table as a browser shows them: the texts of their cells."""
+    rows = re.findall("<tr>(.*?)</tr>", html)
+    return [" ".join(unescape(cell) for cell in re.findall("<td[^>]*>(.*?)</td>", row)) for row in rows]
+
+
+def words(lines: list[str]) -> list[list[str]]:
+    return [line.split() for line in lines]
+
+
+def test_a_plan_a_status_and_a_report_are_tables_in_a_notebook_with_the_facts_of_their_text(
+    header: store.Header,
+) -> None:
+    """Truth: the text, whose facts they must have, each once and in order."""
+    spec = atlas.Spec("two-mass", {"x1": [0.0, 0.1], "v1": [0.0, 0.1]})
+    found = [atlas.plan(spec, probe=False), atlas.status(header.path), atlas.verify(header.path, sample=0)]
+    for each in found:
+        assert words(rows_of(each._repr_html_())) == words(str(each).splitlines())
+
+
+def test_text_in_a_table_is_escaped(header: store.Header) -> None:
+    """Notes come from outside: whoever can write next to a store must not run a script in a notebook."""
+    status = replace(atlas.status(header.path), trouble="<script>alert(1)</script>")
+    html = status._repr_html_()
+    assert "<script>" not in html and "&lt;script&gt;" in html

@@ -59,13 +59,6 @@ def test_atlases_concatenate_along_a_fixed_parameter(tmp_path: Path) -> None:
     assert whole.R.values.tolist() == [0.5, 0.8]
 
 
-def test_every_variable_explains_itself(header: store.Header) -> None:
-    ds = xr.open_zarr(header.path)
-    silent = [name for name in [*ds.data_vars, "omega", "b", "R"] if not ds[name].attrs.get("long_name")]
-    unitless = [name for name in [*ds.data_vars, "omega", "b", "R"] if not ds[name].attrs.get("units")]
-    assert (silent, unitless) == ([], [])
-
-
 def test_components_of_the_state_are_named(header: store.Header) -> None:
     assert xr.open_zarr(header.path).component.values.tolist() == ["x1", "x2", "v1", "v2"]
 

@@ -81,7 +81,7 @@ def test_a_variable_is_drawn_on_its_scale_with_its_name_and_unit() -> None:
 
 def test_a_unit_that_a_meaning_ends_with_is_written_once() -> None:
     ds = plane()
-    ds["largest"].attrs.update(long_name="largest Lyapunov exponent per forcing period", units="1/period")
+    ds["largest"].attrs.update(long_name="largest Lyapunov exponent per forcing period", units="1")
     bar = render.figure(ds, variable="largest").axes[1]
     assert bar.get_ylabel() == "largest Lyapunov exponent [per forcing period]"
 

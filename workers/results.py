@@ -113,13 +113,14 @@ class Variable:
     sparse: bool = False
 
 
-_PER_PERIOD = "1/period"
+PER_PERIOD = "per forcing period"
+"""How the meaning of what is counted over forcing periods says so: its unit is 1, since a period has none."""
 ATTRACTOR = "attractor"
 """The dimension along the attractors of a cell, the one with the largest share first."""
 
 
-def _number(name: str, long_name: str, units: str = "1", *extra: str) -> Variable:
-    return Variable(name, "float64", float("nan"), long_name, units, extra)
+def _number(name: str, long_name: str, *extra: str) -> Variable:
+    return Variable(name, "float64", float("nan"), long_name, "1", extra)
 
 
 def _count(name: str, long_name: str, *extra: str, fill: int = 0) -> Variable:
@@ -130,33 +131,33 @@ def _flag(name: str, long_name: str, *extra: str) -> Variable:
     return Variable(name, "bool", False, long_name, "1", extra)
 
 
-LARGEST = _number("largest", "largest Lyapunov exponent per forcing period", _PER_PERIOD)
-ERROR = _number("error", "error of the largest Lyapunov exponent", _PER_PERIOD)
-SPECTRUM = _number("spectrum", "Lyapunov exponents per forcing period, largest first", _PER_PERIOD, "exponent")
-AVERAGE = _number("average", "mean growth of tangent vectors per forcing period over the schedule", _PER_PERIOD)
+LARGEST = _number("largest", f"largest Lyapunov exponent {PER_PERIOD}")
+ERROR = _number("error", f"error of the largest Lyapunov exponent {PER_PERIOD}")
+SPECTRUM = _number("spectrum", f"Lyapunov exponents {PER_PERIOD}, largest first", "exponent")
+AVERAGE = _number("average", f"mean growth of tangent vectors {PER_PERIOD} over the schedule")
 _ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra=("exponent",))
 KAPLAN_YORKE = _number("kaplan_yorke", "Kaplan-Yorke dimension of the attractor of the stroboscopic map")
-SUM_LAW_DEFECT = _number("sum_law_defect", "sum of the exponents minus its exact value", _PER_PERIOD)
-PROGRESS = _number("progress", "mean advance of what drifts", _PER_PERIOD)
-SECTION = _number("section", "last section states", "1", "sample", "state")
+SUM_LAW_DEFECT = _number("sum_law_defect", f"sum of the exponents minus its exact value, {PER_PERIOD}")
+PROGRESS = _number("progress", f"mean advance of what drifts {PER_PERIOD}")
+SECTION = _number("section", "last section states", "sample", "state")
 _ALWAYS = (
     _count("period", "forcing periods per orbit; 0 unless periodic or without impact"),
     _count("impacts_upper", "impacts at the upper stop per orbit period; -1 where it rests on a stop"),
     _count("impacts_lower", "impacts at the lower stop per orbit period; -1 where it rests on a stop"),
-    _number("impacts_per_period", "mean number of impacts per forcing period", _PER_PERIOD),
+    _number("impacts_per_period", f"mean number of impacts {PER_PERIOD}"),
     _flag("symmetric", "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known"),
     _flag("sticks", "the mass rests on a stop for part of the time; false unless known"),
     _number("stuck_fraction", "share of the time at rest on a stop"),
     _number("min_impact_speed", "slowest impact seen on the attractor; 0 where it rests on a stop"),
     _number("mean_impact_speed", "mean speed before an impact; NaN where it rests on a stop"),
     _number("max_impact_speed", "fastest impact seen on the attractor"),
-    _number("impact_energy", "energy lost at impacts per forcing period", _PER_PERIOD),
+    _number("impact_energy", f"energy lost at impacts {PER_PERIOD}"),
     _number(
         "peak_to_peak", "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit"
     ),
     _count("periods_used", "forcing periods simulated"),
     _count("survived", "forcing periods seen chaotic, or aperiodic, after the transient"),
-    _number("state", "physical section state on the attractor", "1", "state"),
+    _number("state", "physical section state on the attractor", "state"),
 )
 REASON = Variable(
     "reason", "int8", NO_REASON, "why the cell is invalid, failed, given up or uncertain", "1", sparse=True
@@ -169,16 +170,16 @@ _COEXISTENCE = (
     _count("undecided", "initial states whose attractor is not known"),
     _count("left", "initial states on attractors that are not kept"),
     _number("unseen_share", "share of an attractor that 5 % of such cells miss"),
-    _number("share", "share of the initial states that reach the attractor", "1", ATTRACTOR),
-    _number("share_error", "standard error of the share, of Wilson's interval", "1", ATTRACTOR),
-    _number("share_low", "lower end of the 95 % Wilson interval of the share", "1", ATTRACTOR),
-    _number("share_high", "upper end of the 95 % Wilson interval of the share", "1", ATTRACTOR),
+    _number("share", "share of the initial states that reach the attractor", ATTRACTOR),
+    _number("share_error", "standard error of the share, of Wilson's interval", ATTRACTOR),
+    _number("share_low", "lower end of the 95 % Wilson interval of the share", ATTRACTOR),
+    _number("share_high", "upper end of the 95 % Wilson interval of the share", ATTRACTOR),
     _count(
         "mirror", "attractor that is its mirror image; itself where it is symmetric; -1 if none", ATTRACTOR, fill=-1
     ),
     _flag("exact", "initial states are told to reach it exactly, not by statistics", ATTRACTOR),
     _count("lumped", "initial states put to it by statistics", ATTRACTOR),
-    _number("lumped_distance", "largest distance of those from it, in standard errors", "1", ATTRACTOR),
+    _number("lumped_distance", "largest distance of those from it, in standard errors", ATTRACTOR),
 )
 UNKNOWN_LABEL, BEYOND_TABLE = -1, -2
 LABEL = _count("label", "attractor that the initial state reaches; -1 if not known", fill=UNKNOWN_LABEL)

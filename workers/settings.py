@@ -11,6 +11,13 @@ LONGEST_ORBIT = 10_000
 """Forcing periods: a cell keeps a section state of each while it is solved."""
 MOST_SAMPLES = 100_000
 """Section states of a cell: 3 MB."""
+CHOICES = {"exponents": EXPONENTS, "method": METHODS}
+"""The settings that are words, and which words."""
+WHOLE = {
+    "max_periods": (1, MOST_PERIODS), "survival": (0, MOST_PERIODS), "transient_periods": (0, MOST_PERIODS),
+    "periods": (1, MOST_PERIODS), "max_period": (1, LONGEST_ORBIT), "section_samples": (0, MOST_SAMPLES),
+}  # fmt: skip
+"""The settings that are whole numbers, with the least and the greatest."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +56,15 @@ class Settings:
     section_samples: int = 0
 
     def __post_init__(self) -> None:
-        for name, known in (("exponents", EXPONENTS), ("method", METHODS)):
+        for name, known in CHOICES.items():
             if getattr(self, name) not in known:
                 raise ValueError(f"{name}: found {getattr(self, name)!r}, must be one of {', '.join(known)}")
         if isinstance(self.tolerance, bool) or not isinstance(self.tolerance, int | float):
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a number > 0")
         if not 0 < self.tolerance <= sys.float_info.max:
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a finite number > 0")
-        check_whole("max_periods", self.max_periods, 1, MOST_PERIODS)
-        check_whole("survival", self.survival, 0, MOST_PERIODS)
-        check_whole("transient_periods", self.transient_periods, 0, MOST_PERIODS)
-        check_whole("periods", self.periods, 1, MOST_PERIODS)
-        check_whole("max_period", self.max_period, 1, LONGEST_ORBIT)
-        check_whole("section_samples", self.section_samples, 0, MOST_SAMPLES)
+        for name, (low, high) in WHOLE.items():
+            check_whole(name, getattr(self, name), low, high)
 
     @property
     def deciding_periods(self) -> int:

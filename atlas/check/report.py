@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from atlas.text import plural
+from atlas.text import html_table, plural
 
 SHOWN = 50
 """Faults that a terminal gets to see; ``--json`` has all."""
@@ -67,18 +67,32 @@ class Report:
         """Whether the store is complete and nothing speaks against it."""
         return self.complete and not self.faults and not self.doubts
 
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """What was looked at, each with its name."""
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
-        lines = [
-            f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
-            f"chunks   {self.chunks} read, checksums correct",
-            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below",
-            f"cells    {self.cells_checked} checked against the rules",
-            f"sample   {plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
-            if self.comparison in how
-            else f"sample   not solved again: {self.comparison}",
+        found = [
+            (
+                "tiles",
+                f"{self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
+            ),
+            ("chunks", f"{self.chunks} read, checksums correct"),
+            ("levels", f"{plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below"),
+            ("cells", f"{self.cells_checked} checked against the rules"),
+            (
+                "sample",
+                f"{plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
+                if self.comparison in how
+                else f"not solved again: {self.comparison}",
+            ),
         ]
-        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells checked likewise"] * bool(self.sheets)
+        zoom = ("zoom", f"{plural(self.sheets, 'sheet')} of explored cells checked likewise")
+        return [*found, zoom] if self.sheets else found
+
+    @property
+    def findings(self) -> list[str]:
+        """What was found and repaired, and at the end whether the store is fine, in lines."""
+        lines = []
         for title, found in (("found", self.faults), ("in doubt", self.doubts)):
             lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
             lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []
@@ -91,7 +105,13 @@ class Report:
             lines += self.mended
         bad = bool(self.faults or self.doubts)
         lines.append("fine" if self.fine else "not fine" if bad else "nothing wrong, but not complete")
-        return "\n".join(lines)
+        return lines
+
+    def __str__(self) -> str:
+        return "\n".join([*(f"{name:<9}{text}" for name, text in self.rows), *self.findings])
+
+    def _repr_html_(self) -> str:
+        return html_table([*self.rows, *((line,) for line in self.findings)])
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas verify --json`` prints."""

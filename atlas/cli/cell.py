@@ -1,5 +1,6 @@
 """Commands about one cell, and about the systems and examples that there are."""
 
+import json
 import sys
 import textwrap
 from pathlib import Path
@@ -34,6 +35,7 @@ from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
+from atlas.spec.json_schema import spec_schema
 from atlas.spec.system import checked_system, unused_lines
 from atlas.task.compile import ATTRACTORS, kernels_for
 from workers.attractors.starts import Starts
@@ -145,6 +147,12 @@ def example(name: str | None) -> None:
     firsts = {each: " ".join(example_text(each).split("\n\n")[0].replace("#", " ").split()) for each in example_names()}
     print_table("", ["example", ""], [(each, first.partition(":")[0]) for each, first in firsts.items()])
     click.echo("\none of them: atlas example NAME")
+
+
+@click.command(epilog=examples("atlas schema > atlas.schema.json"))
+def schema() -> None:
+    """Print the JSON Schema of a spec, by which editors of TOML complete and check it."""
+    click.echo(json.dumps(spec_schema(), indent=1))
 
 
 def _print_system(record: System) -> None:

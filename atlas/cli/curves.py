@@ -10,6 +10,7 @@ import click
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
+    dashboard_option,
     examples,
     interruptible,
     json_option,
@@ -43,6 +44,7 @@ def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., N
 @_budget("least", "Cells that a region must have for events to be looked for beside it.", "min-cells")
 @scheduler_option
 @workers_option
+@dashboard_option
 @json_option
 @click.pass_context
 def find_curves(
@@ -52,6 +54,7 @@ def find_curves(
     out: Path | None,
     scheduler: str | None,
     workers: int | None,
+    dashboard: bool,
     as_json: bool,
     **budget: int,
 ) -> None:
@@ -67,7 +70,7 @@ def find_curves(
         check_path(out)
     try:
         with interruptible(), reporter(sys.stderr) as show:
-            options = RunOptions(workers, scheduler, on_progress=show, timing=timing_of(ctx))
+            options = RunOptions(workers, scheduler, dashboard=dashboard, on_progress=show, timing=timing_of(ctx))
             summary = curves.find_curves(store, CurveSettings(**budget), options=options)
     except KeyboardInterrupt:
         say("interrupted: what is found is kept; the same command resumes")

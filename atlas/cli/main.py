@@ -16,12 +16,13 @@ from atlas.errors import InputError, RunError, one_line, shown
 from workers.model.parameter import unknown_name
 
 _HOMES = {
-    "demo": "demo", "example": "cell", "plan": "run", "run": "run", "submit": "run", "cancel": "run", "retry": "run",
-    "extend": "run", "basins": "run", "status": "store", "verify": "store", "pack": "store", "cite": "store",
-    "query": "query", "regions": "query", "extremes": "query", "basin-measures": "query", "export": "query",
-    "compare": "compare", "find-curves": "curves", "label-attractors": "labels", "measure-attractors": "measures",
-    "plot": "pictures", "figures": "pictures", "point": "cell", "stability": "stability", "saddles": "saddles",
-    "portrait": "cell", "branch": "branch", "explore": "explore", "systems": "cell",
+    "demo": "demo", "example": "cell", "schema": "cell", "plan": "run", "run": "run", "submit": "run",
+    "cancel": "run", "retry": "run", "extend": "run", "basins": "run", "status": "store", "verify": "store",
+    "pack": "store", "cite": "store", "query": "query", "regions": "query", "extremes": "query",
+    "basin-measures": "query", "export": "query", "compare": "compare", "find-curves": "curves",
+    "label-attractors": "labels", "measure-attractors": "measures", "plot": "pictures", "figures": "pictures",
+    "point": "cell", "stability": "stability", "saddles": "saddles", "portrait": "cell", "branch": "branch",
+    "explore": "explore", "systems": "cell",
 }  # fmt: skip
 """The commands in the order of their use, each with its module."""
 _MEANT = {

@@ -7,6 +7,7 @@ import click
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
+    dashboard_option,
     examples,
     interruptible,
     json_option,
@@ -41,6 +42,7 @@ from atlas.service.options import RunOptions
 )
 @scheduler_option
 @workers_option
+@dashboard_option
 @json_option
 @click.pass_context
 def measure_attractors(
@@ -53,6 +55,7 @@ def measure_attractors(
     scale: tuple[str, ...],
     scheduler: str | None,
     workers: int | None,
+    dashboard: bool,
     as_json: bool,
 ) -> None:
     """Measure how stable the attractors of STORE, a finished atlas, are: return time, reactivity, amplification.
@@ -68,7 +71,7 @@ def measure_attractors(
         raise InputError("--scale goes with --margin: it is the unit of that")
     try:
         with interruptible(), reporter(sys.stderr) as show:
-            options = RunOptions(workers, scheduler, on_progress=show, timing=timing_of(ctx))
+            options = RunOptions(workers, scheduler, dashboard=dashboard, on_progress=show, timing=timing_of(ctx))
             summary = measures.measure_attractors(
                 store, shocks=shocks, margin=margin, norm=weights, scale=units or None, options=options
             )

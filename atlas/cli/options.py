@@ -18,12 +18,12 @@ from atlas.cli.completion import of_names
 from atlas.errors import ChunkError, InputError, NetworkError, shown
 from atlas.service.options import MOST_WORKERS
 from atlas.service.timing import TIMING, Timing
-from atlas.spec.spec import checked_parameters, checked_settings
+from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import DEFAULT, System
-from workers.settings import EXPONENTS, METHODS
+from workers.settings import CHOICES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,18 +33,6 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 _T = TypeVar("_T")
 
-SETTING_MEANINGS = {
-    "exponents": "Which Lyapunov exponents.",
-    "tolerance": "Standard error of the largest exponent at which a chaotic cell stops.",
-    "max_periods": "Forcing periods that deciding the class, and averaging, may cost.",
-    "survival": "Further periods for which what looks chaotic may be watched.",
-    "method": "adaptive, or fixed: a transient is dropped, then averaged.",
-    "transient_periods": "Periods that are dropped, with fixed.",
-    "periods": "Periods that are averaged, with fixed.",
-    "max_period": "Longest orbit looked for, in forcing periods.",
-    "section_samples": "How many of the last section states are kept.",
-}
-
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there.")
 workers_option = click.option(
     "--workers",
@@ -52,6 +40,11 @@ workers_option = click.option(
     help="Worker processes on this machine; default: one a processor.",
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
+dashboard_option = click.option(
+    "--dashboard/--no-dashboard",
+    default=True,
+    help="Whether Dask shows in the browser what the workers of this machine do; needs Bokeh.",
+)
 window_option = click.option(
     "--window",
     metavar="NAME=LOW:HIGH",
@@ -132,7 +125,7 @@ def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[
     """One option for each setting but these, from the record of settings itself."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        choices = {"exponents": click.Choice(EXPONENTS), "method": click.Choice(METHODS)}
+        choices = {name: click.Choice(known) for name, known in CHOICES.items()}
         for field in reversed([field for field in fields(Settings) if field.name not in without]):
             kind = choices.get(field.name) or {int: click.INT, float: click.FLOAT}[type(field.default)]
             name = f"--{field.name.replace('_', '-')}"

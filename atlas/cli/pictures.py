@@ -142,6 +142,6 @@ def plot(
 def figures(paper: bool, out: Path, formats: tuple[str, ...], workers: int | None) -> None:
     """Compute and draw the figures of the paper."""
     with input_errors(), reporter(sys.stderr) as show:
-        written = draw_figures(out, formats, options=RunOptions(workers, on_progress=show))
+        written = draw_figures(out, formats, options=RunOptions(workers, dashboard=False, on_progress=show))
     for path in written:
         click.echo(str(path))

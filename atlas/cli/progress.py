@@ -48,6 +48,8 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             if progress.line != self._line:
                 self._line = progress.line
                 self._print(self._line)
+        if progress.note:
+            self._print(progress.note)
 
     def _print(self, text: str) -> None:
         print(text, file=self._stream, flush=True)
@@ -85,6 +87,8 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
         if plan and not self._planned:
             self._planned = True
             self._live.console.print(str(plan), highlight=False)
+        if progress.note:
+            self._live.console.print(progress.note, highlight=False)
         self._bar.update(
             self._task,
             description=progress.stage,

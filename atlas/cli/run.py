@@ -14,6 +14,7 @@ from atlas.cli.options import (
     INTERRUPTED,
     SPECS,
     check_workers,
+    dashboard_option,
     examples,
     interruptible,
     json_option,
@@ -100,6 +101,10 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @points_option
 @scheduler_option
 @workers_option
+@dashboard_option
+@click.option(
+    "--performance-report", "report", metavar="FILE", help="Write Dask's report of how the workers spent their time."
+)
 @click.option("--tile", metavar="I,J", help="Do this tile alone in this process, and show what it raises.")
 @click.option("--log", metavar="FILE", help="Write what is decided, and tracebacks of tiles that fail, into a file.")
 @click.pass_context
@@ -111,6 +116,8 @@ def run(
     points: str | None,
     scheduler: str | None,
     workers: int | None,
+    dashboard: bool,
+    report: str | None,
     tile: str | None,
     log: str | None,
     **tls: str | None,
@@ -119,8 +126,17 @@ def run(
     check_workers(scheduler, workers)
     read = Spec.from_toml(spec, points)
     index = None if tile is None else tuple(read_whole("--tile", each) for each in tile.split(","))
-    options = RunOptions(workers, scheduler, _tls(**tls), tile=index, timing=timing_of(ctx))
-    line = _line("run", spec, "-o", out, points=points, scheduler=scheduler, workers=workers, **tls)
+    options = RunOptions(
+        workers,
+        scheduler,
+        _tls(**tls),
+        tile=index,
+        dashboard=dashboard,
+        performance_report=report,
+        timing=timing_of(ctx),
+    )
+    words = ["run", spec, "-o", out, *["--no-dashboard"] * (not dashboard)]
+    line = _line(*words, points=points, scheduler=scheduler, workers=workers, performance_report=report, **tls)
     with _logged(log), _shown(ctx, options, f"resume with\n  {line}") as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
@@ -140,6 +156,7 @@ def run(
 @_tls_options
 @scheduler_option
 @workers_option
+@dashboard_option
 @click.option("--submit", "leave", is_flag=True, help="Have the cluster of --scheduler do it, and leave.")
 @click.pass_context
 def retry(
@@ -152,6 +169,7 @@ def retry(
     survival: int | None,
     scheduler: str | None,
     workers: int | None,
+    dashboard: bool,
     leave: bool,
     **tls: str | None,
 ) -> None:
@@ -163,7 +181,7 @@ def retry(
     check_workers(scheduler, workers)
     if leave and scheduler is None:
         raise InputError("--submit leaves the work to a cluster: give its --scheduler too")
-    options = RunOptions(workers, scheduler, _tls(**tls), timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, _tls(**tls), dashboard=dashboard, timing=timing_of(ctx))
     if leave:
         _submit(out, options, lambda shown: submit_retry(store, out, regimes, max_periods, survival, shown))
         return
@@ -179,8 +197,11 @@ def retry(
 @click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
 @scheduler_option
 @workers_option
+@dashboard_option
 @click.pass_context
-def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None) -> None:
+def basins(
+    ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None, dashboard: bool
+) -> None:
     """Basins of attraction of SPEC, whose axes are components of the initial state, into a store.
 
     Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas plot and
@@ -195,7 +216,7 @@ def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, worke
         raise InputError(
             f"{spec}: the axes of basins must be components of the initial state ({states}), found {names}"
         )
-    options = RunOptions(workers, scheduler, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx))
     with _shown(ctx, options, "the same command resumes") as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
@@ -249,6 +270,7 @@ def cancel(ctx: click.Context, store: str) -> None:
 @click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
 @scheduler_option
 @workers_option
+@dashboard_option
 @click.pass_context
 def extend(
     ctx: click.Context,
@@ -258,6 +280,7 @@ def extend(
     out: str,
     scheduler: str | None,
     workers: int | None,
+    dashboard: bool,
 ) -> None:
     """Compute a larger or finer atlas into a new store, reusing all cells that STORE has.
 
@@ -269,7 +292,7 @@ def extend(
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    options = RunOptions(workers, scheduler, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx))
     with _shown(ctx, options, "the same command resumes") as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)

@@ -159,21 +159,30 @@ def as_arrays(found: Curves) -> dict[str, StoredArray]:
     points = np.concatenate([np.zeros((0, 2)), *(curve.points for curve in curves)])
     unstable = np.concatenate([np.zeros(0, "int64"), *(curve.unstable for curve in curves)]).astype("int32")
     places = np.array([(corner.x, corner.y) for _, corner in corners], dtype="float64").reshape(-1, 2)
-    made = {name: StoredArray(values, ("curve",), {"long_name": what}) for name, (values, what) in of_curve.items()}
+
+    def count(values: NDArray[Any], dim: str, what: str) -> StoredArray:
+        return StoredArray(values, (dim,), {"long_name": what, "units": "1"})
+
+    made = {
+        name: StoredArray(
+            values, ("curve",), {"long_name": what} | ({} if values.dtype.kind == "T" else {"units": "1"})
+        )
+        for name, (values, what) in of_curve.items()
+    }
     made["row_size"].attributes["sample_dimension"] = "point"
     return made | {
         "position": StoredArray(points, ("point", "axis"), {"long_name": "points of all curves, end to end"}),
-        "unstable": StoredArray(unstable, ("point",), {"long_name": "unstable multipliers besides the event's own"}),
-        "corner_curve": StoredArray(
-            np.array([number for number, _ in corners], dtype="int32"), ("corner",), {"long_name": "its curve, from 0"}
+        "unstable": count(unstable, "point", "unstable multipliers besides the event's own"),
+        "corner_curve": count(
+            np.array([number for number, _ in corners], dtype="int32"), "corner", "its curve, from 0"
         ),
         "corner_kind": StoredArray(
             text([corner.kind for _, corner in corners]), ("corner",), {"long_name": "kind of point of codimension two"}
         ),
-        "corner_after": StoredArray(
+        "corner_after": count(
             np.array([corner.after for _, corner in corners], dtype="int64"),
-            ("corner",),
-            {"long_name": "its curve's point that it follows, from 0"},
+            "corner",
+            "its curve's point that it follows, from 0",
         ),
         "corner_position": StoredArray(places, ("corner", "axis"), {"long_name": "points of codimension two"}),
         "axis": StoredArray(text(list(found.axes)), ("axis",), {"long_name": "axis of the plane"}),

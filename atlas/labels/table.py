@@ -129,7 +129,8 @@ def write_labels(header: Header, found: Labels) -> None:
     """Keep labels in the store, in the place of any before."""
     dims = (*header.spec.dims, ATTRACTOR)
     about = {
-        name: StoredArray(values, (BRANCH,), {"long_name": _MEANINGS[name]}) for name, values in _rows(found).items()
+        name: StoredArray(values, (BRANCH,), {"long_name": _MEANINGS[name], "units": "1"})
+        for name, values in _rows(found).items()
     }
     values = found.values.astype(LABEL.dtype)
     label = StoredArray(values, dims, {"long_name": "branch that the attractor is on; -1 if none", "units": "1"})

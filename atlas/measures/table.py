@@ -48,14 +48,14 @@ class Measure:
         return {"long_name": self.long_name, "units": self.units} | (codes if self.flags else {})
 
 
-_NAN, _PERIODS = float("nan"), "forcing periods"
+_NAN = float("nan")
 MEASURES = {
     each.name: each
     for each in (
-        Measure("return_time", LINEAR, "float64", _NAN, "time in which deviations fall by e in the end", _PERIODS),
+        Measure("return_time", LINEAR, "float64", _NAN, "forcing periods in which deviations fall by e in the end"),
         Measure("reactivity", LINEAR, "float64", _NAN, "largest log growth of a deviation over one forcing period"),
         Measure("amplification", LINEAR, "float64", _NAN, "largest growth of a deviation over any number of periods"),
-        Measure("amplified_after", LINEAR, "int32", -1, "number of periods after which it is that large", _PERIODS),
+        Measure("amplified_after", LINEAR, "int32", -1, "forcing periods after which it is that large"),
         Measure("unmeasured", LINEAR, "int8", -1, "why one of these is not known; -1 if all are",
                 flags=FLAGS),
         Measure("fatal_shock", SHOCKS, "float64", _NAN, "smallest deviation found that leads to another attractor"),

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError, shown
+from atlas.errors import InputError
 from atlas.query.plane import Plane
+from atlas.query.queries import rate_of
 from atlas.query.resample import view
 from atlas.query.window import Window, axis_names, axis_values, cell_widths, columns, inside, within
 from atlas.spec.points import POINT
@@ -96,7 +97,8 @@ class Comparison:
             raise InputError("one of the two atlases holds no exponents to compare")
         one = self.one[LARGEST.name]
         values = np.concatenate([difference for _, _, _, difference in self._strips()])
-        attrs = {"long_name": "difference of the largest Lyapunov exponents, there minus here", "units": LARGEST.units}
+        meaning = f"difference of the largest Lyapunov exponents {rate_of(one)}, there minus here"
+        attrs = {"long_name": meaning, "units": LARGEST.units}
         coords = {str(dim): one[dim] for dim in one.dims}
         return xarray.DataArray(values, coords, one.dims, "difference", attrs)
 
@@ -232,6 +234,6 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
             what = "column" if name in columns(one) else "axis"
             raise InputError(f"{what} {name} differs: value {k + 1} is {here[k]!s} here, {there[k]!s} there")
     if LARGEST.name in one and LARGEST.name in other:
-        units = [ds[LARGEST.name].attrs.get("units", LARGEST.units) for ds in (one, other)]
-        if units[0] != units[1]:
-            raise InputError(f"the units of exponents differ: {shown(units[0])} here, {shown(units[1])} there")
+        rates = [rate_of(ds[LARGEST.name]) for ds in (one, other)]
+        if rates[0] != rates[1]:
+            raise InputError(f"the exponents differ in their unit: {rates[0]} here, {rates[1]} there")

@@ -37,6 +37,7 @@ from workers.results import (
     LARGEST,
     NO_REASON,
     PENDING,
+    PER_PERIOD,
     REASON,
     REASONS,
     REGIME,
@@ -65,6 +66,8 @@ __all__ = [
 
 _NAMES = {regime.code: regime.name for regime in REGIMES}
 _CODES = {regime.name: regime.code for regime in REGIMES}
+PER_TIME = "per unit time"
+"""How the meaning of exponents says that they are converted."""
 _EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
 
 BOUNDARY_CELLS = 2000
@@ -195,19 +198,24 @@ def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
     """The atlas with its exponents, and what is measured in their unit, per unit time and not per forcing period.
 
     lambda_t = lambda / T with T = 2 pi / omega, omega the forcing frequency of each cell. The changed variables,
-    largest, error, spectrum and sum_law_defect, say so in their units, ``1/time``. Loads them.
+    largest, error, spectrum and sum_law_defect, say so in their ``long_name``. Loads them.
     Raises InputError where they are per unit time already, or the forcing frequency is not known.
     """
     present = [name for name in _EXPONENTS if name in ds]
-    if any(ds[name].attrs.get("units") != LARGEST.units for name in present):
-        raise InputError(f"the exponents are not per forcing period (units {LARGEST.units}); nothing to convert")
+    if any(rate_of(ds[name]) == PER_TIME for name in present):
+        raise InputError(f"the exponents are {PER_TIME} already, not {PER_PERIOD}; nothing to convert")
     rate = ds[_frequency(ds)] / (2.0 * np.pi)
     made = {}
     for name in present:
         made[name] = (ds[name] * rate).transpose(*ds[name].dims)
-        meaning = str(ds[name].attrs.get("long_name", name)).replace("per forcing period", "per unit time")
-        made[name].attrs = {**ds[name].attrs, "units": "1/time", "long_name": meaning}
+        meaning = str(ds[name].attrs.get("long_name", f"{name} {PER_PERIOD}")).replace(PER_PERIOD, PER_TIME)
+        made[name].attrs = {**ds[name].attrs, "long_name": meaning}
     return ds.assign(made)
+
+
+def rate_of(exponents: "xr.DataArray") -> str:
+    """Whether exponents are per unit time or, as stored, per forcing period, in these words."""
+    return PER_TIME if PER_TIME in str(exponents.attrs.get("long_name", "")) else PER_PERIOD
 
 
 def codes_of(regimes: Iterable[str]) -> list[int]:

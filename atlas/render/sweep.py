@@ -25,7 +25,19 @@ from atlas.render.kinds import TABLE
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, Page
 from atlas.spec.system import stored_system
-from workers.results import ATTRACTOR, ERROR, LABEL, LARGEST, NO_IMPACT, PENDING, PERIODIC, REGIME, SECTION, SPECTRUM
+from workers.results import (
+    ATTRACTOR,
+    ERROR,
+    LABEL,
+    LARGEST,
+    NO_IMPACT,
+    PENDING,
+    PER_PERIOD,
+    PERIODIC,
+    REGIME,
+    SECTION,
+    SPECTRUM,
+)
 
 if TYPE_CHECKING:
     from atlas.branches.table import Branches
@@ -34,7 +46,7 @@ Array = NDArray[np.float64]
 Panel: TypeAlias = Callable[[Axes, xr.Dataset, Axis, Page], None]
 """Draws one panel of a sweep from what was read of it."""
 
-LARGEST_LABEL = "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
+LARGEST_LABEL = f"largest Lyapunov exponent\n$\\lambda_1$ [{PER_PERIOD}]"
 COLORS = ("#0a6ebd", "#e8701a")
 """Colours of two sweeps drawn together."""
 SHADES = {hysteresis.MIRRORED: "#f0eedd", hysteresis.DIFFERENT: "#d6cdea"}
@@ -230,7 +242,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
         ax.plot(x.values, finite[:, i], "-", color=color_of(i), linewidth=0.4, zorder=1.5)
         marked, size = np.where(shown[:, i], finite[:, i], np.nan), point_size(x, 1.4, page)
         ax.plot(x.values, marked, ".", color=color_of(i), markersize=size, markeredgewidth=0, zorder=2)
-    label = f"Lyapunov exponents\n$\\lambda_i${words.unit_ending(SPECTRUM.units)}"
+    label = f"Lyapunov exponents\n$\\lambda_i$ [{PER_PERIOD}]"
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 

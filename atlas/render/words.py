@@ -10,7 +10,7 @@ from matplotlib.mathtext import MathTextParser
 from atlas.query.plane import Meaning
 from atlas.spec.system import stored_system
 from workers.model.system import System
-from workers.results import REGIMES
+from workers.results import PER_PERIOD, REGIMES
 
 _TERMS = 3
 """Terms of a gap coordinate that a label spells out, at most."""
@@ -48,17 +48,13 @@ def axis_label(name: str, meaning: Meaning) -> str:
 def variable_label(ds: xr.Dataset, name: str) -> str:
     """Meaning and unit of a variable, for a colour bar."""
     meaning, unit = str(ds[name].attrs.get("long_name", name)).split(";")[0], str(ds[name].attrs.get("units", "1"))
-    return meaning.removesuffix(f" {unit_text(unit)}") + unit_ending(unit)  # some meanings end with it
+    ending = f" [{PER_PERIOD}]" if meaning.endswith(PER_PERIOD) else unit_ending(unit)
+    return meaning.removesuffix(f" {PER_PERIOD}") + ending
 
 
 def unit_ending(*units: str) -> str:
     """How a label ends: its CF unit in brackets, nothing for the 1 of pure numbers or where its parts have several."""
-    return "" if len({*units}) > 1 or units[0] == "1" else f" [{unit_text(units[0])}]"
-
-
-def unit_text(unit: str) -> str:
-    """A CF unit on an axis."""
-    return "per forcing period" if unit == "1/period" else unit
+    return "" if len({*units}) > 1 or units[0] == "1" else f" [{units[0]}]"
 
 
 def title_line(ds: xr.Dataset) -> str:

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -19,6 +20,8 @@ from atlas.service.timing import TIMING, Timing
 if TYPE_CHECKING:
     from distributed import Client, Security
 
+DASHBOARD = "127.0.0.1:8787"
+"""Dask's own port: a browser, or a tunnel to it, may stay open from run to run."""
 LOST = "the cluster was lost; the same command resumes from the stored tiles"
 
 
@@ -75,26 +78,33 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
 
 
 @contextmanager
-def local_cluster(count: int) -> Iterator["Client"]:
+def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
     """Worker processes of one thread each, reachable from this machine only, and by this process alone.
 
     A scheduler runs whatever code it is sent, and other users of this machine reach its port: connections need a
-    certificate that is made here and lies in the memory of these processes.
+    certificate that is made here and lies in the memory of these processes. The ``dashboard`` can only be looked at; it
+    is at DASHBOARD or, where that port is taken, at one that is free, if Bokeh is installed.
     Dask's profiler is off: nobody looks at it, and Python 3.11 can crash when the frames of a running thread are read.
     """
     import dask
     from distributed import Client, LocalCluster, Security
 
-    with _quiet(), ExitStack() as stack:
+    dashboard = dashboard and has_dashboard()
+    with _quiet(*["bokeh"] * dashboard), ExitStack() as stack:
         try:
-            with interrupts_blocked(), dask.config.set({"distributed.worker.profile.enabled": False}):
+            with (
+                interrupts_blocked(),
+                dask.config.set({"distributed.worker.profile.enabled": False}),
+                warnings.catch_warnings(),
+            ):
+                warnings.filterwarnings("ignore", message="Port .* is already in use")
                 cluster = LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    scheduler_kwargs={"dashboard": False},
+                    dashboard_address=DASHBOARD if dashboard else "127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": dashboard},
                     memory_limit=0,
                     silence_logs=logging.CRITICAL,
                     security=Security.temporary(),
@@ -106,6 +116,51 @@ def local_cluster(count: int) -> Iterator["Client"]:
             ) from error
         stack.enter_context(cluster)
         yield stack.enter_context(Client(cluster, set_as_default=False))
+
+
+def has_dashboard() -> bool:
+    """Whether Dask finds a Bokeh that its dashboard and its reports can be drawn with."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns of a Bokeh that is too old
+        try:
+            import distributed.dashboard.scheduler  # noqa: F401
+        except ImportError:
+            return False
+    return True
+
+
+def dashboard_link(client: "Client") -> str:
+    """Where the dashboard of a cluster is, by ``distributed.dashboard.link``; empty if nobody can say."""
+    try:
+        return client.dashboard_link or ""
+    except (KeyError, ValueError):  # the user's template names what this environment does not have
+        return ""
+
+
+@contextmanager
+def performance_reported(
+    client: "Client", path: str | os.PathLike[str] | None, failed: Callable[[str], None]
+) -> Iterator[None]:
+    """Write Dask's performance report of the block into an HTML file that needs no network; nothing for None.
+
+    A report that cannot be written at the end is no reason to lose a run: ``failed`` gets why, in words.
+    """
+    if path is None:
+        yield
+        return
+    from distributed import performance_report
+
+    report = performance_report(os.fspath(path), mode="inline")
+    with loss_reported(client), client.as_current():
+        report.__enter__()
+    try:
+        yield
+    finally:
+        try:
+            with client.as_current():
+                report.__exit__(None, None, None)
+        except Exception as error:
+            failed(f"{type(error).__name__}: {error}".rstrip(": "))
 
 
 @contextmanager
@@ -189,10 +244,11 @@ def leave_if_bootstrapping() -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep Dask's log off the terminal: what matters of it comes back as an outcome or an error."""
+def _quiet(*more: str) -> Iterator[None]:
+    """Keep the log of Dask, and of ``more``, off the terminal: what matters comes back as an outcome or an error."""
     # Importing distributed has given several of its loggers a level and a handler of their own.
-    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
+    packages = ("distributed", "tornado", *more)
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]
     before = {logger: logger.level for logger in map(logging.getLogger, names)}
     for logger in before:
         logger.setLevel(logging.CRITICAL)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from atlas.errors import RunError
 from atlas.service.batches import J, Labour, R
-from atlas.service.cluster import local_cluster
 from atlas.service.dispatch import Workers, workforce
+from atlas.service.hiring import hired
 from atlas.service.lease import Claim
 from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
@@ -18,7 +18,6 @@ from atlas.service.summary import TileFailure
 from atlas.store.store import Header
 from atlas.task.known import forget_header
 from atlas.task.part import Site, prepare
-from atlas.text import plural
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -51,6 +50,15 @@ class Crew:
         header = self.header
         return Site(str(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
 
+    @cached_property
+    def hired(self) -> "Client":
+        """The client that the jobs go to, with processes that are started for the first of them if none was given."""
+        if self.client is None:
+            prepare_kernels(self.options.report, *self.kernels)
+        client = hired(self.client, self.threads, self.options, self.stack)
+        self.begin = time.monotonic() if self.client is None else self.begin
+        return client
+
     def do(
         self, work: Callable[[J], R], jobs: Sequence[J], take: Callable[[R], None], doing: Callable[[], Progress]
     ) -> None:
@@ -60,15 +68,10 @@ class Crew:
         """
         if not jobs:
             return
-        if self.client is None:
-            prepare_kernels(self.options.report, *self.kernels)
-            self.options.report(Progress(f"starting {plural(self.threads, 'worker')}"))
-            self.client = self.stack.enter_context(local_cluster(self.threads))
-            self.begin = time.monotonic()
-        site = self.site
+        client, site = self.hired, self.site
         leave = partial(forget_header, site.store, site.patience)
         labour = Labour(site.store, work, partial(prepare, site, self.kernels), leave)
-        with workforce(self.client, labour, self.options.timing) as force:
+        with workforce(client, labour, self.options.timing) as force:
 
             def tick(workers: Workers) -> None:
                 self.claim.check()

@@ -38,10 +38,12 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
         self._shown: Progress | None = None
         self._last: Progress | None = None
         self._due = 0.0
+        self._notes: tuple[str, ...] = ()
 
     def __call__(self, progress: Progress) -> None:
-        """Show the snapshot, at once where its stage is new."""
-        new = self._last is None or self._last.stage != progress.stage
+        """Show the snapshot, at once where its stage is new or something is noted."""
+        new = self._last is None or self._last.stage != progress.stage or bool(progress.note)
+        self._notes += (progress.note,) if progress.note else ()
         self._last = progress
         if (new and not progress.passing) or time.monotonic() >= self._due:
             self._show()
@@ -57,24 +59,26 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
         assert self._last is not None
         self._shown, self._due = self._last, time.monotonic() + self._interval
         if self._handle is None:
-            self._handle = self._display(Bar(self._last), display_id=True)
+            self._handle = self._display(Bar(self._last, self._notes), display_id=True)
         else:
-            self._handle.update(Bar(self._last))
+            self._handle.update(Bar(self._last, self._notes))
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A snapshot as a notebook shows it."""
+    """A snapshot, and what was noted up to it, as a notebook shows them."""
 
     progress: Progress
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        return str(self.progress)
+        return "\n".join([*self.notes, str(self.progress)])
 
     def _repr_html_(self) -> str:
         known = f' value="{self.progress.cells_done}"' if self.progress.cells_done else ""
         bar = f'<progress{known} max="{self.progress.cells}"></progress> ' if self.progress.cells else ""
-        return f"<div>{bar}<span>{escape(str(self.progress))}</span></div>"
+        notes = "".join(f"<div>{escape(note)}</div>" for note in self.notes)
+        return f"{notes}<div>{bar}<span>{escape(str(self.progress))}</span></div>"
 
 
 def _notebook_display() -> Callable[..., Any] | None:

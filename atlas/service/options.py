@@ -2,8 +2,10 @@
 
 import inspect
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack
 
 from atlas.errors import InputError, shown
@@ -28,6 +30,9 @@ class RunOptions:
     tls           files for an encrypted connection to it
     tile          index of a tile to do alone in this process, where what it raises is not caught: to debug it
     on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
+    dashboard     whether a local cluster has a dashboard, whose address is reported; with Bokeh only
+    performance_report
+                  HTML file for Dask's report of how the workers spent their time; with Bokeh only
     patience      seconds to wait for a server at a URL that stops answering
     wait          seconds to wait for the first worker of a cluster; its job may be queued for days
     timing        how long the run waits for everything else
@@ -42,6 +47,8 @@ class RunOptions:
     tls: Tls | None = None
     tile: tuple[int, ...] | None = None
     on_progress: Callable[[Progress], None] | None = None
+    dashboard: bool = True
+    performance_report: str | os.PathLike[str] | None = None
     patience: float = LONG
     wait: float = math.inf
     timing: Timing = TIMING
@@ -54,6 +61,12 @@ class RunOptions:
             raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
         if self.tile is not None and self.scheduler is not None:
             raise InputError("tile: is done in this process, found a scheduler; give one of the two")
+        if self.performance_report is not None:
+            if self.tile is not None:
+                raise InputError("performance_report: is of workers, and a tile is done in this process; give one")
+            path = Path(self.performance_report)
+            if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+                raise InputError(f"performance_report {path}: cannot be written; give a file in a folder that is there")
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):
             if not seconds >= 0:
                 raise InputError(f"{name}: found {shown(seconds)}, must be 0 s or more")
@@ -92,6 +105,8 @@ class RunFields(TypedDict, total=False):
     tls: Tls | None
     tile: tuple[int, ...] | None
     on_progress: Callable[[Progress], None] | None
+    dashboard: bool
+    performance_report: str | os.PathLike[str] | None
     patience: float
     wait: float
     timing: Timing

@@ -16,7 +16,7 @@ from atlas.spec.spec import MOST_AXES, Spec
 from atlas.spec.system import unused_lines
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
-from atlas.text import byte_size, duration, plural
+from atlas.text import byte_size, duration, html_table, plural
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
@@ -110,7 +110,9 @@ class Plan:
     def __repr__(self) -> str:
         return str(self)
 
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """What it says, each with its name."""
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))
         cost = f"at most {byte_size(self.bytes)}"
         if self.probe and self.seconds is not None and self.seconds_range is not None:
@@ -118,12 +120,16 @@ class Plan:
             wide = high > CLEAR_RANGE * low
             cost += f", {duration(low)} to {duration(high)}" if wide else f", about {duration(self.seconds)}"
             cost += f" on {plural(self.workers, 'worker')} (probed on {plural(self.probe.cells, 'cell')})"
-        return (
-            f"axes   {' x '.join(self.spec.described)}\n"
-            f"cells  {self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in "
-            f"{plural(self.tiling.count, 'tile')} of {tile}\n"
-            f"cost   {cost}"
-        ) + (f"\nnote   {self.note}" if self.note else "")
+        tiles = f"{plural(self.tiling.count, 'tile')} of {tile}"
+        cells = f"{self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in {tiles}"
+        found = [("axes", " x ".join(self.spec.described)), ("cells", cells), ("cost", cost)]
+        return [*found, ("note", self.note)] if self.note else found
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name:<7}{text}" for name, text in self.rows)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows)
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:

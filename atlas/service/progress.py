@@ -24,6 +24,7 @@ class Progress:
     counts                    cells solved in this run by regime
     failures                  tiles that ended with an error in this run
     passing                   of interest only while it lasts: not for a log
+    note                      a line that stays in sight, empty for none
     """
 
     stage: str
@@ -37,6 +38,7 @@ class Progress:
     counts: Mapping[str, int] = field(default_factory=dict)
     failures: int = 0
     passing: bool = False
+    note: str = ""
 
     @property
     def rate(self) -> float:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Unpack
 from atlas.errors import InputError, RunError, shown
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
-from atlas.service.cluster import active_client, connected, count_threads, leave_if_bootstrapping, local_cluster
+from atlas.service.cluster import active_client, connected, count_threads, leave_if_bootstrapping
 from atlas.service.dispatch import Workers, Workforce, tile_labour, workforce
+from atlas.service.hiring import check_report, hired
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
@@ -109,11 +110,8 @@ def complete(
         if client is None and run.due.any():
             prepare_kernels(options.report, *kernels_of(header.spec))
         run.begin()
-        if client is None and run.needs_workers:
-            run.report(f"starting {plural(workers, 'worker')}")
-            client = stack.enter_context(local_cluster(workers))
-        if client is not None and (run.needs_workers or run.overviews):
-            run.hand_out(client)
+        if run.needs_workers or (client is not None and run.overviews):
+            run.hand_out(hired(client, workers, options, stack))
         run.finish()
     return run.totals.summary(str(place))
 
@@ -256,18 +254,19 @@ def check_client(client: "Client | None", options: RunOptions) -> None:
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
     """The client to work on: the one given, one of the scheduler asked for, or the one that the caller has open.
 
-    None for a local cluster: where none is open, or a number of workers is asked for.
+    None for a local cluster: where none is open, or a number of workers is asked for. InputError if its scheduler
+    cannot draw the performance report that the options ask for.
     """
-    if client is not None:
-        return client
-    if options.scheduler is None:
-        active = active_client() if options.workers is None else None
-        if active is not None:
-            address = getattr(active.scheduler, "address", "a scheduler that is gone")
+    if client is None and options.scheduler is not None:
+        options.report(Progress(f"connecting to {options.scheduler}", passing=True))
+        client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
+    elif client is None and options.workers is None:
+        client = active_client()
+        if client is not None:
+            address = getattr(client.scheduler, "address", "a scheduler that is gone")
             options.report(Progress(f"using the Dask client that is open, of {address}"))
-        return active
-    options.report(Progress(f"connecting to {options.scheduler}", passing=True))
-    return stack.enter_context(connected(options.scheduler, options.tls, options.timing))
+    check_report(client, options)
+    return client
 
 
 def worker_count(client: "Client | None", options: RunOptions) -> int:

@@ -15,7 +15,7 @@ from atlas.store.record import WIDTH
 from atlas.store.records import Records, by_name, count_tiles
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header
-from atlas.text import duration
+from atlas.text import duration, html_table
 from workers.results import REASONS, REGIMES
 
 
@@ -69,19 +69,31 @@ class Status:
     def __repr__(self) -> str:
         return str(self)
 
-    def __str__(self) -> str:
-        axes = " x ".join(self.header.spec.described)
-        lines = [
-            f"axes     {axes}",
-            f"tiles    {self.tiles_done} of {self.header.tiling.count} done",
-            f"cells    {self.cells_done} of {self.header.tiling.cells} done ({100 * self.fraction:.1f} %)",
-            f"solver   version {self.header.solver_version}",
-            f"run      {self._run()}",
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """What it says of the store, each with its name."""
+        return [
+            ("axes", " x ".join(self.header.spec.described)),
+            ("tiles", f"{self.tiles_done} of {self.header.tiling.count} done"),
+            ("cells", f"{self.cells_done} of {self.header.tiling.cells} done ({100 * self.fraction:.1f} %)"),
+            ("solver", f"version {self.header.solver_version}"),
+            ("run", self._run()),
         ]
+
+    @property
+    def shares(self) -> list[tuple[str, str, str]]:
+        """The cells of each regime: its name, how many, and their share of the cells that are done."""
         total = max(1, self.cells_done)
-        lines += [f"  {name:<15}{count:>10}  {100 * count / total:6.2f} %" for name, count in self.regimes.items()]
+        return [(name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()]
+
+    def __str__(self) -> str:
+        lines = [f"{name:<9}{text}" for name, text in self.rows]
+        lines += [f"  {name:<15}{count:>10}  {share:>8}" for name, count, share in self.shares]
         lines += [f"  {line}" for line in reason_lines(self.reasons)]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return html_table([*self.rows, *self.shares, *((line,) for line in reason_lines(self.reasons))])
 
     def _run(self) -> str:
         if self.run is None:

@@ -26,6 +26,18 @@ SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "st
 MOST_AXES = 3
 FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "three whole numbers (1, y, x)"}
 """What the shape of a tile is, by the number of axes."""
+SETTING_MEANINGS = {
+    "exponents": "Which Lyapunov exponents.",
+    "tolerance": "Standard error of the largest exponent at which a chaotic cell stops.",
+    "max_periods": "Forcing periods that deciding the class, and averaging, may cost.",
+    "survival": "Further periods for which what looks chaotic may be watched.",
+    "method": "adaptive, or fixed: a transient is dropped, then averaged.",
+    "transient_periods": "Periods that are dropped, with fixed.",
+    "periods": "Periods that are averaged, with fixed.",
+    "max_period": "Longest orbit looked for, in forcing periods.",
+    "section_samples": "How many of the last section states are kept.",
+}
+"""The settings of a cell in a few words."""
 Slices = tuple[slice, ...]
 
 

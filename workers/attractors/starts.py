@@ -13,6 +13,8 @@ from workers.model.oscillator import Array, Oscillator
 from workers.settings import check_whole
 
 MOST_STARTS, MOST_KEPT = 10_000, 64
+WHOLE = {"starts": (1, MOST_STARTS), "seed": (0, 2**31), "keep": (1, MOST_KEPT)}
+"""The least and the greatest of each whole number that is asked for."""
 REACH = 2.0
 """The default box, in amplitudes of the motion."""
 TRIES = 16
@@ -40,9 +42,8 @@ class Starts:
     keep: int = 4
 
     def __post_init__(self) -> None:
-        check_whole("starts", self.count, 1, MOST_STARTS)
-        check_whole("seed", self.seed, 0, 2**31)
-        check_whole("keep", self.keep, 1, MOST_KEPT)
+        for name, value in (("starts", self.count), ("seed", self.seed), ("keep", self.keep)):
+            check_whole(name, value, *WHOLE[name])
         for name, low, high in self.box:
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
                 raise ValueError(f"box.{name}: found {low!r} to {high!r}, must be finite numbers that rise")

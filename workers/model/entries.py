@@ -10,7 +10,7 @@ from typing import Any
 from workers.model.expression import RESERVED, Expression, ExpressionError, parse
 from workers.model.parameter import unknown_name
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 _short = Repr()
 _short.maxstring = _short.maxlong = _short.maxother = 60
 
@@ -106,7 +106,7 @@ def read_names(where: str, given: object) -> tuple[str, ...]:
 
 def check_name(where: str, name: object) -> None:
     """DefinitionError for what is no name, or one that expressions have for their own."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
+    if not isinstance(name, str) or not NAME.fullmatch(name):
         raise fault(where, name, "must be a name of letters, digits and underscores, 40 at most")
     if name in RESERVED:
         raise taken(where, name)

@@ -8,7 +8,7 @@ from typing import Any
 from workers.model.elements import Contact, Friction
 from workers.model.entries import DefinitionError, check_name, fault, read_entries, read_table, taken
 from workers.model.expression import Expression, Row
-from workers.results import Variable
+from workers.results import PER_PERIOD, Variable
 
 MEASURES = 8
 """Measures of a machine."""
@@ -21,7 +21,7 @@ REPORTS = {
 }  # fmt: skip
 """What a measure may report, in words."""
 
-_KEYS = (*ORDERS, "weight", "report")
+KEYS = (*ORDERS, "weight", "report")
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def read_measures(given: object, known: Collection[str], n: int) -> Measures:
 
 
 def _read_measure(where: str, given: object, known: Collection[str], n: int) -> Measure:
-    table = read_table(where, given, _KEYS)
+    table = read_table(where, given, KEYS)
     rows = [key for key in ORDERS if key in table]
     if len(rows) != 1:
         found = " and ".join(rows) or "none"
@@ -119,9 +119,9 @@ def refuse_ambiguous(variables: Iterable[tuple[str, Variable]], known: Collectio
         seen.add(variable.name)
 
 
-def _number(name: str, long_name: str, units: str = "1") -> Variable:
-    return Variable(name, "float64", math.nan, long_name, units)
+def _number(name: str, long_name: str) -> Variable:
+    return Variable(name, "float64", math.nan, long_name, "1")
 
 
 def _loss(name: str, of: str) -> Variable:
-    return _number(f"{name}_loss", f"energy lost in {of} per forcing period", "1/period")
+    return _number(f"{name}_loss", f"energy lost in {of} {PER_PERIOD}")

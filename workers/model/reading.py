@@ -43,7 +43,7 @@ _GREEK = (
     "Omega",
 )  # fmt: skip
 _read_end = partial(read_number, infinite=True)
-_PARAMETER_KEYS: dict[str, Any] = {
+PARAMETER_KEYS: dict[str, Any] = {
     "default": read_number, "low": _read_end, "high": _read_end, "low_open": read_flag, "high_open": read_flag,
     "symbol": read_words, "unit": read_words, "meaning": read_words,
 }  # fmt: skip
@@ -80,11 +80,11 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
 
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
     where = f"system.parameters.{name}"
-    table = read_table(where, {"default": given} if isinstance(given, Real) else given, _PARAMETER_KEYS)
+    table = read_table(where, {"default": given} if isinstance(given, Real) else given, PARAMETER_KEYS)
     check_name(where, name)
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
-    read = {key: _PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
+    read = {key: PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
     found = replace(base or Parameter(name, symbol_of(name), "1", name, 0.0), **read)
     if not found.low <= found.high:
         raise DefinitionError(f"{where}: low {found.low:g} must not be above high {found.high:g}")

@@ -17,9 +17,9 @@ PHASES = 16
 
 _SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact by themselves
 _SOFT = (*PAD, "release")
-_CONTACT = ("name", *_SHORT, *_SOFT)
-_FRICTION = ("name", "row", *RUB, "belt")
-_PHASE = ("start", "stiffness", "damping", "force", "load", "contacts", "friction")
+CONTACT_KEYS = ("name", *_SHORT, *_SOFT)
+FRICTION_KEYS = ("name", "row", *RUB, "belt")
+PHASE_KEYS = ("start", "stiffness", "damping", "force", "load", "contacts", "friction")
 _SAME = ("mass", "gap", "row", "upper", "lower")  # keys of what is the same in all phases
 _LAWS = "a rigid contact has a restitution, a soft one a stiffness, damping, preload and release"
 
@@ -45,7 +45,7 @@ def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> t
 
 
 def _read_contact(where: str, given: object, known: Collection[str], n: int) -> Contact:
-    table = read_table(where, given, _CONTACT)
+    table = read_table(where, given, CONTACT_KEYS)
     name = _read_name(where, table)
     if isinstance(table.get("gap"), list) and any(isinstance(each, list) for each in table["gap"]):
         raise fault(f"{where}.gap", table["gap"], "several gaps at once are not supported; give one row")
@@ -86,7 +86,7 @@ def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> t
         raise DefinitionError(f"system.friction: found {len(parts)}, must be at most {FRICTION}")
     found = []
     for where, given in parts.items():
-        one = read_table(where, given, _FRICTION)
+        one = read_table(where, given, FRICTION_KEYS)
         name = _read_name(where, one)
         for key in ("row", "kinetic"):
             if key not in one:
@@ -113,7 +113,7 @@ def read_phases(
     found: list[Phase] = []
     for where, given in parts.items():
         _refuse_same(where, given)
-        one = read_table(where, given, _PHASE)
+        one = read_table(where, given, PHASE_KEYS)
         if "start" not in one:
             raise DefinitionError(f"{where}: start missing; give a share of the forcing period")
         start: Expression = read_entries(f"{where}.start", one["start"], known)

@@ -1,0 +1,232 @@
+"""The form of a spec file as a JSON Schema, by which editors of TOML complete and check it.
+
+It is made from the records that check a spec. A spec that it refuses is refused by ``Spec`` too, apart from the unused
+``stop`` of an axis of one value; what it cannot say, such as that the values of an axis rise, is left to ``Spec``.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import Any
+
+from atlas.spec import attractors, axis
+from atlas.spec.points import FILE
+from atlas.spec.spec import MOST_AXES, SECTIONS, SETTING_MEANINGS
+from workers.attractors.starts import WHOLE as STARTS
+from workers.attractors.starts import Starts
+from workers.model.elements import PAD, RELEASES, RUB
+from workers.model.entries import NAME
+from workers.model.measures import KEYS as MEASURE_KEYS
+from workers.model.measures import MEASURES, REPORTS
+from workers.model.parameter import Parameter
+from workers.model.reading import HARMONICS, LARGEST, MANY, PARAMETER_KEYS
+from workers.model.reading_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, STOPS
+from workers.model.system import DEFAULT, KEYS, LATEST, TEXTS, System, packaged_system, system_names
+from workers.settings import CHOICES, WHOLE, Settings
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+Schema = dict[str, Any]
+
+_NUMBER: Schema = {"type": "number"}
+_TEXT: Schema = {"type": "string", "maxLength": 5000}
+_FLAG: Schema = {"type": "boolean"}
+_POSITIVE: Schema = {"exclusiveMinimum": 0}
+_ENTRY: Schema = {"type": ["number", "string"], "description": "a number, or an expression of parameters in quotes"}
+_NAME: Schema = {"type": "string", "pattern": f"^{NAME.pattern}$"}
+
+
+def spec_schema() -> Schema:
+    """The schema of a spec file. TOML's infinities and NaN are no JSON: a validator sees floats there."""
+    sections = {
+        "system": {
+            "description": "a packaged system, the path of a .toml file, or a definition",
+            "anyOf": [{"enum": list(system_names())}, {"type": "string", "pattern": r"\.toml$"}, _definition()],
+            "default": DEFAULT,
+        },
+        "parameters": {"description": "fixed parameters; others have their default", **_map(_NUMBER)},
+        "axes": {"description": "the parameters that are swept, x first", **_map(_axis(), 0, MOST_AXES)},
+        "points": {
+            "description": "parameter sets, one row a cell, in place of axes",
+            "anyOf": [
+                _table({FILE: {"type": "string", "description": "a CSV file, its first row the names"}}, [FILE]),
+                _map(_list(_NUMBER, 1), 1),
+            ],
+        },
+        "solve": {"description": "how a cell is solved", **_settings()},
+        "attractors": {"description": "asks for all attractors of each cell", **_attractors()},
+        "store": {
+            "description": "how the atlas is stored",
+            **_table({"tile": {**_list(_whole(1), 1, MOST_AXES), "description": "cells of a tile, y before x"}}),
+        },
+    }
+    assert tuple(sections) == SECTIONS
+    return {
+        "$schema": DRAFT,
+        "title": "spec of an impact atlas",
+        **_table(sections, ["system"]),
+        "anyOf": [
+            {"required": ["axes"], "properties": {"axes": {"minProperties": 1}, "points": False}},
+            {"required": ["points"], "properties": {"axes": {"maxProperties": 0}}},
+        ],
+        "allOf": [_of_packaged(packaged_system(name)) for name in system_names()],
+    }
+
+
+def _of_packaged(system: System) -> Schema:
+    """What follows where the system is a packaged one: which parameters there are, with their ranges."""
+    known = system.parameters
+    fixed = {p.name: {"description": p.meaning, "default": p.default, **_NUMBER, **_range(p)} for p in known}
+    swept = {p.name: {"description": p.meaning, **_values_within(_range(p))} for p in known}
+    columns = [FILE, *(p.name for p in known)]
+    return {
+        "if": {"required": ["system"], "properties": {"system": {"const": system.name}}},
+        "then": {
+            "properties": {
+                "parameters": _table(fixed),
+                "axes": _table(swept),
+                "points": {"propertyNames": {"enum": columns}},
+                "attractors": {"properties": {"box": {"propertyNames": {"enum": list(system.states)}}}},
+            }
+        },
+    }
+
+
+def _range(parameter: Parameter) -> Schema:
+    low = "exclusiveMinimum" if parameter.low_open else "minimum"
+    high = "exclusiveMaximum" if parameter.high_open else "maximum"
+    return {key: end for key, end in ((low, parameter.low), (high, parameter.high)) if math.isfinite(end)}
+
+
+def _values_within(ends: Schema) -> Schema:
+    """That the values of an axis, a list of them or a table, are within a range."""
+    return {"items": ends, "properties": {"start": ends, "stop": ends, "values": {"items": ends}}} if ends else {}
+
+
+def _axis() -> Schema:
+    """An axis: a list of values, or a table."""
+    values = _list(_NUMBER, 1, axis.MAX_POINTS)
+    entries: Schema = {
+        "start": _NUMBER,
+        "stop": _NUMBER,
+        "num": _whole(1, axis.MAX_POINTS),
+        "values": values,
+        "scale": {"enum": list(axis.SCALES), "default": axis.SCALES[0]},
+        "continuation": {"enum": list(axis.DIRECTIONS)},
+    }
+    assert tuple(entries) == axis.KEYS
+    spaced, listed = ["start", "stop", "num"], ["values"]
+    logarithmic = {
+        "if": {"required": ["scale"], "properties": {"scale": {"const": "log"}}},
+        "then": {"properties": {"start": _POSITIVE, "stop": _POSITIVE, "values": {"items": _POSITIVE}}},
+    }
+    either = {"oneOf": [{"required": spaced, "not": {"required": listed}}, {"required": listed, **_without(spaced)}]}
+    return {"anyOf": [values, {**_table(entries), **either, **logarithmic}]}
+
+
+def _settings() -> Schema:
+    """The settings of a cell."""
+    kinds: Schema = {name: {"enum": list(known)} for name, known in CHOICES.items()}
+    kinds |= {name: _whole(*ends) for name, ends in WHOLE.items()}
+    kinds["tolerance"] = {**_NUMBER, **_POSITIVE}
+    return _table(
+        {
+            each.name: {"description": SETTING_MEANINGS[each.name], **kinds[each.name], "default": each.default}
+            for each in fields(Settings)
+        }
+    )
+
+
+def _attractors() -> Schema:
+    """The initial states from which attractors are sought."""
+    defaults = {"starts": Starts.count, "seed": Starts.seed, "keep": Starts.keep}
+    entries: Schema = {name: {**_whole(*ends), "default": defaults[name]} for name, ends in STARTS.items()}
+    entries["box"] = {
+        "description": "lowest and highest initial value of components of the state",
+        **_map(_list(_NUMBER, 2, 2)),
+    }
+    return _table({name: entries[name] for name in attractors.KEYS})
+
+
+def _definition() -> Schema:
+    """A machine as a table [system]: ``KEYS`` of it; matrices and rows have one size for each number of coordinates."""
+    row, matrix = _list(_ENTRY, 1, LARGEST), _list(_list(_ENTRY, 1, LARGEST), 1, LARGEST)
+    entries: Schema = {key: _TEXT for key in TEXTS}
+    entries |= {key: _list(_NAME, 1, LARGEST) for key in ("coordinates", "velocities")}
+    entries |= {key: matrix for key in ("mass", "damping", "stiffness")}
+    entries |= {key: row for key in ("force", "phase", "load", "gap")}
+    entries |= {key: _ENTRY for key in ("upper", "lower", "restitution")}
+    entries |= {
+        "name": {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,40}$"},
+        "version": _whole(1, LATEST),
+        "axes": _map(_list(_NUMBER, 2, 2)),
+        "harmonics": _list(_table({"order": _whole(1, HARMONICS), "force": row, "phase": row}, ["order", "force"])),
+        "contacts": _list(_element(CONTACT_KEYS, ["name", "gap"]), 1, STOPS),
+        "friction": _list(_element(FRICTION_KEYS, ["name", "row", "kinetic"]), 0, FRICTION),
+        "phases": _list(_phase(row, matrix), 0, PHASES),
+        "drift": _NAME,
+        "measures": _map(_measure(row), 0, MEASURES),
+        "let": _map(_ENTRY, 0, MANY),
+        "parameters": _map(_own_parameter(), 0, MANY),
+    }
+    return _table({key: entries[key] for key in KEYS}, ["name", "coordinates", "mass"])
+
+
+def _element(keys: Iterable[str], required: list[str]) -> Schema:
+    """A contact or a friction element: a name, a row, and constants."""
+    known: Schema = {
+        "name": _NAME,
+        "gap": _list(_ENTRY, 1, LARGEST),
+        "row": _list(_ENTRY, 1, LARGEST),
+        "release": {"enum": list(RELEASES), "default": RELEASES[0]},
+    }
+    return _table({key: known.get(key, _ENTRY) for key in keys}, required)
+
+
+def _phase(row: Schema, matrix: Schema) -> Schema:
+    """A part of each forcing period, and what it changes."""
+    entries: Schema = {
+        "start": _ENTRY, "stiffness": matrix, "damping": matrix, "force": row, "load": row,
+        "contacts": _map(_table({key: _ENTRY for key in PAD})),
+        "friction": _map(_table({key: _ENTRY for key in RUB})),
+    }  # fmt: skip
+    return _table({key: entries[key] for key in PHASE_KEYS}, ["start"])
+
+
+def _measure(row: Schema) -> Schema:
+    """An output and what is reported of it."""
+    report = {**_list({"enum": list(REPORTS)}, 1), "uniqueItems": True}
+    known: Schema = {"weight": _ENTRY, "report": report}
+    return _table({key: known.get(key, row) for key in MEASURE_KEYS}, ["report"])
+
+
+def _own_parameter() -> Schema:
+    """A parameter of a definition: its default, or a table."""
+    words: Schema = {"type": "string", "maxLength": 200}
+    flags: Schema = {"low_open": _FLAG, "high_open": _FLAG, "symbol": words, "unit": words, "meaning": words}
+    return {"anyOf": [_NUMBER, _table({key: flags.get(key, _NUMBER) for key in PARAMETER_KEYS})]}
+
+
+def _table(entries: Mapping[str, Any], required: Iterable[str] = ()) -> Schema:
+    """A table of these keys and no others."""
+    needed = {"required": [*required]} if required else {}
+    return {"type": "object", "properties": dict(entries), "additionalProperties": False, **needed}
+
+
+def _map(value: Schema, least: int = 0, most: int | None = None) -> Schema:
+    """A table of any names, each with such a value."""
+    ends = ({"minProperties": least} if least else {}) | ({} if most is None else {"maxProperties": most})
+    return {"type": "object", "additionalProperties": value, **ends}
+
+
+def _list(value: Schema, least: int = 0, most: int | None = None) -> Schema:
+    ends = ({"minItems": least} if least else {}) | ({} if most is None else {"maxItems": most})
+    return {"type": "array", "items": value, **ends}
+
+
+def _whole(low: int, high: int | None = None) -> Schema:
+    return {"type": "integer", "minimum": low} | ({} if high is None else {"maximum": high})
+
+
+def _without(keys: Iterable[str]) -> Schema:
+    """That none of these keys is there."""
+    return {"not": {"anyOf": [{"required": [key]} for key in keys]}}
