@@ -22,7 +22,7 @@ from atlas.overview.pyramid import level_key
 from atlas.service import batches
 from atlas.store.location import place_of
 from atlas.store.record import CELLS, WIDTH
-from atlas.task import task
+from atlas.task import site
 from atlas.task.task import Job, Made, Receipt
 from workers.results import PENDING, PERIODIC, REGIME
 
@@ -40,7 +40,7 @@ def pretend(seconds: float, draw: random.Random) -> None:
 
     async def sleep(_act: object, job: Job) -> batches.Done[Any]:
         if job.level:
-            await asyncio.to_thread(place_of(job.store).put, level_key(job.level, REGIME, job.index), b"")
+            await asyncio.to_thread(place_of(job.site.store).put, level_key(job.level, REGIME, job.index), b"")
             return batches.Done(get_worker().address, Made(job.index))
         begin = time.perf_counter()
         await asyncio.sleep(seconds * draw.lognormvariate(-(SPREAD**2) / 2, SPREAD))
@@ -49,7 +49,7 @@ def pretend(seconds: float, draw: random.Random) -> None:
         return batches.Done(get_worker().address, receipt)
 
     batches.work = sleep  # type: ignore[assignment]
-    task.prepare = lambda job: None
+    site.prepare = lambda *_: None
 
 
 async def work(address: str, workers: int, folder: str) -> None:

@@ -21,6 +21,7 @@ from atlas.store.store import Header, chunk_key, create, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job
+from atlas.task.site import Site
 from atlas.task.task import Job
 from tests.planes import plane_of
 from workers import tile as solving
@@ -33,7 +34,7 @@ def header(tmp_path: Path) -> Header:
 
 
 def job_of(header: Header) -> Job:
-    return Job((1, 1), str(header.place), header.run_id, header.solver_version)
+    return Job((1, 1), Site(str(header.place), header.run_id, header.solver_version))
 
 
 class Sleeper:
@@ -147,7 +148,7 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
 def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """From now on attempts at tiles do not live to remove their notes; the runs of those that solved one."""
     solved: list[str] = []
-    monkeypatch.setattr(attempt, "solve_and_write", lambda job: solved.append(job.claim))
+    monkeypatch.setattr(attempt, "solve_and_write", lambda job: solved.append(job.site.claim))
     monkeypatch.setattr(Attempt, "remove", lambda *_: None)
     return solved
 
@@ -167,9 +168,10 @@ def test_a_tile_whose_process_died_twice_is_not_tried_again_and_the_last_is_name
 def test_attempts_of_another_run_do_not_count(header: Header, monkeypatch: pytest.MonkeyPatch) -> None:
     """Truth: a run that somebody ends in the middle of a tile is no sign that the tile is at fault."""
     solved = unfinished(monkeypatch)
-    monkeypatch.setattr(attempt, "header_of", lambda job: header)
+    monkeypatch.setattr(Job, "header", lambda job: header)
     for claim in ("first", "second", "third", "third"):
-        run_job(replace(job_of(header), claim=claim))
+        job = job_of(header)
+        run_job(replace(job, site=replace(job.site, claim=claim)))
     assert solved == ["first", "second", "third", "third"]
 
 

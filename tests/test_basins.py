@@ -24,6 +24,7 @@ from atlas.store.tiles import read_tile, write_tile
 from atlas.task import basins
 from atlas.task.attempt import do_job
 from atlas.task.basins import complete_basins
+from atlas.task.site import Site
 from atlas.task.task import LABELS, Job, Made
 from tests.test_oracle import FIG3
 from workers import Settings, solve_tile
@@ -154,7 +155,7 @@ def test_what_an_attempt_to_label_wrote_before_it_died_is_recorded_by_the_next(
     write_tile(header, (0, 0), beyond)
     shutil.rmtree(store / "attractors")
     run = RunRecords(header, Records(header), np.zeros(header.tiling.grid, dtype=bool))
-    job = Job((), str(store), header.run_id, header.solver_version, level=LABELS)
+    job = Job((), Site(str(store), header.run_id, header.solver_version), level=LABELS)
 
     def dies(*_: object) -> None:
         raise KeyboardInterrupt

@@ -28,7 +28,7 @@ from atlas.store.location import place_of
 from atlas.store.records import RunRecords
 from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, read_header
-from atlas.task.task import RefusedError
+from atlas.task.site import RefusedError
 from tests.planes import plane_of
 from workers import SOLVER_VERSION
 

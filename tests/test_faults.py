@@ -19,6 +19,7 @@ import atlas
 from atlas.errors import NetworkError, RunError
 from atlas.service import batches
 from atlas.service import dispatch as fanout
+from atlas.service import run as running
 from atlas.service.fitness import Fitness, Refusal
 from atlas.service.options import RunOptions
 from atlas.service.timing import Timing
@@ -28,7 +29,8 @@ from atlas.store.tiles import read_tile
 from atlas.task import attempt
 from atlas.task import task as jobs
 from atlas.task.attempt import do_job, run_job
-from atlas.task.task import Job, RefusedError, StoreFullError
+from atlas.task.site import RefusedError, Site, StoreFullError
+from atlas.task.task import Job
 from tests.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import result_variables
@@ -154,22 +156,22 @@ def test_a_full_disk_stops_the_run_and_nothing_is_lost_or_redone(tmp_path: Path)
 def made(tmp_path: Path, plane: atlas.Spec) -> Job:
     """The job of one tile of a new store."""
     header = create(tmp_path / "out.zarr", plane, (2, 3))
-    return Job((1, 1), str(header.path), header.run_id, header.solver_version)
+    return Job((1, 1), Site(str(header.path), header.run_id, header.solver_version))
 
 
 def test_a_worker_with_another_solver_refuses(made: Job) -> None:
     with pytest.raises(RefusedError, match=r"this worker has solver version \d+, the run needs 999"):
-        run_job(replace(made, solver_version=999))
+        run_job(replace(made, site=replace(made.site, solver_version=999)))
 
 
 def test_a_worker_that_sees_another_store_there_refuses(made: Job) -> None:
     with pytest.raises(RefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
-        run_job(replace(made, run_id="0123"))
+        run_job(replace(made, site=replace(made.site, run_id="0123")))
 
 
 def test_a_worker_that_sees_no_store_there_refuses(made: Job) -> None:
     with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
-        run_job(replace(made, store="/nowhere/out.zarr"))
+        run_job(replace(made, site=replace(made.site, store="/nowhere/out.zarr")))
 
 
 def test_a_disk_that_fails_while_the_header_is_read_leaves_the_tile_to_be_tried_again(
@@ -198,7 +200,7 @@ def test_a_worker_that_cannot_write_refuses_and_says_why(
 def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
     made: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    header = read_header(Path(made.store))
+    header = read_header(Path(made.site.store))
     whole_write = zarr.Array.__setitem__
     for variable in result_variables(header.spec.settings):
 
@@ -237,7 +239,7 @@ def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
 
     monkeypatch.setattr(solving, "solve_tile", late)
     assert jobs.solve_and_write(made).cells == 6
-    assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
+    assert done_tiles(read_header(Path(made.site.store))) == {(1, 1)}
 
 
 NOTED: dict[str, list[Any]] = {}
@@ -271,7 +273,7 @@ def test_a_worker_that_refuses_is_left_out_and_named(
 
     fitness_refuse = Fitness.refuse
     monkeypatch.setattr(Fitness, "refuse", refuse)
-    monkeypatch.setattr(fanout, "do_job", picky)
+    monkeypatch.setattr(running, "do_job", picky)
     once = RunOptions(timing=Timing(tick=60.0))  # the workers are looked at before the first tile and after the last
     summary = atlas.run(plane, tmp_path / "out.zarr", two_workers, once)
     assert (summary.tiles_done, summary.failures) == (9, ())
@@ -291,7 +293,7 @@ def test_a_worker_that_gave_up_on_the_network_is_asked_again_once_another_has_wr
                 raise NetworkError("no answer")
         return do_job(job)
 
-    monkeypatch.setattr(fanout, "do_job", cut)
+    monkeypatch.setattr(running, "do_job", cut)
     summary = atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
     assert (summary.tiles_done, summary.failures, summary.refused) == (9, (), {})
     assert len(noted(name)) > 1
@@ -303,7 +305,7 @@ def test_a_run_that_every_worker_refuses_ends_with_the_reason(
     def refuse(job: Job) -> None:
         raise RefusedError("sees no store")
 
-    monkeypatch.setattr(fanout, "do_job", refuse)
+    monkeypatch.setattr(running, "do_job", refuse)
     with pytest.raises(RunError, match=r"no worker can do this run: inproc://\S+: sees no store"):
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
 

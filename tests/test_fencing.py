@@ -18,7 +18,6 @@ import atlas
 from atlas.check import verify as verifying
 from atlas.errors import RunError
 from atlas.overview.upkeep import Overviews
-from atlas.service import run as running
 from atlas.service.lease import Claim, Record
 from atlas.service.progress import Progress
 from atlas.spec.grown import refined
@@ -29,14 +28,15 @@ from atlas.store.record import RECORDS
 from atlas.store.records import Records, write_compaction
 from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, done_tiles, open_group, read_header
-from atlas.task import task
+from atlas.task import attempt, site
 from atlas.task.attempt import run_job
-from atlas.task.task import Job, RefusedError
+from atlas.task.site import RefusedError, Site
+from atlas.task.task import Job
 from tests.planes import plane_of
 from workers import tile as solving
 from workers.settings import MOST_PERIODS
 
-LOST = "the run of this tile has lost its claim of the store; nothing more is written"
+LOST = "the run of this job has lost its claim of the store; nothing more is written"
 OURS = Record("ours", 3, "here", 1, "")
 THEIRS = replace(OURS, token="theirs", host="far")
 
@@ -55,7 +55,7 @@ def take_over(store: Path) -> None:
 def claimed_job(store: Path, index: tuple[int, ...]) -> Job:
     header = read_header(store)
     notes_of(store).put(CLAIM, OURS.pack(), expected=None)
-    return Job(index, str(store), header.run_id, header.solver_version, claim=OURS.token)
+    return Job(index, Site(str(store), header.run_id, header.solver_version, claim=OURS.token))
 
 
 def new_store(folder: Path, _: Path) -> Job:
@@ -86,7 +86,7 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     job = JOBS[kind](tmp_path, finished)
-    store, whole = Path(job.store), solving.solve_tile
+    store, whole = Path(job.site.store), solving.solve_tile
     before: dict[str, bytes] = {}
 
     def slow(*given: Any) -> Any:
@@ -103,10 +103,10 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
 @pytest.mark.parametrize("kind", JOBS)
 def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finished: Path, kind: str) -> None:
     job = JOBS[kind](tmp_path, finished)
-    before = contents(Path(job.store))
+    before = contents(Path(job.site.store))
     assert run_job(job).cells > 0
-    assert contents(Path(job.store)) != before
-    assert job.index in done_tiles(read_header(job.store))
+    assert contents(Path(job.site.store)) != before
+    assert job.index in done_tiles(read_header(job.site.store))
 
 
 @pytest.mark.parametrize(
@@ -114,12 +114,12 @@ def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finishe
 )
 def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
     job = new_store(tmp_path, finished)
-    notes_of(job.store).remove(CLAIM, OURS.pack())
+    notes_of(job.site.store).remove(CLAIM, OURS.pack())
     if claim:
-        notes_of(job.store).put(CLAIM, claim, expected=None)
+        notes_of(job.site.store).put(CLAIM, claim, expected=None)
     with pytest.raises(RefusedError, match=LOST):
         run_job(job)
-    assert done_tiles(read_header(job.store)) == set()
+    assert done_tiles(read_header(job.site.store)) == set()
 
 
 @pytest.mark.parametrize("kind", JOBS)
@@ -128,7 +128,7 @@ def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str, after: str
 ) -> None:
     job = JOBS[kind](tmp_path, finished)
-    store, whole = Path(job.store), zarr.Array.__setitem__
+    store, whole = Path(job.site.store), zarr.Array.__setitem__
     before: dict[str, bytes] = {}
 
     def stopped(array: zarr.Array[Any], key: Any, value: Any) -> None:
@@ -156,25 +156,25 @@ def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_th
         look = token_of(place, name, *rest)
         return lambda: (looks.update([name]), look())
 
-    monkeypatch.setattr(task, "note_fence", counted)
+    monkeypatch.setattr(site, "note_fence", counted)
     monkeypatch.setattr(LocalPlace, "put", lambda place, key, data: (writes.update([key]), put(place, key, data)))
     monkeypatch.setattr(LocalPlace, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
     run_job(job)
     assert looks == {CLAIM: writes.total(), "started-1-1": writes.total()}
-    assert writes.total() > len(read_header(job.store).variables)
+    assert writes.total() > len(read_header(job.site.store).variables)
 
 
 def test_every_job_of_a_run_has_the_token_of_its_claim(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, tokens = running.tile_labour, set()
+    whole, tokens = attempt.run_job, set()
 
-    def looking(job: Job, cells: int) -> Any:
-        record = Record.unpack(notes_of(job.store).read(CLAIM) or b"")
-        tokens.add((job.claim, record and record.token))
-        return whole(job, cells)
+    def looking(job: Job) -> Any:
+        record = Record.unpack(notes_of(job.site.store).read(CLAIM) or b"")
+        tokens.add((job.site.claim, record and record.token))
+        return whole(job)
 
-    monkeypatch.setattr(running, "tile_labour", looking)
+    monkeypatch.setattr(attempt, "run_job", looking)
     atlas.run(plane, tmp_path / "out.zarr", client=client)
     ((job, claim),) = tokens
     assert job == claim != ""

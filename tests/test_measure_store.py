@@ -39,7 +39,7 @@ from atlas.service.options import RunOptions
 from atlas.store.groups import STABILITY
 from atlas.store.parts import get_part, kept_parts, part_names, put_part
 from atlas.store.store import create, read_header
-from atlas.task.part import Site
+from atlas.task.site import Site
 from tests import synthetic
 from workers import SOLVER_VERSION
 from workers.results import NO_IMPACT, PERIODIC

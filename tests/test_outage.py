@@ -21,7 +21,8 @@ from atlas.store.location import ObjectPlace
 from atlas.store.sidecar import CLAIM, notes_at_url, notes_of
 from atlas.store.store import create, done_tiles, open_arrays, read_header
 from atlas.task.attempt import run_job
-from atlas.task.task import Job, RefusedError
+from atlas.task.site import RefusedError, Site
+from atlas.task.task import Job
 from tests.loopback import ObjectStore, Trouble, object_store
 from tests.planes import find, plane_of
 from workers.results import REGIME
@@ -178,7 +179,7 @@ def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on
 
 def test_a_header_that_cannot_be_reached_is_a_fault_of_the_network_and_not_of_the_path(server: ObjectStore) -> None:
     header = create(ObjectPlace(URL), plane_of(), (2, 3))
-    job = Job((0, 0), URL, header.run_id, header.solver_version, patience=0.0)
+    job = Job((0, 0), Site(URL, header.run_id, header.solver_version, patience=0.0))
     server.trouble = Trouble(0, np.inf)
     with pytest.raises(NetworkError, match=rf"^{URL}: no answer for 0 s \(.*503 Service Unavailable\)$"):
         run_job(job)
@@ -190,7 +191,7 @@ def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(serv
     header = create(ObjectPlace(URL), plane_of(), (2, 3))
     server.trouble, before = Trouble(0, np.inf, 403), len(server.requests)
     with pytest.raises(RefusedError, match=r"403 Forbidden$"):
-        run_job(Job((0, 0), URL, header.run_id, header.solver_version))
+        run_job(Job((0, 0), Site(URL, header.run_id, header.solver_version)))
     assert len(server.requests) == before + 1  # waiting would not mend it
     with pytest.raises(InputError, match=rf"{URL}: cannot be read: "):
         read_header(URL)
@@ -220,7 +221,7 @@ def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_eac
     server: ObjectStore,
 ) -> None:
     header = create(ObjectPlace(URL), plane_of(), (2, 3))
-    job = Job((0, 0), URL, header.run_id, header.solver_version)
+    job = Job((0, 0), Site(URL, header.run_id, header.solver_version))
 
     def requests(job: Job) -> list[tuple[str, str]]:
         before = len(server.requests)
@@ -230,7 +231,7 @@ def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_eac
     requests(replace(job, index=(1, 0)))  # the machine is on the store's list from now on
     plain = requests(job)
     notes_of(URL).put(CLAIM, b'{"token": "ours"}', expected=None)
-    fenced = requests(replace(job, index=(0, 1), claim="ours"))
+    fenced = requests(replace(job, index=(0, 1), site=replace(job.site, claim="ours")))
     looks = 3 + sum(each.sparse for each in header.variables)  # all results, the record, the regime
     assert len(fenced) == len(plain) + looks
     assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == looks

@@ -28,7 +28,8 @@ from atlas.store.location import LocalPlace
 from atlas.store.tiles import drop_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import do_job
-from atlas.task.task import Job, RefusedError, commit, make_chunk
+from atlas.task.site import RefusedError, Site
+from atlas.task.task import Job, commit, make_chunk
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
@@ -350,7 +351,7 @@ def test_overviews_that_cannot_be_written_are_told(filled: store.Header, monkeyp
 
 
 def job_of(header: store.Header, index: tuple[int, ...], level: int = 0) -> Job:
-    return Job(index, str(header.path), header.run_id, header.solver_version, level=level)
+    return Job(index, Site(str(header.path), header.run_id, header.solver_version), level=level)
 
 
 def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.Header, whole: store.Header) -> None:
@@ -461,8 +462,9 @@ def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: 
 
 def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.Header) -> None:
     overviews_of(filled)
+    job = job_of(filled, (0, 0), 1)
     with pytest.raises(RefusedError, match="has lost its claim"):
-        do_job(replace(job_of(filled, (0, 0), 1), claim="another"))
+        do_job(replace(job, site=replace(job.site, claim="another")))
     assert not list(filled.place.list_keys("overviews/1/largest/c/"))
 
 

@@ -23,6 +23,7 @@ from atlas.store.records import Records, RunRecords, put_together, single_record
 from atlas.store.store import Header, done_tiles, open_arrays, read_header
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write_tile
 from atlas.task.attempt import run_job
+from atlas.task.site import Site
 from atlas.task.task import Job
 from tests.chunk_keys import noted_keys
 from tests.planes import plane_of
@@ -259,7 +260,7 @@ def test_a_tile_dropped_and_solved_by_hand_is_not_taken_for_its_old_self(finishe
     fail(header, (1, 1))
     put_together(header)
     drop_tile(header, (1, 1))
-    run_job(Job((1, 1), str(finished), header.run_id, header.solver_version))
+    run_job(Job((1, 1), Site(str(finished), header.run_id, header.solver_version)))
     assert_true(read_status(header), finished)
 
 

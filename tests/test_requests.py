@@ -17,6 +17,7 @@ from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, read_header
 from atlas.store.tiles import drop_tile
 from atlas.task.attempt import run_job
+from atlas.task.site import Site
 from atlas.task.task import Job
 from tests.loopback import ObjectStore, object_store
 from tests.planes import plane_of
@@ -109,7 +110,7 @@ def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_
     url = "s3://bucket/tiles.zarr"
     header = create(ObjectPlace(url), plane_of(), (2, 3))
     notes_of(url).put(CLAIM, b'{"token": "ours"}', expected=None)
-    job = Job((0, 0), url, header.run_id, header.solver_version, claim="ours")
+    job = Job((0, 0), Site(url, header.run_id, header.solver_version, claim="ours"))
     run_job(job)
     served.forget()
     run_job(replace(job, index=(1, 1)))

@@ -22,7 +22,8 @@ from atlas.service.timing import Timing
 from atlas.store.store import create, done_tiles, read_header
 from atlas.task import known
 from atlas.task.attempt import run_job
-from atlas.task.task import Job, RefusedError
+from atlas.task.site import RefusedError, Site
+from atlas.task.task import Job
 from tests.planes import plane_of
 from tests.pretended import Numbered, outcomes
 from workers import tile as solving
@@ -167,13 +168,13 @@ def test_a_run_reads_its_header_once_in_each_process(
 
 def made(store: Path) -> Job:
     header = create(store, plane_of(), (2, 3))
-    return Job((1, 1), str(header.path), header.run_id, header.solver_version)
+    return Job((1, 1), Site(str(header.path), header.run_id, header.solver_version))
 
 
 def test_a_store_that_is_replaced_under_way_is_noticed_by_the_next_job(tmp_path: Path) -> None:
     job = made(tmp_path / "out.zarr")
     run_job(job)
-    shutil.rmtree(job.store)
+    shutil.rmtree(job.site.store)
     another = made(tmp_path / "out.zarr")
     with pytest.raises(RefusedError, match=r"not the store of run .*; is the path the same on all hosts\?"):
         run_job(replace(job, index=(0, 0)))
@@ -183,10 +184,10 @@ def test_a_store_that_is_replaced_under_way_is_noticed_by_the_next_job(tmp_path:
 def test_a_store_that_is_removed_under_way_is_noticed_by_the_next_job(tmp_path: Path) -> None:
     job = made(tmp_path / "out.zarr")
     run_job(job)
-    shutil.rmtree(job.store)
+    shutil.rmtree(job.site.store)
     with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
         run_job(replace(job, index=(0, 0)))
-    assert not Path(job.store).exists()
+    assert not Path(job.site.store).exists()
 
 
 def test_a_store_that_is_replaced_while_a_tile_is_solved_gets_nothing_of_it(
@@ -196,7 +197,7 @@ def test_a_store_that_is_replaced_while_a_tile_is_solved_gets_nothing_of_it(
     run_job(job)
 
     def slow(*given: Any) -> Any:
-        shutil.rmtree(job.store)
+        shutil.rmtree(job.site.store)
         made(tmp_path / "out.zarr")
         return whole(*given)
 

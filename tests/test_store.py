@@ -11,6 +11,7 @@ import atlas
 from atlas.errors import ChunkError, InputError, RunError
 from atlas.store import store
 from atlas.task.attempt import run_job
+from atlas.task.site import Site
 from atlas.task.task import Job
 from tests.planes import find, plane_of
 from tests.synthetic import set_attribute
@@ -23,7 +24,7 @@ def header(tmp_path: Path, plane: atlas.Spec) -> store.Header:
 
 
 def solve(header: store.Header, index: tuple[int, ...]) -> None:
-    run_job(Job(index, str(header.path), header.run_id, header.solver_version))
+    run_job(Job(index, Site(str(header.path), header.run_id, header.solver_version)))
 
 
 def test_a_new_store_holds_every_variable_and_no_result(header: store.Header, plane: atlas.Spec) -> None:
@@ -140,12 +141,12 @@ def test_a_torn_chunk_is_noticed_when_it_is_read(header: store.Header) -> None:
 
 def test_a_worker_with_another_store_at_the_path_fails_loudly(header: store.Header) -> None:
     with pytest.raises(RunError, match="is the path the same on all hosts"):
-        run_job(Job((0, 0), str(header.path), "another run", header.solver_version))
+        run_job(Job((0, 0), Site(str(header.path), "another run", header.solver_version)))
 
 
 def test_a_worker_with_another_solver_version_fails_loudly(header: store.Header) -> None:
     with pytest.raises(RunError, match="this worker has solver version"):
-        run_job(Job((0, 0), str(header.path), header.run_id, header.solver_version + 1))
+        run_job(Job((0, 0), Site(str(header.path), header.run_id, header.solver_version + 1)))
 
 
 def test_a_failed_creation_leaves_nothing(tmp_path: Path, plane: atlas.Spec, monkeypatch: pytest.MonkeyPatch) -> None:

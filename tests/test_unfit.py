@@ -14,13 +14,15 @@ import atlas
 from atlas.errors import RunError
 from atlas.service import dispatch as fanout
 from atlas.service import fitness
+from atlas.service import run as running
 from atlas.service.progress import Progress
 from atlas.service.status import read_status
 from atlas.service.timing import Timing
 from atlas.store.store import find
 from atlas.task import task as jobs
 from atlas.task.attempt import do_job
-from atlas.task.task import Job, RefusedError
+from atlas.task.site import RefusedError
+from atlas.task.task import Job
 from tests.planes import plane_of
 from tests.test_faults import noted
 
@@ -50,7 +52,7 @@ def test_a_worker_at_which_tile_after_tile_fails_is_left_out_and_named_and_costs
     summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
     assert (summary.tiles_done, summary.failures) == (35, ())
     assert summary.refused.keys() == {unfit}
-    assert re.match(r"\d tiles in a row failed there, the first being \(\d, \d\): ", summary.refused[unfit])
+    assert re.match(r"\d+ tiles in a row failed there, the first being \(\d, \d\): ", summary.refused[unfit])
     assert str(error) in summary.refused[unfit]
     # The tiles that make it unfit, and those given to it before it was.
     assert fitness.FAILURES <= noted(name).count(unfit) <= fitness.FAILURES + 2 * fanout.IN_FLIGHT
@@ -63,7 +65,7 @@ def test_a_run_in_which_every_tile_fails_at_every_worker_ends_with_worker_tile_a
         noted(str(tmp_path)).append(job.index)
         raise ImportError("no numba")
 
-    monkeypatch.setattr(fanout, "do_job", fail)
+    monkeypatch.setattr(running, "do_job", fail)
     words = r"^no worker can do this run: inproc://\S+: \d tiles in a row failed there, the first being .*: ImportError"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
@@ -94,7 +96,7 @@ def test_a_tile_given_to_a_worker_that_is_gone_is_given_to_another(
                 left.append(leaving)
                 client.retire_workers([leaving], close_workers=True)
 
-        monkeypatch.setattr(fanout, "do_job", picky)
+        monkeypatch.setattr(running, "do_job", picky)
         timing = Timing(tick=0.05)
         options = atlas.RunOptions(on_progress=leave, timing=timing)
         summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=client, options=options)

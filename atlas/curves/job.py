@@ -16,8 +16,7 @@ from atlas.store.groups import CURVES
 from atlas.store.location import place_of
 from atlas.store.store import Header, read_header
 from atlas.task.compile import ORBITS, compile_once, kernels_for
-from atlas.task.part import Site, stored_part
-from atlas.task.task import RefusedError
+from atlas.task.site import RefusedError, Site, stored_part
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.task.compile import ATTRACTORS, compile_once, kernels_for
-from atlas.task.task import check_solver
+from atlas.task.site import check_solver
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
 from workers.model.system import System

@@ -16,9 +16,8 @@ from atlas.store.groups import STABILITY
 from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once
-from atlas.task.part import Site, stored_part
+from atlas.task.site import Site, file_errors, stored_part
 from atlas.task.solving import kernels_of
-from atlas.task.task import file_errors
 from atlas.text import plural
 from workers.results import LARGEST, REGIME
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 from atlas.errors import NetworkError, RunError
 from atlas.service.cluster import LOST, loss_reported
 from atlas.service.fitness import Failure, Refusal
-from atlas.task.task import RefusedError, StoreFullError
+from atlas.task.site import RefusedError, StoreFullError
 
 if TYPE_CHECKING:
     from distributed import Client, Future

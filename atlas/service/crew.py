@@ -1,23 +1,22 @@
-"""Workers for jobs whose results are parts of a store: those of a client, or processes that the first job starts."""
+"""Workers for the jobs of a run: those of a client, or processes that the first job starts."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic
 
 from atlas.errors import RunError
-from atlas.service.batches import J, Labour, R
-from atlas.service.dispatch import Workers, workforce
+from atlas.service.batches import LEAST_MEMORY, J, Labour, R
+from atlas.service.dispatch import Workers, Workforce, workforce
 from atlas.service.hiring import hired
 from atlas.service.lease import Claim
 from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
 from atlas.store.store import Header
-from atlas.task.known import forget_header
-from atlas.task.part import Site, prepare
+from atlas.task.site import Site, prepare
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -25,21 +24,25 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Crew:
-    """The workers of a store that is claimed; processes of this machine live until ``stack`` is closed.
+class Crew(Generic[J, R]):
+    """The workers of a store that is claimed, set up when ``force`` is first asked for, if need be as new processes.
 
+    act       does a job
     kernels   that the jobs take
     threads   threads of the workers: those asked for, or as many as were seen
+    memory    bytes that a worker needs
     begin     when the jobs began, by the monotonic clock
     """
 
     header: Header
+    act: Callable[[J], R]
     kernels: tuple[str, ...]
     options: RunOptions
     claim: Claim
     stack: ExitStack
     threads: int
     client: "Client | None"
+    memory: int = LEAST_MEMORY
     begin: float = field(default_factory=time.monotonic)
     reported: float = 0.0
     last: str = ""
@@ -51,45 +54,42 @@ class Crew:
         return Site(str(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
 
     @cached_property
-    def hired(self) -> "Client":
-        """The client that the jobs go to, with processes that are started for the first of them if none was given."""
+    def force(self) -> Workforce[J, R]:
+        """The workers, until ``stack`` is closed."""
+        site = self.site
         if self.client is None:
             prepare_kernels(self.options.report, *self.kernels)
         client = hired(self.client, self.threads, self.options, self.stack)
         self.begin = time.monotonic() if self.client is None else self.begin
-        return client
+        labour = Labour(site.store, self.act, partial(prepare, site, self.kernels), site.forget, self.memory)
+        return self.stack.enter_context(workforce(client, labour, self.options.timing))
 
-    def do(
-        self, work: Callable[[J], R], jobs: Sequence[J], take: Callable[[R], None], doing: Callable[[], Progress]
-    ) -> None:
-        """Have ``work`` done on each job; ``take`` gets each receipt, ``doing`` says how far they are.
+    def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
+        """The outcomes of jobs, see ``Workforce.outcomes``; RunError, too, if the claim has been taken meanwhile."""
+        try:
+            yield from self.force.outcomes(jobs, tick)
+        except RunError:
+            with suppress(OSError):  # a store that cannot be reached says nothing of its claim
+                self.header.place.confirm()  # if the claim was taken, workers refuse for that reason
+            raise
+
+    def do(self, jobs: Sequence[J], take: Callable[[R], None], doing: Callable[[], Progress]) -> None:
+        """Have jobs done whose results are parts of the store; ``take`` gets each receipt, ``doing`` says how far.
 
         RunError if a job fails for good.
         """
-        if not jobs:
-            return
-        client, site = self.hired, self.site
-        leave = partial(forget_header, site.store, site.patience)
-        labour = Labour(site.store, work, partial(prepare, site, self.kernels), leave)
-        with workforce(client, labour, self.options.timing) as force:
 
-            def tick(workers: Workers) -> None:
-                self.claim.check()
-                self.threads = max(self.threads, workers.threads)
-                waiting = "" if workers.threads else "no worker left: waiting for one"
-                self._report(doing(), workers.trouble or waiting)
+        def tick(workers: Workers) -> None:
+            self.claim.check()
+            self.threads = max(self.threads, workers.threads)
+            waiting = "" if workers.threads else "no worker left: waiting for one"
+            self._report(doing(), workers.trouble or waiting)
 
-            try:
-                for outcome in force.outcomes(jobs, tick):
-                    if isinstance(outcome, TileFailure):
-                        kept = "what is found is kept, and the same command resumes"
-                        raise RunError(f"a task failed: {outcome.message}; {kept}")
-                    take(outcome)
-                    self._report(doing())
-            except RunError:
-                with suppress(OSError):  # a store that cannot be reached says nothing of its claim
-                    self.header.place.confirm()  # if the claim was taken, workers refuse for that reason
-                raise
+        for outcome in self.outcomes(jobs, tick) if jobs else ():
+            if isinstance(outcome, TileFailure):
+                raise RunError(f"a task failed: {outcome.message}; what is found is kept, and the same command resumes")
+            take(outcome)
+            self._report(doing())
 
     def _report(self, progress: Progress, trouble: str = "") -> None:
         """Report how far the jobs are; in a log once every few seconds."""

@@ -107,7 +107,9 @@ def find_curves(
         workers = worker_count(client, options)
         claim = stack.enter_context(claimed_place(header.place, options))
         header = header.at(claim.guard(header.place))
-        crew = Crew(header, kernels_for(header.spec.record, ORBITS), options, claim, stack, workers, client)
+        crew = Crew(
+            header, do_and_keep, kernels_for(header.spec.record, ORBITS), options, claim, stack, workers, client
+        )
         return _Coordinator(header, search, digest, crew).run()
 
 
@@ -131,7 +133,7 @@ class _Coordinator:
     header: Header
     search: Search
     digest: str
-    crew: Crew
+    crew: Crew[CurveJob, CurveReceipt]
     tasks: int = 0
     processor_seconds: float = 0.0
 
@@ -140,7 +142,7 @@ class _Coordinator:
         kept = kept_parts(self.header, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
-            self.crew.do(do_and_keep, jobs, self._count, self._progress)
+            self.crew.do(jobs, self._count, self._progress)
             self.search.take([read_part(self.header, name) for name in tasks])
         found = finished(self.search)
         drop_family(self.header, MARGIN)  # margins are to the curves before

@@ -8,18 +8,14 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Generic
 
 from atlas.errors import RunError
-from atlas.service.batches import LEAST_MEMORY, Attempt, Batches, Done, J, Labour, R, Result
+from atlas.service.batches import Attempt, Batches, Done, J, Labour, R, Result
 from atlas.service.cluster import LOST, worker_memory, worker_threads
 from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
-from atlas.task.attempt import do_job
-from atlas.task.known import forget_header
-from atlas.task.task import Job, Made, Receipt, prepare
 from atlas.text import byte_size, duration, plural
 
 if TYPE_CHECKING:
@@ -34,8 +30,6 @@ AHEAD = 10.0
 """Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
 ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
-SMALL, BYTES_PER_CELL = 4096, 750
-"""Cells of a tile that this is enough for, and bytes that each further one takes: 200 MB in one of 512 x 512."""
 NAMED = 3
 """Workers named in a line about several."""
 CHOICES = 64
@@ -49,12 +43,6 @@ class Workers:
     threads: int
     left_out: Mapping[str, str]
     trouble: str = ""
-
-
-def tile_labour(job: Job, cells: int) -> Labour[Job, Receipt | Made]:
-    """What workers do in a run whose jobs differ from this one by tile and level; a tile has that number of cells."""
-    ready, done = partial(prepare, job), partial(forget_header, job.store, job.patience)
-    return Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
 
 
 @contextmanager

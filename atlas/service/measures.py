@@ -130,7 +130,7 @@ def measure_attractors(
         if MARGIN in missing:
             found.arrays.update(margins_of(header, wanted[MARGIN]["scale"]))
         if families:
-            crew = Crew(header, kernels_of(header.spec), options, claim, stack, workers, client)
+            crew = Crew(header, measure_and_keep, kernels_of(header.spec), options, claim, stack, workers, client)
             job = _Measuring(header, crew, tuple(weights.items()))
             found.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
             busy, tasks = job.processor_seconds, job.tasks
@@ -183,7 +183,7 @@ class _Measuring:
     """Attractors being measured in a store that is claimed."""
 
     header: Header
-    crew: Crew
+    crew: Crew[MeasureJob, MeasureReceipt]
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
     done: int = 0
@@ -206,7 +206,7 @@ class _Measuring:
             for k, (family, name, tile, first, last) in enumerate(parts)
             if name not in kept
         ]
-        self.crew.do(measure_and_keep, jobs, self._count, self._progress)
+        self.crew.do(jobs, self._count, self._progress)
         many = (header.spec.attractors.keep,) if header.spec.coexistence and header.spec.attractors else ()
         found: Arrays = {}
         for family in families:

@@ -3,16 +3,18 @@
 import math
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 from atlas.errors import InputError, RunError, shown
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
+from atlas.service.batches import LEAST_MEMORY
 from atlas.service.cluster import active_client, connected, count_threads, leave_if_bootstrapping
-from atlas.service.dispatch import Workers, Workforce, tile_labour, workforce
-from atlas.service.hiring import check_report, hired
+from atlas.service.crew import Crew
+from atlas.service.dispatch import Workers
+from atlas.service.hiring import check_report
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
@@ -29,7 +31,7 @@ from atlas.store.records import Records, RunRecords
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
 from atlas.store.store import Header, create, done_tiles, find, read_header
 from atlas.store.tiling import Index, Tiling
-from atlas.task.attempt import run_job
+from atlas.task.attempt import do_job, run_job
 from atlas.task.basins import labelling_bytes
 from atlas.task.solving import kernels_of
 from atlas.task.task import LABELS, Job, Made, Receipt
@@ -37,6 +39,10 @@ from atlas.text import plural
 
 if TYPE_CHECKING:
     from distributed import Client
+
+
+SMALL, BYTES_PER_CELL = 4096, 750
+"""Cells of a tile that any worker is enough for, and bytes that each further one takes: 200 MB in one of 512 x 512."""
 
 
 @with_fields
@@ -103,15 +109,15 @@ def complete(
             options.report(Progress("making the store"))
             create(place, spec, _tile(spec, place, workers), origin, run_id)
             header = read_header(place)
-        run = _Run(header, workers, claim, options)
+        kernels, memory = kernels_of(header.spec), memory_of(math.prod(header.tile))
+        crew = Crew(header, do_job, kernels, options, claim, stack, workers, client, memory)
+        run = _Run(header, crew)
         if options.tile is not None:
             run.do_alone(options.tile)
             return run.totals.summary(str(place))
-        if client is None and run.due.any():
-            prepare_kernels(options.report, *kernels_of(header.spec))
         run.begin()
         if run.needs_workers or (client is not None and run.overviews):
-            run.hand_out(hired(client, workers, options, stack))
+            run.hand_out()
         run.finish()
     return run.totals.summary(str(place))
 
@@ -147,9 +153,9 @@ def _tile(spec: Spec, place: Place, workers: int) -> tuple[int, ...]:
 class _Run:
     """A run whose store is claimed: the tiles due, handing them out, and the end."""
 
-    def __init__(self, header: Header, workers: int, claim: Claim, options: RunOptions) -> None:
-        self.header, self.claim, self.options, self.doing = header, claim, options, "solving"
-        plan = make_plan(header.spec, workers, header.tile)
+    def __init__(self, header: Header, crew: Crew[Job, Receipt | Made]) -> None:
+        self.header, self.crew, self.doing = header, crew, "solving"
+        plan = make_plan(header.spec, crew.threads, header.tile)
         self.stored = Records(header, done_tiles(header))
         self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
         retried = header.origin is not None and header.origin.retry is not None
@@ -176,51 +182,41 @@ class _Run:
         header = self.header
         if not self.due[index]:
             raise InputError(f"{header.place}: nothing is to be done in tile {index}")
-        prepare_kernels(self.options.report, *kernels_of(header.spec))
+        prepare_kernels(self.crew.options.report, *self.crew.kernels)
         self.begin()
         self.totals.start()
         self.report(f"solving tile {index} in this process")
-        receipt = run_job(replace(self._job(), index=index))
+        receipt = run_job(Job(index, self.crew.site))
         self.records.add(receipt.index, receipt.record)
         self.totals.add(receipt)
 
-    def _job(self) -> Job:
-        header, options = self.header, self.options
-        place, token = str(header.place), self.claim.token
-        return Job((), place, header.run_id, header.solver_version, options.patience, token)
-
-    def hand_out(self, client: "Client") -> None:
+    def hand_out(self) -> None:
         """Send the tiles due to the workers and add up their receipts; then the overviews, level by level."""
-        header, options, totals, order, job = self.header, self.options, self.totals, Order(self.due), self._job()
+        header, totals, order, site = self.header, self.totals, Order(self.due), self.crew.site
+        force = self.crew.force
         totals.start()
         try:
-            with workforce(client, tile_labour(job, math.prod(header.tile)), options.timing) as force:
-                for outcome in force.outcomes((replace(job, index=index) for index in order), self._tick):
-                    if isinstance(outcome, Receipt):
-                        order.note(outcome.index, outcome.solve_seconds)
-                        self.records.add(outcome.index, outcome.record)
-                    if not isinstance(outcome, Made):
-                        totals.add(outcome)
-                    self.report("solving")
-                if header.spec.basins:
-                    self.doing = "labelling the attractors"
-                    force.need(force.memory + labelling_bytes(header))
-                    self._make(force, [replace(job, level=LABELS)])
-                self.doing = "writing overviews"
-                for level in self.overviews.levels:
-                    chunks = self.overviews.missing(level)
-                    self._make(force, [replace(job, level=level, index=index) for index in chunks])
+            for outcome in self.crew.outcomes((Job(index, site) for index in order), self._tick):
+                if isinstance(outcome, Receipt):
+                    order.note(outcome.index, outcome.solve_seconds)
+                    self.records.add(outcome.index, outcome.record)
+                if not isinstance(outcome, Made):
+                    totals.add(outcome)
+                self.report("solving")
+            if header.spec.basins:
+                self.doing = "labelling the attractors"
+                force.need(force.memory + labelling_bytes(header))
+                self._make([Job((), site, LABELS)])
+            self.doing = "writing overviews"
+            for level in self.overviews.levels:
+                self._make([Job(index, site, level) for index in self.overviews.missing(level)])
         except KeyboardInterrupt:
             self.report("interrupted, dropping the tiles under way")
             raise
-        except RunError:
-            with suppress(OSError):  # a store that cannot be reached says nothing of its claim
-                header.place.confirm()  # if the claim was taken, workers refuse for that reason
-            raise
 
-    def _make(self, force: Workforce[Job, Receipt | Made], jobs: list[Job]) -> None:
+    def _make(self, jobs: list[Job]) -> None:
         """Have workers do other jobs than tiles. A failed overview chunk is left to ``finish``, which says why."""
-        for outcome in force.outcomes(jobs, self._tick):
+        for outcome in self.crew.outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
                 raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
             if isinstance(outcome, Made):
@@ -229,10 +225,10 @@ class _Run:
 
     def _tick(self, workers: Workers) -> None:
         totals = self.totals
-        self.claim.check(lambda: self.report("waiting for the store, which does not answer"))
+        self.crew.claim.check(lambda: self.report("waiting for the store, which does not answer"))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
         totals.trouble = workers.trouble
-        self.claim.report(totals.report(workers.threads) | {"holds": self.records.counts})
+        self.crew.claim.report(totals.report(workers.threads) | {"holds": self.records.counts})
         self.report(workers.trouble or (self.doing if workers.threads else "no worker left: waiting for one"))
 
     def finish(self) -> None:
@@ -242,7 +238,12 @@ class _Run:
 
     def report(self, stage: str) -> None:
         """Report where the run is."""
-        self.options.report(self.totals.progress(stage))
+        self.crew.options.report(self.totals.progress(stage))
+
+
+def memory_of(cells: int) -> int:
+    """Bytes that a worker needs for tiles of that number of cells."""
+    return LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL)
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:

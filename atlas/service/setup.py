@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from distributed import WorkerPlugin, get_worker
 
 from atlas.service.batches import J, Labour, R
-from atlas.task.task import RefusedError
+from atlas.task.site import RefusedError
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -21,7 +21,7 @@ from atlas.store.location import Place, place_of
 from atlas.store.origin import Origin
 from atlas.store.sidecar import notes_of
 from atlas.store.store import find, read_header
-from atlas.task.task import RefusedError, check_solver, checked_header
+from atlas.task.site import RefusedError, check_solver, checked_header
 from atlas.text import plural
 from workers import SOLVER_VERSION
 

@@ -8,13 +8,12 @@ import numpy as np
 from atlas.errors import NetworkError
 from atlas.store.sidecar import notes_of, put_attempt
 from atlas.store.store import is_done
+from atlas.task.site import file_errors
 from atlas.task.task import (
     LABELS,
     Job,
     Made,
     Receipt,
-    file_errors,
-    header_of,
     label_basins,
     make_chunk,
     receipt_of,
@@ -44,17 +43,17 @@ def run_job(job: Job) -> Receipt:
     there is one of an attempt that did not live to remove it: after DEATHS of these in one run the tile is taken for
     one that kills its process. RunError then names the last, and the note stays, so that only another run tries again.
     """
-    with file_errors(job.store):
-        header = header_of(job)
+    with file_errors(job.site.store):
+        header = job.header()
         notes = notes_of(header.place)
         if is_done(header, job.index):  # its worker died after it was written, before its report
             solved = np.ones(header.tiling.at(job.index).shape, dtype=bool)
             receipt = receipt_of(header, job.index, stored_tile(header, job.index), solved)
             return replace(receipt, record=stored_record(header, job.index))
-        attempt = put_attempt(notes, job.note, job.claim, DEATHS)
+        attempt = put_attempt(notes, job.note, job.site.claim, DEATHS)
     try:
         return solve_and_write(replace(job, attempt=attempt.token))
     finally:
         if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
-            with file_errors(job.store):
+            with file_errors(job.site.store):
                 attempt.remove(notes, job.note)

@@ -1,48 +1,30 @@
 """One tile: what is to be done, doing it here and now, and the receipt for it."""
 
-import errno
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atlas.errors import InputError, RunError
+from atlas.errors import RunError
 from atlas.overview.pyramid import opened
 from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
-from atlas.store.location import Place
-from atlas.store.outage import BRIEF, LONG
-from atlas.store.place import Fence
 from atlas.store.records import read_record, single_records
 from atlas.store.schema import extra_sizes
-from atlas.store.sidecar import CLAIM, note_fence
 from atlas.store.store import Header, is_done
 from atlas.store.tiles import read_tile, take_tile, write_tile
 from atlas.store.tiling import PART, Tiling
 from atlas.task.basins import complete_basins
 from atlas.task.compile import compile_once
-from atlas.task.known import known_header
 from atlas.task.reuse import known_cells
+from atlas.task.site import RefusedError, Site, file_errors
 from atlas.task.solving import kernels_of, solve_due
-from workers import SOLVER_VERSION
 from workers.results import PENDING, REASON, REGIME, REGIMES, empty_results, reason_counts
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 Arrays = dict[str, np.ndarray]
 
 LABELS = -1
 """The level of the job that labels basins."""
-
-
-class RefusedError(RunError):
-    """This worker must not or cannot do this run's tiles; another worker may."""
-
-
-class StoreFullError(RunError):
-    """There is no room for the store: no worker can go on."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +32,12 @@ class Job:
     """Which tile of which store. All that crosses the scheduler; ``attempt.do_job`` does it by hand.
 
     With a ``level`` above 0 it is the chunk of that level of the overviews that has this index; at level LABELS, the
-    last labels of basins. ``patience`` is how many seconds to wait for a store at a URL that does not answer. ``claim``
-    is the token of the run's claim of the store: a job whose run has lost the claim writes nothing. A job done by hand
-    has none. ``attempt`` is the token of this attempt at the tile, which ``attempt.run_job`` gives it: of two attempts
-    that live the first writes nothing more.
+    last labels of basins. ``attempt`` is the token of this attempt at the tile, which ``attempt.run_job`` gives it: of
+    two attempts that live the first writes nothing more.
     """
 
     index: tuple[int, ...]
-    store: str
-    run_id: str
-    solver_version: int
-    patience: float = LONG
-    claim: str = ""
+    site: Site
     level: int = 0
     attempt: str = ""
 
@@ -69,6 +45,10 @@ class Job:
     def note(self) -> str:
         """The name of the note that holds the token of the present attempt at the tile."""
         return "started-" + "-".join(map(str, self.index))
+
+    def header(self) -> Header:
+        """The header of the store, behind the fences of the run and of the attempt."""
+        return self.site.header(self.note, self.attempt)
 
 
 @dataclass(frozen=True)
@@ -110,10 +90,10 @@ class Made:
 
 def make_chunk(job: Job) -> Made:
     """Make a chunk of the overviews."""
-    with file_errors(job.store):
-        header = header_of(job)
+    with file_errors(job.site.store):
+        header = job.header()
         try:
-            opened(header, job.claim).make(job.level, job.index)
+            opened(header, job.site.claim).make(job.level, job.index)
         except RefusedError:
             raise
         except (RunError, ValueError) as error:  # damage below is not the worker's fault
@@ -123,8 +103,8 @@ def make_chunk(job: Job) -> Made:
 
 def label_basins(job: Job) -> Made:
     """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
-    with file_errors(job.store):
-        header = header_of(job)
+    with file_errors(job.site.store):
+        header = job.header()
         complete_basins(header)
         # All of them: an attempt that died may have written a tile again.
         return Made(job.index, tuple((index, stored_record(header, index)) for index in single_records(header)))
@@ -132,15 +112,15 @@ def label_basins(job: Job) -> Made:
 
 def solve_and_write(job: Job) -> Receipt:
     """Solve the cells of a tile that the store's origin does not give, and write it."""
-    with file_errors(job.store):
-        header = header_of(job)
+    with file_errors(job.site.store):
+        header = job.header()
         slices = header.tiling.at(job.index).slices
         known = known_cells(header, slices)
     compile_once(*kernels_of(header.spec))  # its own disk may be full, which is not the store's
     begin, busy = time.perf_counter(), time.thread_time()
     arrays = solve_cells(header.spec, slices, known.arrays, known.due)
     middle, processor = time.perf_counter(), time.thread_time() - busy
-    with file_errors(job.store):
+    with file_errors(job.site.store):
         if is_done(header, job.index):  # another attempt has finished meanwhile: what is stored stays
             arrays, record = stored_tile(header, job.index), stored_record(header, job.index)
         else:
@@ -176,83 +156,10 @@ def commit(header: Header, job: Job, arrays: Arrays, source: Header | None = Non
     ``source`` is a store that has the same tile, whose objects are taken over. A worker that stands still between a
     look at the notes and the write that follows writes later than it may, but the same bits as any other.
     """
-    header = header_of(job)  # it may be another store by now
+    header = job.header()  # it may be another store by now
     record = write_tile(header, job.index, arrays) if source is None else take_tile(header, source, job.index, arrays)
-    opened(header, job.claim).make_over(job.index, arrays)
+    opened(header, job.site.claim).make_over(job.index, arrays)
     return tuple(record.tolist())
-
-
-def guarded(place: Place, claim: str, note: str = "", attempt: str = "") -> Place:
-    """A place behind the fence of a job: its run has the claim, and a tile's note holds the token of the attempt.
-
-    Without a token nothing is looked at. RefusedError where another run has the claim; RunError where there was another
-    attempt, since nothing is wrong with this worker.
-    """
-    fences: list[Fence] = []
-    if claim:
-        lost = "the run of this tile has lost its claim of the store; nothing more is written"
-        fences.append(note_fence(place, CLAIM, claim, RefusedError, lost))
-    if attempt:
-        lost = "another attempt at this tile has begun; nothing more is written"
-        fences.append(note_fence(place, note, attempt, RunError, lost))
-
-    def fence() -> None:
-        for each in fences:
-            each()
-
-    return place.behind(fence) if fences else place
-
-
-def prepare(job: Job) -> None:
-    """Check what any job of a run needs of this worker, and see to it that its kernels are compiled."""
-    with file_errors(job.store):
-        header = header_of(job)
-    compile_once(*kernels_of(header.spec))
-
-
-def header_of(job: Job) -> Header:
-    """The header of a job's store, see ``checked_header``, behind the fence of the job."""
-    header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
-    _ = header.spec, header.writable  # read once for all jobs
-    return header.at(guarded(header.place, job.claim, job.note, job.attempt))
-
-
-def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
-    """The header of the store that a run asks this worker to work on, see ``known_header``.
-
-    Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
-    where the store's disk or server refused.
-    """
-    check_solver(solver_version)
-    try:
-        header = known_header(store, patience)
-    except InputError as error:
-        if isinstance(error.__cause__, OSError):  # the disk or the server is at fault, not the path
-            raise error.__cause__ from None
-        raise RefusedError(f"{error}; is the path the same on all hosts?") from None
-    if header.run_id != run_id:
-        raise RefusedError(f"{store} is not the store of run {run_id}; is the path the same on all hosts?")
-    return header
-
-
-def check_solver(version: int) -> None:
-    """Raise RefusedError unless this worker has the solver version that a run needs."""
-    if version != SOLVER_VERSION:
-        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {version}")
-
-
-@contextmanager
-def file_errors(store: str) -> Iterator[None]:
-    """Turn errors of the file system into what they mean: no room for anybody, or not for this worker; others pass."""
-    try:
-        yield
-    except OSError as error:
-        what = f"{store}: {error.strerror or error}"
-        if error.errno in _FULL:
-            raise StoreFullError(what) from error
-        if error.errno in _FORBIDDEN:
-            raise RefusedError(what) from error
-        raise
 
 
 def stored_tile(header: Header, index: tuple[int, ...]) -> Arrays:

@@ -35,7 +35,7 @@ def _install(module):
             raise ZeroDivisionError(f"attempt {attempt + 1}")
         if word == "slow":
             time.sleep(0.3)
-        with module.file_errors(job.store):
+        with module.file_errors(job.site.store):
             if word in ("full", "forbidden"):
                 number = errno.ENOSPC if word == "full" else errno.EROFS
                 raise OSError(number, os.strerror(number))

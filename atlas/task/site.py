@@ -1,0 +1,133 @@
+"""The store that the jobs of a run work on: how a worker checks it, reads it and keeps parts in it."""
+
+import errno
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from atlas.errors import InputError, RunError
+from atlas.store.outage import BRIEF, LONG
+from atlas.store.parts import get_part, put_part
+from atlas.store.place import Fence, Place
+from atlas.store.sidecar import CLAIM, note_fence
+from atlas.store.store import Header
+from atlas.task.compile import compile_once
+from atlas.task.known import forget_header, known_header
+from workers import SOLVER_VERSION
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
+
+
+class RefusedError(RunError):
+    """This worker must not or cannot do this run's jobs; another worker may."""
+
+
+class StoreFullError(RunError):
+    """There is no room for the store: no worker can go on."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """The store that the jobs of a run work on, as it crosses the scheduler.
+
+    ``claim`` is the token of the run's claim of the store: once that is lost, nothing is written. A job done by hand
+    has none. ``patience`` is how many seconds to wait for a store at a URL that does not answer.
+    """
+
+    store: str
+    run_id: str
+    solver_version: int
+    patience: float = LONG
+    claim: str = ""
+
+    def header(self, note: str = "", attempt: str = "") -> Header:
+        """The header of the store, see ``checked_header``, behind the fence of the run's claim.
+
+        With the token of an ``attempt`` also behind that of the ``note`` that holds it.
+        """
+        with file_errors(self.store):
+            header = checked_header(self.store, self.run_id, self.solver_version, self.patience)
+            _ = header.spec, header.writable  # read once for all jobs
+            return header.at(self._guarded(header.place, note, attempt))
+
+    def keep(self, header: Header, group: str, name: str, data: bytes) -> None:
+        """Keep a part of a group."""
+        with file_errors(self.store):
+            put_part(header, group, name, data)
+
+    def forget(self) -> None:
+        """Drop what this process keeps of the store."""
+        forget_header(self.store, self.patience)
+
+    def _guarded(self, place: Place, note: str, attempt: str) -> Place:
+        """A place behind the fence of a job: its run has the claim, and a note holds the token of the attempt.
+
+        RefusedError where another run has the claim; RunError where there was another attempt, since nothing is wrong
+        with this worker.
+        """
+        fences: list[Fence] = []
+        if self.claim:
+            lost = "the run of this job has lost its claim of the store; nothing more is written"
+            fences.append(note_fence(place, CLAIM, self.claim, RefusedError, lost))
+        if attempt:
+            lost = "another attempt at this tile has begun; nothing more is written"
+            fences.append(note_fence(place, note, attempt, RunError, lost))
+
+        def fence() -> None:
+            for each in fences:
+                each()
+
+        return place.behind(fence) if fences else place
+
+
+def prepare(site: Site, kernels: Sequence[str]) -> None:
+    """Check what any job needs of this worker, and see to it that its kernels are compiled."""
+    site.header()
+    compile_once(*kernels)
+
+
+def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
+    """The header of the store that a run asks this worker to work on, see ``known_header``.
+
+    Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
+    where the store's disk or server refused.
+    """
+    check_solver(solver_version)
+    try:
+        header = known_header(store, patience)
+    except InputError as error:
+        if isinstance(error.__cause__, OSError):  # the disk or the server is at fault, not the path
+            raise error.__cause__ from None
+        raise RefusedError(f"{error}; is the path the same on all hosts?") from None
+    if header.run_id != run_id:
+        raise RefusedError(f"{store} is not the store of run {run_id}; is the path the same on all hosts?")
+    return header
+
+
+def check_solver(version: int) -> None:
+    """Raise RefusedError unless this worker has the solver version that a run needs."""
+    if version != SOLVER_VERSION:
+        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {version}")
+
+
+@contextmanager
+def file_errors(store: str) -> Iterator[None]:
+    """Turn errors of the file system into what they mean: no room for anybody, or not for this worker; others pass."""
+    try:
+        yield
+    except OSError as error:
+        what = f"{store}: {error.strerror or error}"
+        if error.errno in _FULL:
+            raise StoreFullError(what) from error
+        if error.errno in _FORBIDDEN:
+            raise RefusedError(what) from error
+        raise
+
+
+def stored_part(header: Header, group: str, name: str) -> bytes:
+    """A part that a job has kept; RefusedError if there is none."""
+    data = get_part(header, group, name)
+    if data is None:
+        raise RefusedError(f"{header.place}: has no part {name}; is the path the same on all hosts?")
+    return data
