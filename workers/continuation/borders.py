@@ -85,7 +85,7 @@ def _of_holding(step: Step, X: Array, motion: SwitchingMotion, why: Fault) -> Lo
 
 
 def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: float = 0.0) -> LocatedEvent | None:
-    """Where an event of a machine with modes is lost: the graze of the orbit without it, ``near`` if not on the step."""
+    """Where an event of a machine with modes is lost, the graze of the orbit without it: on the step or ``near`` it."""
     eq = step.equations
     if SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
         return solved_on(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))

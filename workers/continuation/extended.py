@@ -150,7 +150,8 @@ class Extended:
         motion = motion_of_unknowns(taken(self.family.model(values), which), self.itinerary, rows)
         base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
-        J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
+        with np.errstate(invalid="ignore"):  # both may be infinite, and Newton's method fails then
+            J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
         J[: self.states, : self.states] = motion.linearised()[0]
         J[: self.states, self.states : N - self.free] = 0.0
         return base, J[None]

@@ -37,7 +37,8 @@ BESIDE = (1e-3, 1e-4, 1e-5, 1e-6)
 """How far from an event, as shares of the window, the orbit beyond is looked for: another event may be near."""
 
 FARTHER, DEPTH = (1e-2, 1e-3, 1e-4, 1e-5), 1e-2
-"""The same on the curve of a change; and how far from that curve, as a share of it."""
+"""The same on the curve of a change; and how far from that curve, as a share of that, of its square where multipliers
+are asked for: next to a fold an orbit moves with the square root of parameters."""
 
 NEARER = 0.25
 """Share of that distance at which it is looked for again, to see how the times of its events depend on it."""
@@ -122,7 +123,8 @@ def _beside_curve(equations: Extended, event: Event, bounds: Array) -> Iterator[
                 continue
             here, left = change.values(found.X), change.orbit(found.X)
             along = (here - values) / change.width
-            across = DEPTH * np.array([-along[1], along[0]]) * change.width
+            depth = DEPTH * share if event.conditions[0].kind in OF_MULTIPLIERS else DEPTH
+            across = depth * np.array([-along[1], along[0]]) * change.width
             for away in (across, -across):
                 yield from _at_depth(equations, event, _Beside(left, here, away, along * change.width), bounds)
 
@@ -146,8 +148,10 @@ def _at_depth(equations: Extended, event: Event, beside: _Beside, bounds: Array)
 
 
 def _misses(equations: Extended, condition: Condition, kappa: float, orbit: Orbit, values: Array) -> float:
-    """How far the multipliers of an orbit are from a condition on them."""
+    """How far the multipliers of an orbit are from a condition on them; NaN where one is infinite."""
     found = multipliers(motion_of(equations.model(values), many_orbits([orbit])))
+    if not np.all(np.isfinite(found)):
+        return np.nan
     if condition.kind == PAIR:
         return float(pair_near(found, np.array([2.0 * kappa]))[1][0]) - 1.0
     return float(np.prod(found[0] - (1.0 if condition.kind == UNIT else -1.0)).real)
