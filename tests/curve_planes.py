@@ -49,7 +49,7 @@ def found_serially(plane: Plane, settings: CurveSettings | None = None) -> Curve
 
 def same(one: Curve, other: Curve) -> bool:
     """Whether two curves are equal to the bit."""
-    arrays = ("points", "unstable")
+    arrays = ("points", "unstable", "impacts_upper", "impacts_lower")
     equal = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
     rest = [{name: value for name, value in vars(curve).items() if name not in arrays} for curve in (one, other)]
     return equal and rest[0] == rest[1]

@@ -249,6 +249,7 @@ def curve(kind: str, points: Any, unstable: Any = 0, corners: tuple[Corner, ...]
     """A curve of the 1-1-1 orbit, or of another; ``unstable`` along all of it or point by point."""
     at = np.asarray(points, dtype=float)
     own: dict[str, Any] = {"period": 1, "impacts_upper": 1, "impacts_lower": 1, "symmetric": False} | orbit
+    own |= {name: np.broadcast_to(own[name], len(at)) for name in ("impacts_upper", "impacts_lower")}
     return Curve(kind, points=at, unstable=np.broadcast_to(unstable, len(at)), ends=("edge", "edge"), corners=corners,
                  **own)  # fmt: skip
 

@@ -19,8 +19,8 @@ from tests.curve_planes import same
 FOLD = Curve(
     kind="fold",
     period=3,
-    impacts_upper=4,
-    impacts_lower=2,
+    impacts_upper=np.array([4, 4, 5]),
+    impacts_lower=np.array([2, 2, 2]),
     symmetric=False,
     points=np.array([[0.1, 0.2], [1.0 / 3.0, 0.4], [0.5, 0.7]]),
     unstable=np.array([0, 0, 1]),
@@ -30,8 +30,8 @@ FOLD = Curve(
 GRAZE = Curve(
     kind="graze",
     period=1,
-    impacts_upper=1,
-    impacts_lower=1,
+    impacts_upper=np.array([1, 1]),
+    impacts_lower=np.array([1, 1]),
     symmetric=True,
     points=np.array([[0.3, 0.2], [0.3, 0.3]]),
     unstable=np.array([0, 0]),
@@ -94,6 +94,7 @@ def test_csv_has_a_row_a_point_and_codimension_two_points_as_rows_of_their_kind(
     assert [row["kind"] for row in rows] == ["fold", "graze_fold", "fold", "fold", "cusp", "graze", "graze"]
     assert [row["curve"] for row in rows] == ["0"] * 5 + ["1"] * 2
     assert float(rows[2]["omega"]) == 1.0 / 3.0
+    assert [row["impacts_upper"] for row in rows] == ["4", "4", "4", "5", "5", "1", "1"]
 
 
 def test_json_has_all_there_is(tmp_path: Path) -> None:
@@ -101,7 +102,12 @@ def test_json_has_all_there_is(tmp_path: Path) -> None:
     found = json.loads((tmp_path / "curves.json").read_text())
     assert found["axes"] == ["omega", "b"]
     assert found["curves"][0]["points"] == FOLD.points.tolist()
+    assert found["curves"][0]["impacts_upper"] == [4, 4, 5]
     assert found["curves"][0]["corners"][1] == {"kind": "cusp", "position": [0.5, 0.7]}
+
+
+def test_the_label_of_a_curve_names_its_orbits_in_turn() -> None:
+    assert (FOLD.label, GRAZE.label) == ("3-4-2, 3-5-2", "1-1-1")
 
 
 def test_a_table_without_a_curve_is_a_header(tmp_path: Path) -> None:

@@ -86,7 +86,16 @@ def copied(store: Path, to: Path) -> Path:
 def with_lines(store: Path, *points: list[tuple[float, float]], unstable: int = 0) -> Path:
     """A store with these curves, folds."""
     curves = [
-        Curve("fold", 1, 1, 1, True, np.array(each), np.full(len(each), unstable), ("edge", "edge")) for each in points
+        Curve(
+            "fold",
+            1,
+            *np.ones((2, len(each)), int),
+            True,
+            np.array(each),
+            np.full(len(each), unstable),
+            ("edge", "edge"),
+        )
+        for each in points
     ]
     write_curves(read_header(store), Curves(("omega", "b"), tuple(curves)))
     return store

@@ -46,11 +46,12 @@ def columns(axes: tuple[str, str]) -> list[str]:
 
 
 def rows(found: Curves) -> Iterator[tuple[Any, ...]]:
-    """The rows of the CSV; ``unstable`` of a point of codimension two is that of the point before it."""
+    """The rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
     for number, curve in enumerate(found):
-        orbit = (curve.period, curve.impacts_upper, curve.impacts_lower, str(curve.symmetric).lower())
-        corners = _placed(curve)
-        for k, ((x, y), unstable) in enumerate(zip(curve.points.tolist(), curve.unstable.tolist(), strict=True)):
+        corners, symmetric = _placed(curve), str(curve.symmetric).lower()
+        counts = (each.tolist() for each in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
+        for k, ((x, y), upper, lower, unstable) in enumerate(zip(curve.points.tolist(), *counts, strict=True)):
+            orbit = (curve.period, upper, lower, symmetric)
             yield (number, curve.kind, *orbit, x, y, unstable)
             for corner in corners.get(k, ()):
                 yield (number, corner.kind, *orbit, corner.x, corner.y, unstable)
@@ -64,8 +65,8 @@ def as_json(found: Curves) -> dict[str, Any]:
             {
                 "kind": curve.kind,
                 "period": curve.period,
-                "impacts_upper": curve.impacts_upper,
-                "impacts_lower": curve.impacts_lower,
+                "impacts_upper": curve.impacts_upper.tolist(),
+                "impacts_lower": curve.impacts_lower.tolist(),
                 "symmetric": curve.symmetric,
                 "ends": list(curve.ends),
                 "points": curve.points.tolist(),

@@ -54,15 +54,17 @@ def report_of(search: Search, duplicates: int) -> dict[str, Any]:
 def as_curve(found: Followed) -> Curve:
     """A curve as it is kept: from the end with the lesser x, or y where that is the same."""
     itinerary = found.of.orbit.itinerary
-    upper, lower = sorted((itinerary.impacts(1), itinerary.impacts(-1)), reverse=True)
+    hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in found.orbits], dtype=np.int64)
+    if np.sum(hits[:, 1]) > np.sum(hits[:, 0]):
+        hits = hits[:, ::-1]
     points, unstable, ends, corners = found.values, found.unstable, found.ends, found.corners
     if tuple(points[-1]) < tuple(points[0]):
-        points, unstable, ends, corners = points[::-1], unstable[::-1], ends[::-1], corners[::-1]
+        points, unstable, ends, corners, hits = points[::-1], unstable[::-1], ends[::-1], corners[::-1], hits[::-1]
     return Curve(
         kind=found.of.kind,
         period=itinerary.periods,
-        impacts_upper=upper,
-        impacts_lower=lower,
+        impacts_upper=hits[:, 0].copy(),
+        impacts_lower=hits[:, 1].copy(),
         symmetric=itinerary.symmetric,
         points=points.copy(),
         unstable=unstable.copy(),
@@ -93,7 +95,12 @@ def _goes_on(search: Search, k: int) -> bool:
     """Whether a later curve goes through both ends of this one: it ended early, and was found again beyond."""
     curve = search.curves[k]
     ends = [
-        curve.of._replace(orbit=curve.orbits[at], contacts=curve.contacts[at], values=curve.values[at])
+        curve.of._replace(
+            condition=curve.conditions[at],
+            orbit=curve.orbits[at],
+            contacts=curve.contacts[at],
+            values=curve.values[at],
+        )
         for at in (1, len(curve.orbits) // 2, len(curve.orbits) - 2)
         if 0 <= at < len(curve.orbits)
     ]
@@ -117,7 +124,7 @@ def _after(points: NDArray[np.float64], at: NDArray[np.float64]) -> int:
 
 
 def _order(curve: Curve) -> tuple[Any, ...]:
-    orbit = (curve.period, curve.impacts_upper, curve.impacts_lower, not curve.symmetric)
+    orbit = (curve.period, int(curve.impacts_upper[0]), int(curve.impacts_lower[0]), not curve.symmetric)
     return (KINDS.index(curve.kind), *orbit, tuple(curve.points[0]), tuple(curve.points[-1]), len(curve.points))
 
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.cells import CEASES, CellOrbits
-from workers.continuation import Condition, Event, Family, Orbit, Point, branch, curve
+from workers.continuation import Condition, Event, Family, Itinerary, Orbit, Point, branch, curve
 from workers.continuation.branches import EDGE, BranchRun, Until
 from workers.continuation.curves import loses_impact, without_impact
 from workers.continuation.events import GRAZING, LOST
-from workers.continuation.extended import PAIR, Extended, solve
+from workers.continuation.extended import PAIR, Extended, conditions_on, solve
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
 
@@ -43,20 +43,22 @@ class Located(NamedTuple):
 
     @property
     def signature(self) -> tuple[str, int, int, bool]:
-        """What all points of its curve have in common: kind, periods, impacts of a turn, symmetry."""
+        """What all points of its curve have in common up to a change of contacts: kind, periods, events, symmetry."""
         itinerary = self.orbit.itinerary
         return self.kind, itinerary.periods, len(itinerary.sides), itinerary.symmetric
 
 
 class Followed(NamedTuple):
-    """A curve as it was followed: what it is of, values (N, 2), orbits and contact times of its points, how many other
-    multipliers are unstable (N,), its points of codimension two (kind, place (2,)), and its ends.
+    """A curve as it was followed: what it is of, values (N, 2), orbits and contact times of its points, the condition
+    on each orbit, how many other multipliers are unstable (N,), its points of codimension two (kind, place (2,)), and
+    its ends. Its orbits have other events beyond a point at which contacts or slides change though nothing jumps.
     """
 
     of: Located
     values: Array
     orbits: list[Orbit]
     contacts: Array
+    conditions: list[Condition]
     unstable: NDArray[np.int64]
     corners: list[tuple[str, Array]]
     ends: tuple[str, str]
@@ -155,24 +157,51 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
         return str(error)
     if len(run.points) < 2:
         return f"the {event.kind.replace('_', ' ')} is alone: no step along its curve converges"
-    own = _of_one_itinerary(run.points)
-    grazes = min(len(point.contacts) for point in own)  # where it ends at another graze that one's time is added
+    own = _of_whole_turns(run.points)
+    grazes = min(len(point.contacts) for point in own)  # at another graze that one's time is added
+    conditions = _conditions(orbits, event, own)
+    if conditions is None:
+        return f"the {event.kind.replace('_', ' ')} is lost on its way: its own event is not that of a neighbour"
     return Followed(
         of=event,
         values=np.array([point.values for point in run.points]),
         orbits=[point.orbit for point in own],
         contacts=np.array([point.contacts[:grazes] for point in own]),
+        conditions=conditions,
         unstable=np.array([point.unstable for point in run.points], dtype=np.int64),
         corners=[(met.kind, met.point.values) for met in run.events if len(met.conditions) == 2],
         ends=run.ends,
     )
 
 
-def _of_one_itinerary(points: list[Point]) -> list[Point]:
+def _of_whole_turns(points: list[Point]) -> list[Point]:
     """The points, an end at which the orbit becomes a shorter one replaced by its neighbour."""
-    itinerary = points[len(points) // 2].orbit.itinerary
-    inside = [k for k, point in enumerate(points) if point.orbit.itinerary == itinerary]
-    return [points[min(max(k, inside[0]), inside[-1])] for k in range(len(points))]
+    own = list(points)
+    for end, beside in ((0, 1), (-1, -2)):
+        if _length(own[end].orbit.itinerary) != _length(own[beside].orbit.itinerary):
+            own[end] = own[beside]
+    return own
+
+
+def _length(itinerary: Itinerary) -> tuple[int, bool]:
+    return itinerary.periods, itinerary.symmetric
+
+
+def _conditions(orbits: CellOrbits, event: Located, points: list[Point]) -> list[Condition] | None:
+    """The condition of an event on the orbit of each point, from that with the event's own itinerary to both ends."""
+    start = next((k for k, point in enumerate(points) if point.orbit.itinerary == event.orbit.itinerary), 0)
+    found = {start: event.condition}
+    for way, last in ((1, len(points)), (-1, -1)):
+        for k in range(start + way, last, way):
+            here, former = points[k], points[k - way]
+            found[k] = found[k - way]
+            if here.orbit.itinerary != former.orbit.itinerary:
+                span = float(former.orbit.itinerary.span(orbits.family.model(former.values[None]))[0])
+                carried = conditions_on(here.orbit, (found[k - way],), former.orbit, span)
+                if carried is None:
+                    return None
+                (found[k],) = carried
+    return [found[k] for k in range(len(points))]
 
 
 def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
@@ -180,7 +209,7 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
 
     Distance in the plane alone says nothing: curves of different orbits cross, and may coincide.
     """
-    if event.signature != known.of.signature:
+    if event.kind != known.of.kind or _length(event.orbit.itinerary) != _length(known.of.orbit.itinerary):
         return False
     width = orbits.plane.width
     for place, share in _nearest(known.values / width, event.values / width):
@@ -210,19 +239,30 @@ def _nearest(points: Array, at: Array) -> list[tuple[int, float]]:
     return [(int(k), float(shares[k])) for k in best]
 
 
+def _is_alike(one: Itinerary, other: Itinerary) -> bool:
+    return _length(one) == _length(other) and len(one.sides) == len(other.sides)
+
+
+def _is_whole(known: Followed, place: int) -> bool:
+    """Whether the orbits at both ends of a chord have the same events."""
+    return known.orbits[place].itinerary == known.orbits[place + 1].itinerary
+
+
 def _solved_at(
     family: Family, event: Located, known: Followed, place: int, share: float, width: Array
 ) -> tuple[Array, Orbit] | None:
     """The point of a curve on the line across its chord, with its orbit."""
-    condition = known.of.condition
+    ends = [k for k in (place, place + 1) if _is_alike(known.orbits[k].itinerary, event.orbit.itinerary)]
+    if not ends:
+        return None
+    condition, along = known.conditions[ends[0]], known.values[place + 1] - known.values[place]
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
-    ends = known.values[place : place + 2]
-    equations = Extended(family, known.orbits[place], (condition,), ends[0], width)
-    packed = [equations.pack(known.orbits[k], known.contacts[k], known.values[k]) for k in (place, place + 1)]
-    guess = (1.0 - share) * packed[0] + share * packed[1]
+    equations = Extended(family, known.orbits[ends[0]], (condition,), known.values[ends[0]], width)
+    packed = [equations.pack(known.orbits[k], known.contacts[k], known.values[k]) for k in ends]
+    guess = (1.0 - share) * packed[0] + share * packed[1] if _is_whole(known, place) else packed[0]
     row = np.zeros(len(guess))
-    row[-2:] = (ends[1] - ends[0]) / width**2
+    row[-2:] = along / width**2
     row /= np.linalg.norm(row * equations.scale)
     try:
         equations = equations.at(guess)

@@ -58,10 +58,17 @@ def passed(plane: Plane, values: Array, at: Array) -> tuple[NDArray[np.int64], N
 
 
 def orbits_beside(passings: list[Passing]) -> tuple[list[Orbit], Array]:
-    """About the orbits at places on curves, and the parameters (N, 2) there: between the ends of their chords."""
+    """About the orbits at places on curves, and the parameters (N, 2) there: between the ends of their chords, or at
+    the nearer one where their events differ.
+    """
     orbits, values = [], []
     for found, chord, share in passings:
         first, last = found.orbits[chord], found.orbits[chord + 1]
+        if first.itinerary != last.itinerary:
+            nearer = chord + (share > 0.5)
+            orbits.append(found.orbits[nearer])
+            values.append(found.values[nearer])
+            continue
         times = (1.0 - share) * first.times + share * last.times
         speeds = (1.0 - share) * first.speeds + share * last.speeds
         orbits.append(Orbit(first.itinerary, times, speeds))

@@ -35,10 +35,13 @@ def event_from_json(given: dict[str, Any]) -> Located:
 
 
 def curve_as_json(found: Followed) -> dict[str, Any]:
-    """A curve as plain values; its orbits share one itinerary."""
+    """A curve as plain values; orbits share their itineraries, each with the condition on them."""
+    own = [(orbit.itinerary, condition) for orbit, condition in zip(found.orbits, found.conditions, strict=True)]
+    shared = list(dict.fromkeys(own))
     return {
         "of": event_as_json(found.of),
-        "itinerary": list(found.orbits[0].itinerary),
+        "itineraries": [[list(itinerary), list(condition)] for itinerary, condition in shared],
+        "which": [shared.index(each) for each in own],
         "values": found.values.tolist(),
         "times": [orbit.times.tolist() for orbit in found.orbits],
         "speeds": [orbit.speeds.tolist() for orbit in found.orbits],
@@ -51,10 +54,10 @@ def curve_as_json(found: Followed) -> dict[str, Any]:
 
 def curve_from_json(given: dict[str, Any]) -> Followed:
     """The inverse of ``curve_as_json``."""
-    itinerary = _itinerary(given["itinerary"])
+    shared = [(_itinerary(itinerary), Condition(*condition)) for itinerary, condition in given["itineraries"]]
     orbits = [
-        Orbit(itinerary, np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64))
-        for times, speeds in zip(given["times"], given["speeds"], strict=True)
+        Orbit(shared[k][0], np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64))
+        for k, times, speeds in zip(given["which"], given["times"], given["speeds"], strict=True)
     ]
     first, last = given["ends"]
     return Followed(
@@ -62,6 +65,7 @@ def curve_from_json(given: dict[str, Any]) -> Followed:
         values=np.array(given["values"]),
         orbits=orbits,
         contacts=np.array(given["contacts"], dtype=np.float64).reshape(len(orbits), -1),
+        conditions=[shared[k][1] for k in given["which"]],
         unstable=np.array(given["unstable"], dtype=np.int64),
         corners=[(kind, np.array(place)) for kind, place in given["corners"]],
         ends=(first, last),

@@ -23,6 +23,7 @@ from atlas.curves.plane import Plane
 from atlas.curves.record import curve_from_json, event_from_json
 from atlas.curves.settings import CurveSettings
 from atlas.curves.tasks import Follow, Look, Match, Persist, Task
+from workers.continuation import Itinerary
 
 CHUNK = 128
 """Edges in a task."""
@@ -194,7 +195,7 @@ class Search:
             rows, chords, shares = passed(self.plane, curve.values, self.middles[wanted])
             for edge, chord, share in zip(wanted[rows].tolist(), chords.tolist(), shares.tolist(), strict=True):
                 for cell in self.edges[edge].tolist():
-                    if self._may_be(curve, cell):
+                    if any(self._may_be(curve.orbits[k].itinerary, cell) for k in (chord, chord + 1)):
                         passings.append((name, chord, share, cell))
                         which.append(edge)
         parts = [slice(k, k + CHUNK) for k in range(0, len(passings), CHUNK)]
@@ -204,9 +205,9 @@ class Search:
             self.verdicts[edges[np.array(result.get("match", [False] * len(edges)), dtype=bool)]] = CURVE
             self._note(result)
 
-    def _may_be(self, curve: Followed, cell: int) -> bool:
-        """Whether a cell has an orbit of the same periods and impacts as a curve, mirror images alike."""
-        plane, itinerary = self.plane, curve.of.orbit.itinerary
+    def _may_be(self, itinerary: Itinerary, cell: int) -> bool:
+        """Whether a cell has an orbit of the periods and impacts of one on a curve, mirror images alike."""
+        plane = self.plane
         counts = {itinerary.impacts(1), itinerary.impacts(-1)}
         own = {int(plane.impacts_upper[cell]), int(plane.impacts_lower[cell])}
         uncounted = min(own) < 0

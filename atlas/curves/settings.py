@@ -7,7 +7,7 @@ from atlas.curves.plane import SMALL, Plane
 from atlas.errors import InputError, shown
 from workers import SOLVER_VERSION
 
-VERSION = 3
+VERSION = 4
 """Of the search: raised whenever any curve may change."""
 
 

@@ -39,8 +39,8 @@ class Curve:
 
     kind            one of KINDS
     period          of the orbit in forcing periods
-    impacts_upper   impacts of the orbit at either stop; of an orbit and its mirror image, which have the same curves,
-    impacts_lower   that with more at the upper one
+    impacts_upper (N,)  impacts of the orbit at either stop, which change where nothing jumps; of an orbit and its
+    impacts_lower (N,)  mirror image, which have the same curves, that with more at the upper one
     symmetric       whether the orbit is its own mirror image
     points (N, 2)   in order along the curve, x axis first; of a closed curve the last is the first
     unstable (N,)   number of multipliers with modulus above 1, not counting the event's own: where it is 0 the orbit
@@ -52,8 +52,8 @@ class Curve:
 
     kind: str
     period: int
-    impacts_upper: int
-    impacts_lower: int
+    impacts_upper: NDArray[np.int64]
+    impacts_lower: NDArray[np.int64]
     symmetric: bool
     points: NDArray[np.float64]
     unstable: NDArray[np.int64]
@@ -62,8 +62,9 @@ class Curve:
 
     @property
     def label(self) -> str:
-        """The orbit as n-p-q: periods, impacts at the upper and at the lower stop."""
-        return f"{self.period}-{self.impacts_upper}-{self.impacts_lower}"
+        """The orbit as n-p-q: periods, impacts at the upper and at the lower stop; in turn where these change."""
+        counts = zip(self.impacts_upper.tolist(), self.impacts_lower.tolist(), strict=True)
+        return ", ".join(dict.fromkeys(f"{self.period}-{upper}-{lower}" for upper, lower in counts))
 
     @property
     def bounding(self) -> NDArray[np.bool_]:
@@ -149,15 +150,21 @@ def as_arrays(found: Curves) -> dict[str, StoredArray]:
     of_curve = {
         "kind": (text([curve.kind for curve in curves]), "kind of event"),
         "period": (each("period", "int32"), "forcing periods per orbit"),
-        "impacts_upper": (each("impacts_upper", "int32"), "impacts at the upper stop per orbit"),
-        "impacts_lower": (each("impacts_lower", "int32"), "impacts at the lower stop per orbit"),
         "symmetric": (each("symmetric", "bool"), "orbit is its own mirror image"),
         "first_end": (text([curve.ends[0] for curve in curves]), "why the curve ends at its first point"),
         "last_end": (text([curve.ends[1] for curve in curves]), "why the curve ends at its last point"),
         "row_size": (np.array([len(curve.points) for curve in curves], dtype="int64"), "points of the curve"),
     }
     points = np.concatenate([np.zeros((0, 2)), *(curve.points for curve in curves)])
-    unstable = np.concatenate([np.zeros(0, "int64"), *(curve.unstable for curve in curves)]).astype("int32")
+    of_point = {
+        "unstable": "unstable multipliers besides the event's own",
+        "impacts_upper": "impacts at the upper stop per orbit",
+        "impacts_lower": "impacts at the lower stop per orbit",
+    }
+
+    def whole(name: str) -> NDArray[Any]:
+        return np.concatenate([np.zeros(0, "int64"), *(getattr(curve, name) for curve in curves)]).astype("int32")
+
     places = np.array([(corner.x, corner.y) for _, corner in corners], dtype="float64").reshape(-1, 2)
 
     def count(values: NDArray[Any], dim: str, what: str) -> StoredArray:
@@ -170,9 +177,9 @@ def as_arrays(found: Curves) -> dict[str, StoredArray]:
         for name, (values, what) in of_curve.items()
     }
     made["row_size"].attributes["sample_dimension"] = "point"
+    made |= {name: count(whole(name), "point", what) for name, what in of_point.items()}
     return made | {
         "position": StoredArray(points, ("point", "axis"), {"long_name": "points of all curves, end to end"}),
-        "unstable": count(unstable, "point", "unstable multipliers besides the event's own"),
         "corner_curve": count(
             np.array([number for number, _ in corners], dtype="int32"), "corner", "its curve, from 0"
         ),
@@ -201,8 +208,8 @@ def from_arrays(arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any
         Curve(
             kind=str(arrays["kind"][k]),
             period=int(arrays["period"][k]),
-            impacts_upper=int(arrays["impacts_upper"][k]),
-            impacts_lower=int(arrays["impacts_lower"][k]),
+            impacts_upper=arrays["impacts_upper"][end - size : end].astype(np.int64),
+            impacts_lower=arrays["impacts_lower"][end - size : end].astype(np.int64),
             symmetric=bool(arrays["symmetric"][k]),
             points=arrays["position"][end - size : end].copy(),
             unstable=arrays["unstable"][end - size : end].astype(np.int64),

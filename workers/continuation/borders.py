@@ -15,7 +15,7 @@ from workers.continuation.events import (
     solution,
     solved_on,
 )
-from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition
+from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on
 from workers.continuation.legs import ACT, EVENT, SLOWS
 from workers.continuation.switching import SwitchingMotion
 from workers.continuation.walk import Step
@@ -24,6 +24,11 @@ from workers.model.oscillator import Array
 
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
+
+NEARLY = 1e-3
+"""Share of the window within which a curve that goes no further ends, and of its size the rate of the event that it
+loses there: rates fall faster than distances, to rounding.
+"""
 
 
 def leaving(step: Step, why: Fault) -> LocatedEvent | None:
@@ -50,8 +55,10 @@ def nearly_lost(step: Step) -> LocatedEvent | None:
     motion = step.equations.motion(step.here)
     if isinstance(motion, ImpactMotion) or not motion.itinerary.sides:
         return None
-    slowest = int(np.argmin(np.abs(motion.turn.signals[0, 1]) / motion.scale()[1][0]))
-    return _of_loss(step, step.here, motion, Fault(LOST, slowest))
+    rates = np.abs(motion.turn.signals[0, 1]) / motion.scale()[1][0]
+    slowest = int(np.argmin(rates))
+    near = NEARLY if step.equations.conditions and rates[slowest] < NEARLY else 0.0
+    return _of_loss(step, step.here, motion, Fault(LOST, slowest), near)
 
 
 def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
@@ -77,27 +84,32 @@ def _of_holding(step: Step, X: Array, motion: SwitchingMotion, why: Fault) -> Lo
     return solved_on(step, X, (*step.equations.conditions, condition))
 
 
-def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault) -> LocatedEvent | None:
-    """Where an event of a machine with modes is lost: the graze of the orbit without it."""
+def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: float = 0.0) -> LocatedEvent | None:
+    """Where an event of a machine with modes is lost, the graze of the orbit without it: on the step or ``near`` it."""
     eq = step.equations
     if SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
         return solved_on(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
-    if any(condition.kind in (ONSET, ENDS, SPEED) for condition in eq.conditions):
-        return None  # of an event that may have another place in the orbit without this one
     shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
     if shorter is None:
         return None
     orbit, leg, time = shorter
-    conditions = (*eq.conditions, Condition(GRAZE, side=leg.side, signal=leg.signal))
+    own = conditions_on(orbit, eq.conditions, eq.orbit(X), float(motion.span[0]))
+    if own is None:
+        return None
+    conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
     found = solution(eq, orbit, conditions, np.append(eq.contacts(X), time), X)
     before, after = (eq.motion(end).turn.signals[0, 1, why.impact] for end in (step.here, step.there))
     share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
-    if found is None or not step.is_near(eq.values(step.guess(share)), found[0].values(found[1])) or fault(*found):
+    if (
+        found is None
+        or not step.is_near(eq.values(step.guess(share)), found[0].values(found[1]), near)
+        or fault(*found)
+    ):
         return None
     event = event_of(*found)
-    if event.kind == GRAZING:
-        soft = motion.lin.soft[0, leg.signal // SIGNALS] > 0.0
-        event = event._replace(kind=CONTACT_LOST if soft else IMPACT_LOST)
+    if event.last == GRAZING:
+        lost = CONTACT_LOST if motion.lin.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
+        event = event._replace(last=lost, kind=event.kind if own else lost)
     return LocatedEvent(share, event)
 
 

@@ -4,7 +4,7 @@ orbits are followed in their free parameters: one for a branch, two for a curve 
 Whatever changes sign from one step to the next is located as the solution of a square system. A run goes in both
 directions from its start; either ends at the edge of the window, where it closes, where the orbit ceases to be
 admissible, or where it turns into a shorter one. Where the contacts or slides of an orbit change though nothing jumps,
-a branch goes on: the change is an event on it.
+a branch or a curve goes on: the change is an event on it.
 """
 
 import math
@@ -127,7 +127,7 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
         raise ValueError(f"a branch leaves at symmetry_breaking and period_doubling, not at {event.kind}")
     none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
     square = Extended(family, orbit, event.conditions, values, widths)
-    _, critical = square.at(square.pack(orbit, none, values)).borders[0]
+    critical = square.critical(square.pack(orbit, none, values))
     critical = critical * np.copysign(1.0, critical[0])  # either sign is a null vector
     whole = doubled(orbit, float(orbit.itinerary.span(square.model(values))[0]))
     equations = Extended(family, whole, (), values, widths)
@@ -215,7 +215,7 @@ def _one_direction(
 
 
 class _Beyond(NamedTuple):
-    """A branch beyond a change of itinerary: its points up to where ``walk`` leaves, and what is seen there."""
+    """A branch or a curve beyond a change of itinerary: points up to where ``walk`` leaves, and what is seen there."""
 
     walk: PseudoArclength
     seen: TestFunctions
@@ -224,9 +224,9 @@ class _Beyond(NamedTuple):
 
 
 def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _Beyond | None:
-    """The branch that goes on from an event at which another one ends; None where none is found.
+    """The branch or curve that goes on from an event at which another one ends; None where none is found.
 
-    Nothing jumps if its own orbits, followed back, end at the same orbit of the same parameter.
+    Nothing jumps if its own orbits, followed back, end at the same orbit of the same parameters.
     """
     for equations, X in orbits_beyond(walk.equations, event, bounds):
         seen = monitored(equations, X)
@@ -235,9 +235,12 @@ def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _Beyond | Non
         away = seen.point.values - event.point.values
         share = float(np.max(np.abs(away) / equations.width))
         direction = np.zeros(len(X))
-        direction[len(X) - equations.free :] = np.copysign(equations.width, away)
-        near = np.sort([event.point.values - 0.5 * np.abs(away), event.point.values + 0.5 * np.abs(away)], axis=0)
-        near = np.array([np.minimum(near[0], seen.point.values), np.maximum(near[1], seen.point.values)])
+        direction[len(X) - equations.free :] = away
+        margin = 0.5 * share * equations.width
+        near = np.array([
+            np.minimum(event.point.values - margin, seen.point.values),
+            np.maximum(event.point.values + margin, seen.point.values),
+        ])  # fmt: skip
         back = PseudoArclength(seen.equations, X, share, -direction)
         run = _one_direction(back, seen, near, MOST_BACK, None, goes_on=False)
         if run.events and run.events[-1].point is run.points[-1] and is_same_event(equations, event, run.events[-1]):

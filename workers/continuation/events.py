@@ -194,12 +194,16 @@ def _function(value: float, conditions: tuple[Condition, ...]) -> TestFunction:
 
 
 class Event(NamedTuple):
-    """An event: its kind, its conditions, and the point; kappa = cos theta of a pair on the unit circle, else NaN."""
+    """An event: its kind, its conditions, and the point; kappa = cos theta of a pair on the unit circle, else NaN.
+
+    ``last``: the kind of its last condition alone, such as "graze" of a graze_fold that a curve of folds meets.
+    """
 
     kind: str
     conditions: tuple[Condition, ...]
     point: Point
     kappa: float = math.nan
+    last: str = ""
 
 
 class LocatedEvent(NamedTuple):
@@ -317,10 +321,11 @@ def solution(
 def event_of(square: Extended, X: Array) -> Event:
     """The event that unknowns X of a square system are."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
-    kind, motion = name_of(square.conditions, square.itinerary.symmetric), square.motion(X)
-    if kind == IMPACT_LOST and not isinstance(motion, ImpactMotion):
-        kind = GRAZING_SLIDING  # what has no rate is friction that begins to stick
-    if kind == GRAZING and not isinstance(motion, ImpactMotion):
-        (touch,) = touches(square, X)
-        kind = name_of_touch(motion, touch)
-    return Event(kind, square.conditions, _point(square, X)[0], 0.5 * next(totals, math.nan))
+    conditions, symmetric, motion = square.conditions, square.itinerary.symmetric, square.motion(X)
+    last = name_of(conditions[-1:], symmetric)
+    if last == IMPACT_LOST and not isinstance(motion, ImpactMotion):
+        last = GRAZING_SLIDING  # what has no rate is friction that begins to stick
+    if last == GRAZING and not isinstance(motion, ImpactMotion):
+        last = name_of_touch(motion, touches(square, X)[-1])
+    kind = last if len(conditions) == 1 else name_of(conditions, symmetric)
+    return Event(kind, conditions, _point(square, X)[0], 0.5 * next(totals, math.nan), last)

@@ -35,6 +35,9 @@ the state follows."""
 REMEMBERED = 8
 """Oscillators, and motions, that are kept, since one point is asked several things."""
 
+SAME_EVENT = 1e-2
+"""Share of a turn within which an event of an orbit is that of another one with other events too."""
+
 UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS = (
     "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends",
 )  # fmt: skip
@@ -54,6 +57,27 @@ class Condition(NamedTuple):
     impact: int = 0
     kappa: float = 0.0
     signal: int = 0
+
+
+def conditions_on(
+    orbit: Orbit, conditions: tuple[Condition, ...], former: Orbit, span: float
+) -> tuple[Condition, ...] | None:
+    """Conditions on a former orbit as those on one with other events, at about the same time else; None where an event
+    that one of them is of is gone.
+    """
+    found = []
+    for condition in conditions:
+        if condition.kind in (SPEED, ONSET, ENDS):
+            turns = (orbit.times - former.times[condition.impact]) / span
+            flips = np.where(np.round(turns) % 2 == 0, 1, orbit.itinerary.sign)
+            alike = flips * np.array(orbit.itinerary.sides) == former.itinerary.sides[condition.impact]
+            near = np.where(alike, np.abs(turns - np.round(turns)), np.inf)
+            if not np.any(near < SAME_EVENT):
+                return None
+            place = int(np.argmin(near))
+            condition = condition._replace(impact=place, side=int(flips[place]) * condition.side)
+        found.append(condition)
+    return tuple(found)
 
 
 class Extended:
@@ -126,7 +150,8 @@ class Extended:
         motion = motion_of_unknowns(taken(self.family.model(values), which), self.itinerary, rows)
         base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
-        J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
+        with np.errstate(invalid="ignore"):  # both may be infinite, and Newton's method fails then
+            J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
         J[: self.states, : self.states] = motion.linearised()[0]
         J[: self.states, self.states : N - self.free] = 0.0
         return base, J[None]
@@ -169,9 +194,29 @@ class Extended:
         return np.concatenate(parts, axis=1)
 
     def _bordered_matrix(self, condition: Condition, motion: Motion) -> Array:
-        """J_z of a condition on a multiplier, in units of unknowns and residuals."""
-        J = motion.linearised(1 if condition.kind == UNIT else -1)
-        return np.asarray(J * self.scale[: self.states] / self.unit[:, None])
+        """J_z of a condition on a multiplier, in units of unknowns and residuals; of a machine with modes DP - z.
+
+        J_z has no poles where an impact has no speed. Where a soft contact is hardly touched it is nearly singular
+        whatever the multipliers are, and DP is not.
+        """
+        z = 1.0 if condition.kind == UNIT else -1.0
+        if isinstance(motion, SwitchingMotion):
+            size = self.scale[: motion.start.shape[1]]
+            return np.asarray((motion.turn_map() - z * np.eye(len(size))) * size / size[:, None])
+        return np.asarray(motion.linearised(z) * self.scale[: self.states] / self.unit[:, None])
+
+    def critical(self, X: Array) -> Array:
+        """The direction (states,) of state and times, in units of the scale, in which a multiplier is that of the
+        first condition at unknowns X (N,)."""
+        return self._of_unknowns(self.motion(X), self.at(X).borders[0][1][None])[0]
+
+    def _of_unknowns(self, motion: Motion, along: Array) -> Array:
+        """The direction (B, states) of unknowns that a null vector of ``_bordered_matrix`` is, in units of scale."""
+        if not isinstance(motion, SwitchingMotion):
+            return along
+        size = self.scale[: motion.start.shape[1]]
+        found = motion.unknowns_along(along * size) / self.scale[: self.states]
+        return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
     def _solved(self, i: int, motion: Motion) -> Array:
         """(w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular, along w."""
@@ -186,7 +231,7 @@ class Extended:
     def curvature(self, motion: Motion) -> Array:
         """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
-        along = self._solved(fold, motion)[:, :-1] * self.scale[: self.states]
+        along = self._of_unknowns(motion, self._solved(fold, motion)[:, :-1]) * self.scale[: self.states]
         ends = (motion.unknowns + sign * CURVED * along for sign in (1.0, -1.0))
         ahead, behind = (self._solved(fold, motion_of_unknowns(motion.lin, self.itinerary, end))[:, -1] for end in ends)
         return np.asarray((ahead - behind) / (2.0 * CURVED))

@@ -53,20 +53,48 @@ def act_on(elements, r, act, signal, z, W):
 
 
 @kernel
-def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start):
+def saltate(modes, elements, plan, leg, r, omega, z, phase, least, D, P):
+    """Take tangents D (m, 2n) at a time through the event at the end of a leg, S w = R w + (f+ - R f-) (r . w) / r'.
+
+    All is taken where the guard is at its end, next to z if z is not: the map of a turn is smooth off the orbit too,
+    however slowly a contact is reached. P (3, 2n) is room. S = R where friction begins to stick at a rate below least.
+    """
+    k, g, act, n = plan[leg, MODE], plan[leg, SIGNAL], plan[leg, ACT], len(z) // 2
+    row, at, f, late = modes.rows[k, g, : 2 * n], P[0], P[1:2], P[2]
+    value, _ = guard_value(modes, k, g, z, phase)
+    miss, length = value - modes.ends[k, g, plan[leg, END]], product(row, row, 0)
+    for j in range(2 * n):
+        at[j] = z[j] - miss / length * row[j]
+    right_hand_side(modes, k, at, phase, f[0])
+    rate, shares = guard_rate(modes, k, g, f[0], omega, phase), np.empty(len(D))
+    for e in range(len(D)):
+        shares[e] = 0.0 if act == SLOWS and abs(rate) < least else product(row, D[e], 0) / rate
+    act_on(elements, r, act, g, at, f)
+    right_hand_side(modes, plan[leg + 1, MODE], at, phase, late)
+    act_on(elements, r, act, g, at, D)
+    for e in range(len(D)):
+        for j in range(2 * n):
+            D[e, j] += shares[e] * (late[j] - f[0, j])
+
+
+@kernel
+def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, least):
     """Turns from ``start`` (N, 2n) over events at times t (N, m); plan (L, PLAN): the legs, which end at ends (N, L).
 
     signals (N, 3, m)  each guard's value, its rate, and the rate after the event; states (N, L, 2n) where legs begin
     residuals, tangents, shifts: as those of shooting.turns, of physical states and guards
+    maps (N, 2n, 2n)   of a turn, of the state at the time of the first event; least (N, m): see saltate
     """
     (N, m), size, legs = t.shape, start.shape[1], len(plan)
     n, M = size // 2, size + m
     signals, states = np.zeros((N, 3, m)), np.empty((N, legs, size))
     residuals, tangents, shifts = np.empty((N, M)), np.zeros((N, M, M)), np.zeros((N, M, M))
-    h, V, f, late = np.empty((n, 2)), np.empty((M, n, 2)), np.empty(size), np.empty(size)
+    h, V, f, late = np.empty((n, 2)), np.empty((size + M, n, 2)), np.empty(size), np.empty(size)
+    maps, room = np.empty((N, size, size)), np.empty((3, size))
     for r in range(N):
-        modes, z, W = row_of(pieces, r), start[r].copy(), np.zeros((M, size))
-        W[:size] = np.eye(size)
+        modes, z, every = row_of(pieces, r), start[r].copy(), np.zeros((size + M, size))
+        D, W = every[:size], every[size:]
+        D[:], W[:size] = np.eye(size), np.eye(size)
         now, alive, k = 0.0, size, plan[0, MODE]
         if m > 0:
             now, alive = t[r, 0], size + 1
@@ -76,11 +104,12 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start):
             k, i, g, act = plan[leg, MODE], plan[leg, EVENT], plan[leg, SIGNAL], plan[leg, ACT]
             states[r, leg] = z
             phase, later = tau[r] + omega[r] * now, tau[r] + omega[r] * ends[r, leg]
-            fly_leg(modes, k, ends[r, leg] - now, phase, later, z, W[:alive], h, V[:alive])
+            fly_leg(modes, k, ends[r, leg] - now, phase, later, z, every[: size + alive], h, V[: size + alive])
             now = ends[r, leg]
             right_hand_side(modes, k, z, later, f)
             if i == NO_EVENT:
                 continue
+            saltate(modes, elements, plan, leg, r, omega[r], z, later, least[r, i], D, room)
             own, row = size + i, modes.rows[k, g, :size]
             value, _ = guard_value(modes, k, g, z, later)
             signals[r, 0, i], signals[r, 1, i] = value, guard_rate(modes, k, g, f, omega[r], later)
@@ -100,7 +129,9 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start):
                 shifts[r, j, size] = -sign * f[j]
             for e in range(M):
                 tangents[r, j, e] = sign * W[e, j]
-    return signals, states, residuals, tangents, shifts
+            for e in range(size):
+                maps[r, j, e] = sign * D[e, j]
+    return signals, states, residuals, tangents, shifts, maps
 
 
 @kernel

@@ -2,20 +2,25 @@
 
 The orbit of the event solves its own equations on both sides of it. Where it is not admissible there, the motion from
 its section state passes the events of the orbit that takes its place, to first order at their times. Newton's method
-then finds that orbit at whichever parameter it has these events as long apart, on either side: a contact that is
-released by its force may turn a branch back.
+then finds that orbit, with the conditions of a curve if it is one, at whichever parameters it has these events as long
+apart, on either side: a contact that is released by its force may turn a branch back. A multiplier changes with the
+square root of the depth in a soft contact, so that a curve turns into the curve of grazes there.
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
+from workers.continuation.equations import motion_of
 from workers.continuation.events import CONTACT_LOST, GRAZING, GRAZING_SLIDING, STICK_END, STICK_ONSET, Event
-from workers.continuation.extended import Extended, solve
+from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.orbits import many_of, moved, states_at_sections
 from workers.continuation.oscillator import Family, NoOscillatorError
 from workers.continuation.recording import halved, recorded_modes
+from workers.continuation.stability import multipliers, pair_near
+from workers.continuation.walk import tangent_at
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array
@@ -25,64 +30,151 @@ OF_CONTACTS = (GRAZING, CONTACT_LOST, LIFT_OFF)
 CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_sliding")
 """Kinds of events at which an orbit of a machine with modes may go on with other contacts or slides."""
 
+OF_MULTIPLIERS = (UNIT, MINUS_ONE, PAIR)
+"""Conditions that take the derivative of the motion to be continuous, and not the motion alone."""
+
 BESIDE = (1e-3, 1e-4, 1e-5, 1e-6)
 """How far from an event, as shares of the window, the orbit beyond is looked for: another event may be near."""
 
+FARTHER, DEPTH = (1e-2, 1e-3, 1e-4, 1e-5), 1e-2
+"""The same on the curve of a change; and how far from that curve, as a share of that, of its square where multipliers
+are asked for: next to a fold an orbit moves with the square root of parameters."""
+
 NEARER = 0.25
 """Share of that distance at which it is looked for again, to see how the times of its events depend on it."""
+
+HALVES = 1e-2
+"""Share of a turn by which the halves of a symmetric orbit may differ as it is recorded beside its own parameters."""
 
 SAME, SAME_STATE = 1e-8, 1e-6
 """Difference of the parameter, in widths of the window, and of section states, relative, of one orbit."""
 
 
 def is_continuous(equations: Extended, event: Event) -> bool:
-    """Whether motions near the orbit of an event depend on its parameter without a jump or a square root there.
+    """Whether motions near the orbit of an event depend on parameters without a jump or a square root there.
 
     A soft contact without preload is touched and lifted from so, damped or not. Of friction, and of lift-off, it
     depends on what the motion does next: ``branches`` follows it back to see. A rigid contact or a preload is touched
-    with a square root. A curve ends there.
+    with a square root. A curve of folds, doublings or pairs ends where the derivative of the motion jumps too: where
+    friction begins to stick at no rate, and where a damped contact is touched that its force releases. Its damper,
+    S = I - (c / m) k r, then acts at its beginning and not at its end.
     """
     lin, contact = equations.model(event.point.values), event.conditions[-1].signal // SIGNALS
-    if not isinstance(lin, HybridMachines) or equations.conditions or equations.free != 1:
+    if not isinstance(lin, HybridMachines) or event.last not in CHANGES:
         return False
-    if event.kind not in OF_CONTACTS:
-        return event.kind in CHANGES
-    soft, preloaded = bool(lin.soft[0, contact]), bool(np.any(lin.pad[0, :, contact, 2] > 0.0))
-    return not preloaded and (soft or event.kind == LIFT_OFF)
+    smooth = any(condition.kind in OF_MULTIPLIERS for condition in equations.conditions)
+    if event.last not in OF_CONTACTS:
+        return not (smooth and event.last == GRAZING_SLIDING)
+    if event.last == LIFT_OFF and not lin.soft[0, contact]:
+        return True
+    _, damping, preload = np.max(lin.pad[0, :, contact], axis=0)
+    jumps = bool(damping > 0.0 and lin.by_force[0, contact] and event.last != LIFT_OFF)
+    return bool(lin.soft[0, contact]) and preload == 0.0 and not (smooth and jumps)
+
+
+class _Beside(NamedTuple):
+    """Where to look beyond an event: the orbit of the event, or one next to it on the curve of its change, at
+    parameters ``values`` (free,); the way (free,) to leave it; and the direction (free,) in which it lies.
+    """
+
+    orbit: Orbit
+    values: Array
+    away: Array
+    along: Array
 
 
 def orbits_beyond(equations: Extended, event: Event, bounds: Array) -> Iterator[tuple[Extended, Array]]:
-    """The orbits that may go on from an event of a branch, as equations with their solution; the farthest first.
+    """The orbits that may go on from an event of a branch or a curve, as equations with their solution; the farthest
+    first.
 
-    bounds (2, 1) of the parameter.
+    bounds (2, free) of the parameters.
     """
+    for beside in _beside_branch(equations, event) if equations.free == 1 else _beside_curve(equations, event, bounds):
+        far, near = (_recorded(equations.family, beside, share, bounds) for share in (1.0, NEARER))
+        if far is None or near is None or far.itinerary != near.itinerary:
+            continue
+        if is_same_sequence(far.itinerary, equations.itinerary):
+            continue  # the orbit that the event ends
+        solved = _solved(equations, event, beside, far, near)
+        if solved is not None and is_within(solved[0].values(solved[1]), bounds):
+            yield solved
+
+
+def _beside_branch(equations: Extended, event: Event) -> Iterator[_Beside]:
+    """The orbit of an event, to be left along the parameter."""
     for share in BESIDE:
         for side in (1.0, -1.0):
             away = side * share * equations.width
-            found = [_recorded(equations, event, event.point.values + part * away, bounds) for part in (1.0, NEARER)]
-            far, near = found
-            if far is None or near is None or far.itinerary != near.itinerary:
+            yield _Beside(event.point.orbit, event.point.values, away, away)
+
+
+def _beside_curve(equations: Extended, event: Event, bounds: Array) -> Iterator[_Beside]:
+    """Orbits with the change of an event of a curve, to be left across their own curve."""
+    values, orbit, contacts, *_ = event.point
+    change = Extended(equations.family, orbit, event.conditions[-1:], values, equations.width)
+    X = change.pack(orbit, contacts[len(contacts) - change.grazes :], values)
+    tangent = tangent_at(change, change.with_jacobian(X[None])[1][0], np.ones(len(X)))
+    row = tangent / change.scale
+    tangent /= np.linalg.norm(tangent[-2:])
+    for share in FARTHER:
+        for side in (1.0, -1.0):
+            found = solve(change, X + side * share * tangent * change.scale, row)
+            if not found.converged:
                 continue
-            if is_same_sequence(far.itinerary, equations.itinerary):
-                continue  # the orbit that the event ends
-            solved = _solved(equations, event, far, near, away)
-            if solved is not None and is_within(solved[0].values(solved[1]), bounds):
-                yield solved
+            here, left = change.values(found.X), change.orbit(found.X)
+            along = (here - values) / change.width
+            depth = DEPTH * share if event.conditions[0].kind in OF_MULTIPLIERS else DEPTH
+            across = depth * np.array([-along[1], along[0]]) * change.width
+            for away in (across, -across):
+                yield from _at_depth(equations, event, _Beside(left, here, away, along * change.width), bounds)
 
 
-def _recorded(equations: Extended, event: Event, values: Array, bounds: Array) -> Orbit | None:
-    """The orbit as a motion passes it from the section state of the event's own orbit at other parameters (1,)."""
+def _at_depth(equations: Extended, event: Event, beside: _Beside, bounds: Array) -> Iterator[_Beside]:
+    """As far across the curve of a change that what is asked of the multipliers is so to first order, if anywhere.
+
+    They change with the square root of how far that is.
+    """
+    deep, (condition, *_) = _recorded(equations.family, beside, 1.0, bounds), event.conditions
+    same = deep is None or is_same_sequence(deep.itinerary, beside.orbit.itinerary)
+    if deep is None or same or condition.kind not in OF_MULTIPLIERS:
+        yield beside
+        return
+    here, there = (
+        _misses(equations, condition, event.kappa, orbit, values)
+        for orbit, values in ((beside.orbit, beside.values), (deep, beside.values + beside.away))
+    )
+    if here * there < 0.0:
+        yield beside._replace(away=(here / (here - there)) ** 2 * beside.away)
+
+
+def _misses(equations: Extended, condition: Condition, kappa: float, orbit: Orbit, values: Array) -> float:
+    """How far the multipliers of an orbit are from a condition on them; NaN where one is infinite."""
+    found = multipliers(motion_of(equations.model(values), many_orbits([orbit])))
+    if not np.all(np.isfinite(found)):
+        return np.nan
+    if condition.kind == PAIR:
+        return float(pair_near(found, np.array([2.0 * kappa]))[1][0]) - 1.0
+    return float(np.prod(found[0] - (1.0 if condition.kind == UNIT else -1.0)).real)
+
+
+def _recorded(family: Family, beside: _Beside, share: float, bounds: Array) -> Orbit | None:
+    """The orbit as a motion passes it from the section state of one beside, this share of the way from it."""
+    orbit, here = beside.orbit, beside.values
+    values = here + share * beside.away
     if not is_within(values, bounds):
         return None
-    family, (here, orbit, *_) = equations.family, event.point
     try:
-        beside = moved(family, many_of([orbit], here[None]), values[None])
-        known, at = (beside.orbits, values) if beside.found[0] else (many_orbits([orbit]), here)
+        moved_on = moved(family, many_of([orbit], here[None]), values[None])
+        known, at = (moved_on.orbits, values) if moved_on.found[0] else (many_orbits([orbit]), here)
         state = states_at_sections(family.model(at[None]), known)[0, 0]
-        found = recorded_modes(_machine(family, values), state, orbit.itinerary.periods)
-        return found if found.itinerary.sides or orbit.itinerary.sides else orbit  # which may be symmetric
+        machine = _machine(family, values)
+        found = recorded_modes(machine, state, orbit.itinerary.periods)
     except (ValueError, np.linalg.LinAlgError):
         return None
+    if not found.itinerary.sides and not orbit.itinerary.sides:
+        return orbit  # which may be symmetric
+    found = halved(machine, found, HALVES) if orbit.itinerary.symmetric else found
+    return found if found.itinerary.symmetric == orbit.itinerary.symmetric else None
 
 
 def _machine(family: Family, values: Array) -> HybridMachines:
@@ -97,25 +189,25 @@ def is_within(values: Array, bounds: Array) -> bool:
     return bool(np.all((bounds[0] <= values) & (values <= bounds[1])))
 
 
-def _solved(equations: Extended, event: Event, far: Orbit, near: Orbit, away: Array) -> tuple[Extended, Array] | None:
-    """The orbit next to one as it was recorded ``away`` from an event, and ``near`` it at NEARER of that."""
-    values, none = event.point.values + away, np.zeros(0)
-    changes = far.times - near.times
+def _solved(
+    equations: Extended, event: Event, beside: _Beside, far: Orbit, near: Orbit
+) -> tuple[Extended, Array] | None:
+    """The orbit next to one as it was recorded beside an event, and ``near`` it at NEARER of the way."""
+    (here, orbit, contacts, *_), free, values = event.point, equations.free, beside.values + beside.away
+    own = [each._replace(kappa=event.kappa) if each.kind == PAIR else each for each in event.conditions[:-1]]
     try:
-        there = Extended(equations.family, far, (), values, equations.width)
-        row = np.eye(1, len(there.scale), there.states)[0]
-        if np.any(changes) and not is_same_sequence(far.itinerary, event.point.orbit.itinerary):
-            row = np.zeros(len(there.scale))
-            row[there.states - there.m : there.states] = changes
-        found = solve(there, there.pack(far, none, values), row / there.scale / np.linalg.norm(row))
-        if not found.converged:
+        conditions = conditions_on(far, tuple(own), orbit, float(orbit.itinerary.span(equations.model(here))[0]))
+        if conditions is None:
             return None
-        orbit, values = there.orbit(found.X), there.values(found.X)
-        half = halved(_machine(equations.family, values), orbit)
-        if half is orbit:
-            return there, found.X
-        there = Extended(equations.family, half, (), values, equations.width)
-        found = solve(there, there.pack(half, none, values), np.eye(1, len(there.scale), there.states)[0] / there.scale)
+        there = Extended(equations.family, far, conditions, values, equations.width)
+        row, changes = np.zeros(len(there.scale)), far.times - near.times
+        if free > 1 or not np.any(changes) or is_same_sequence(far.itinerary, orbit.itinerary):
+            row[len(row) - free :] = beside.along / equations.width
+        else:
+            row[there.states - there.m : there.states] = changes
+        X = there.pack(far, contacts[: there.grazes], values)
+        there = there.at(X)
+        found = solve(there, X, row / there.scale / np.linalg.norm(row))
     except (NoOscillatorError, ValueError, np.linalg.LinAlgError):
         return None
     return (there, found.X) if found.converged else None

@@ -61,15 +61,18 @@ def _leg(row: Array, code: Code, size: int) -> Leg:
     return Leg(code, begun, int(row[LEG.signal]), int(row[LEG.side]))
 
 
-def halved(machines: HybridMachines, orbit: Orbit) -> Orbit:
-    """The half of an orbit of one machine whose other half is its mirror image; else the orbit itself."""
+def halved(machines: HybridMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:
+    """The half of an orbit of one machine whose other half is its mirror image; else the orbit itself.
+
+    Times of events of both halves may differ by the share ``alike`` of a turn.
+    """
     (sides, periods, symmetric, legs), half = orbit.itinerary, len(orbit.times) // 2
     span = float(orbit.itinerary.span(machines)[0])
     if symmetric or not sides:
         return orbit
     if len(sides) % 2 or periods % 2 == 0 or not machines.mirrored or not orbit.itinerary.repeats(half, -1):
         return orbit
-    if np.max(np.abs(orbit.times[half:] - orbit.times[:half] - 0.5 * span)) > ALIKE * span:
+    if np.max(np.abs(orbit.times[half:] - orbit.times[:half] - 0.5 * span)) > alike * span:
         return orbit
     itinerary = Itinerary(sides[:half], periods, True, legs[:half])
     return Orbit(itinerary, orbit.times[:half], orbit.speeds[:half])

@@ -36,7 +36,7 @@ from workers.model.hybrid import Elements, elements_of
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code, Pieces, pieces_of
 from workers.model.modes import stacked
-from workers.model.oscillator import Array, Mask
+from workers.model.oscillator import Array
 
 LEAST = 1e-3
 """The least size of a motion, as a share of what the force alone would move the masses by."""
@@ -157,12 +157,36 @@ class SwitchingMotion(TurnMotion):
         first = self.times[:, :1] if self.itinerary.sides else np.zeros((len(self.start), 1))
         return np.concatenate([first, self.ends[:, :-1]], axis=1)
 
-    @cached_property
+    @property
     def turn(self) -> Turn:
         """One turn from the state just before the first event."""
+        return self._turned[0]
+
+    @cached_property
+    def _turned(self) -> tuple[Turn, Array]:
+        """One turn, and its map at a time."""
         own, sign = self.lin, float(self.itinerary.sign)
         given = self.pieces, self.elements, self.plan, self.ends, own.tau, own.omega, sign
-        return Turn(*turns_of_modes(*given, np.ascontiguousarray(self.times), np.ascontiguousarray(self.start)))
+        *turn, maps = turns_of_modes(*given, *map(np.ascontiguousarray, (self.times, self.start, self._least)))
+        return Turn(*turn), maps
+
+    @property
+    def _least(self) -> Array:
+        """Of each event (N, m) the rate below which it has none: the guard changes as it would in 1 / NO_RATE radians.
+
+        Friction that begins to stick so has f+ = R f-.
+        """
+        n, omega = self.start.shape[1] // 2, self.lin.omega[:, None]
+        x, v = (np.abs(part).max(axis=1, keepdims=True) for part in np.split(self.start, [n], axis=1))
+        size = np.maximum(np.maximum(x, v / omega), LEAST * self._pushed[:, None])
+        rows = np.abs(self.pieces.rows[:, self._reached[:, MODE], self._reached[:, SIGNAL], : 2 * n])
+        positions, velocities = rows[..., :n].sum(axis=2), rows[..., n:].sum(axis=2)
+        return NO_RATE * omega * size * (positions + omega * velocities)
+
+    @property
+    def _reached(self) -> NDArray[np.int64]:
+        """The legs of the plan that end at events."""
+        return self.plan[self.plan[:, EVENT] != NO_EVENT]
 
     def at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
         """Physical states (N, K, 2n) at times s (N, K); of a signal its value, rate, lower and upper end (4, N, K)."""
@@ -186,29 +210,21 @@ class SwitchingMotion(TurnMotion):
         return np.asarray(value - self.pieces.ends[:, k, signal, 1 if side > 0 else 0])
 
     def turn_map(self) -> Array:
-        """DP (N, 2n, 2n) over a turn by the Schur complement V - U Ht^-1 Hz; of symmetric orbits D_G = -DP of half."""
-        size, turn = self.start.shape[1], self.turn
-        V, U, Hz, Ht = (
-            turn.tangents[:, rows, columns]
-            for rows in (slice(size), slice(size, None))
-            for columns in (slice(size), slice(size, None))
-        )
-        if not self.itinerary.sides:
-            return V
-        before = -turn.shifts[:, :size, size, None]  # f-: what is perturbed is the state at a time, not at event 0
-        U, Hz, Ht = U.copy(), Hz.copy(), Ht.copy()
-        U[:, :, :1] += V @ before
-        Ht[:, :, :1] += Hz @ before
-        for r, i in zip(*np.nonzero(self._touching), strict=True):  # its time does not matter
-            Hz[r, i], Ht[r, i] = 0.0, np.eye(1, len(Ht[r]), i)[0]
-        return np.asarray(V - U @ stacked(np.linalg.solve, Hz.shape, Ht, Hz))
+        """DP (N, 2n, 2n) over a turn, the product of flows and saltations; of symmetric orbits D_G = -DP of half."""
+        return self._turned[1]
 
-    @property
-    def _touching(self) -> Mask:
-        """At which events (N, m) friction begins to stick at no rate: f+ = R f- there, which leaves S = R."""
-        sticks = self.plan[self.plan[:, EVENT] != NO_EVENT, ACT] == SLOWS
-        sizes = self.scale()[1] * self.lin.omega[:, None]
-        return np.asarray(sticks & (np.abs(self.turn.signals[:, 1]) < NO_RATE * sizes))
+    def unknowns_along(self, change: Array) -> Array:
+        """How the unknowns (N, 2n + m) of orbits change with the state (N, 2n) at the time of the first event.
+
+        That at the event moves by f- with its time.
+        """
+        size, turn = change.shape[1], self.turn
+        before, tangents = -turn.shifts[:, :size, size : size + 1], turn.tangents[:, size:]
+        Hz, Ht = tangents[..., :size], tangents[..., size:].copy()
+        Ht[..., :1] += Hz @ before
+        right = -Hz @ change[..., None]
+        delays = stacked(np.linalg.solve, right.shape, Ht, right) if self.itinerary.sides else right
+        return np.concatenate([change[..., None] + before @ delays[:, :1], delays], axis=1)[..., 0]
 
     @cached_property
     def lost(self) -> int:
@@ -231,6 +247,5 @@ class SwitchingMotion(TurnMotion):
         size = np.maximum(states[:, :, :n].max(axis=(1, 2)), states[:, :, n:].max(axis=(1, 2)) / omega)
         size = np.maximum(size, LEAST * self._pushed)  # it may be at rest
         sizes = np.repeat(np.stack([size, size * omega], axis=1), n, axis=1)
-        reached = self.plan[self.plan[:, EVENT] != NO_EVENT]
-        rows = np.abs(self.pieces.rows[:, reached[:, MODE], reached[:, SIGNAL], : 2 * n])
+        rows = np.abs(self.pieces.rows[:, self._reached[:, MODE], self._reached[:, SIGNAL], : 2 * n])
         return sizes, np.vecdot(rows, sizes[:, None])

@@ -124,8 +124,9 @@ class Step(NamedTuple):
         near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
         return share if near else None
 
-    def is_near(self, guess: Array, values: Array) -> bool:
-        """Whether parameters (free,) of a solution of other equations are as near to a guess as the step is long."""
+    def is_near(self, guess: Array, values: Array, near: float = 0.0) -> bool:
+        """Whether parameters (free,) of a solution of other equations are as near to a guess as the step is long, or
+        as ``near``."""
         eq = self.equations
         length = float(np.linalg.norm((self.there - self.here) / eq.scale))
-        return bool(np.linalg.norm((values - guess) / eq.width) <= max(length, 1e-6))
+        return bool(np.linalg.norm((values - guess) / eq.width) <= max(length, near, 1e-6))
