@@ -15,8 +15,8 @@ from atlas.store.machine import MACHINES
 from atlas.store.record import RECORD, TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
 from atlas.store.spare import alone
-from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_group
-from atlas.store.tiles import covered_variables, object_shape
+from atlas.store.store import ROOT, ZOOM, Header, arrays_by, open_arrays, own_nodes
+from atlas.store.tiles import covered_variables, encoded, object_shape
 
 
 def metadata_faults(header: Header) -> list[str]:
@@ -37,13 +37,9 @@ def metadata_faults(header: Header) -> list[str]:
             f"{ROOT}: axis {a['name']} differs from its coordinate" for a in header.outline["axes"] if a not in ends
         ]
     try:
-        own, copied = open_arrays(header), open_arrays(header, consolidated=True)
-    except OSError:
-        raise
+        own, copied = arrays_by(header, own_nodes(header)), arrays_by(header, header.nodes)
     except ChunkError as error:
         return [*faults, *(f"{key} {fault}" for key, fault in error.faults.items())]
-    except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
-        return [*faults, f"metadata are damaged: {message_of(error)}"]
     sizes, variables = extra_sizes(spec), header.variables
     shapes = {name: coordinate.values.shape for name, coordinate in header.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
@@ -157,8 +153,7 @@ def coordinate_faults(header: Header) -> list[str]:
 
 def restore_coordinates(header: Header) -> None:
     """Write the coordinates and their copies again, from the spec."""
-    group: Any = open_group(header.place, "r+")
+    arrays, objects = open_arrays(header), header.copies
     for name, coordinate in header.coordinates.items():
-        group[name][...] = coordinate.values
-    for key, data in header.copies.items():
-        header.place.put(key, data)
+        objects |= encoded(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
+    header.place.put_all(objects)
