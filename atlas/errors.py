@@ -76,5 +76,5 @@ def check_names(kind: str, found: Iterable[object], known: Iterable[str]) -> Non
     """Raise InputError, naming the nearest known name, at the first that is not known."""
     names = list(known)
     for name in found:
-        if name not in names:
-            raise InputError(unknown_name(kind, str(name), names))
+        if not isinstance(name, str) or name not in names:
+            raise InputError(unknown_name(kind, name if isinstance(name, str) else shown(name), names))

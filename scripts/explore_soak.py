@@ -40,6 +40,8 @@ REPORT = 30.0
 STEPS_IN, DEEPEST = 6, 10
 """Turns of the wheel in one move; after so many in a row it begins anew, about 10^6 deep."""
 KINDS = "exponent", "period", "impacts", "combined"
+PATIENCE = 300.0
+"""Seconds for a page to show its plane, on a machine with much else to do."""
 LINKS = 10
 """Views, the latest, whose links a visitor opens."""
 BUTTONS = (
@@ -92,7 +94,7 @@ class Visitor:
     def __init__(self, tab: Tab, links: list[str], done: Counter[str], draw: random.Random) -> None:
         self.tab, self._page, self._links, self._draw, self._depth = tab, tab.page, links, draw, 0
         self._done = done
-        tab.until(tab.image)
+        tab.until(tab.image, PATIENCE)
 
     def move(self) -> None:
         """Mostly zoom in at a random point; now and then out, aside, to a cell, a slider, a button or the start."""
@@ -132,7 +134,7 @@ class Visitor:
     def _open(self, link: str) -> None:
         self._depth = 0
         self._page.goto(link)
-        self.tab.until(self.tab.image)
+        self.tab.until(self.tab.image, PATIENCE)
         self._done["a link"] += 1
 
     def _point(self) -> tuple[float, float]:

@@ -151,17 +151,13 @@ def test_cells_are_not_read_by_metadata_that_differ_from_their_copy(whole: Path)
     changed(whole / "largest/zarr.json", big_endian)
     header = read_header(whole)
     for read in (lambda: read_tile(header, (0, 0)), lambda: view(atlas.open(whole), ["largest"])):
-        with pytest.raises(
-            ChunkError, match=r"largest/zarr.json differs from its copy in zarr.json: atlas ver"
-        ):
+        with pytest.raises(ChunkError, match=r"largest/zarr.json differs from its copy in zarr.json: atlas ver"):
             read()
 
 
 def test_cells_are_not_read_by_copies_of_metadata_that_differ_from_the_spare(whole: Path) -> None:
     changed(whole / "zarr.json", lambda root: big_endian(root["consolidated_metadata"]["metadata"]["largest"]))
-    with pytest.raises(
-        InputError, match=r"that differ from those of largest/zarr.json: atlas verify --repair"
-    ):
+    with pytest.raises(InputError, match=r"that differ from those of largest/zarr.json: atlas verify --repair"):
         atlas.open(whole)
 
 

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from atlas.arguments import checked_ends
 from atlas.branches.seed import Seed
 from atlas.errors import InputError, check_names
 from atlas.spec.axis import admitted
@@ -40,7 +41,7 @@ def checked_window(seed: Seed, along: str, window: tuple[float, float]) -> tuple
     check_names("parameter", [along], [p.name for p in record.parameters])
     if along in record.states:
         raise InputError(f"{along} is an initial state: orbits do not depend on it; follow them along a parameter")
-    low, high = (admitted(record.parameter(along), end) for end in window)
+    low, high = (admitted(record.parameter(along), end) for end in checked_ends("window", window))
     if not low < high:
         raise InputError(f"{along} from {low:g} to {high:g}: must rise")
     if not low <= seed.values[along] <= high:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
+from atlas.arguments import checked_kind
 from atlas.curves.finish import edge_share, finished
 from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
 from atlas.curves.plane import plane_of
@@ -96,7 +97,8 @@ def find_curves(
     Raises InputError if the store is not a finished plane; see also ``run``.
     """
     with called(store, client, options.updated(**fields)) as (header, options, stack):
-        settings = settings or CurveSettings()
+        settings = CurveSettings() if settings is None else settings
+        checked_kind("settings", settings, CurveSettings, "an atlas.CurveSettings")
         search = Search(plane_of(header), settings)
         digest = settings.digest(search.plane)
         stored = _stored(header, digest)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
+from atlas.arguments import checked_flag
 from atlas.errors import InputError, RunError
 from atlas.measures.job import (
     NEEDED,
@@ -110,6 +111,8 @@ def measure_attractors(
     with called(store, client, options.updated(**fields)) as (header, options, stack):
         check_store(header)
         weights = checked_weights(norm, header.spec.record)
+        for name, flag in (("shocks", shocks), ("margin", margin)):
+            checked_flag(name, flag)
         of_margin = margin_request(header, checked_scale(header, scale)) if margin else None
         wanted = _requests(header, shocks, of_margin, weights)
         before = read_measures(header)

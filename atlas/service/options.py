@@ -2,10 +2,12 @@
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import Any, TypedDict, TypeVar, Unpack
 
+from atlas.arguments import checked_kind
 from atlas.errors import InputError, shown
 from atlas.service.cluster import Tls
 from atlas.service.progress import Progress
@@ -52,6 +54,7 @@ class RunOptions:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
             found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
             raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
@@ -60,6 +63,20 @@ class RunOptions:
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):
             if not seconds >= 0:
                 raise InputError(f"{name}: found {shown(seconds)}, must be 0 s or more")
+
+    def _check_kinds(self) -> None:
+        for name, kind, right in (
+            ("workers", int, "a whole number"),
+            ("scheduler", str, "an address such as tcp://host:8786"),
+            ("retry", Retry, "an atlas.Retry"),
+            ("tile", Sequence, "the index of a tile"),
+            ("on_progress", Callable, "a function of a Progress"),
+        ):
+            if (given := getattr(self, name)) is not None:
+                checked_kind(name, given, kind, right)
+        for name in ("patience", "wait"):
+            checked_kind(name, getattr(self, name), Real, "a number of seconds")
+        checked_kind("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
     def updated(self, **changed: Unpack["RunFields"]) -> "RunOptions":
         """The options with these fields in place of their own; TypeError for a name that is no field."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
+from atlas.arguments import checked_kind
 from atlas.errors import InputError, RunError, shown
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
@@ -71,7 +72,8 @@ def run(
     >>> summary.cells_solved, summary.failures
     (4, ())
     """
-    options = options.updated(**fields)
+    options = checked_kind("options", options, RunOptions, "an atlas.RunOptions").updated(**fields)
+    checked_kind("spec", spec, Spec, "an atlas.Spec")
     with reporting(options.on_progress) as report:
         return complete(spec, place_of(store), client, replace(options, on_progress=report))
 

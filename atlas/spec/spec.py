@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from atlas.arguments import checked_kind
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.attractors import checked_attractors, resolved_attractors
 from atlas.spec.axis import Axis, StoredAxis, Values, admitted, checked_num, read_axis
@@ -278,6 +279,11 @@ def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> d
         if name in (given or {}):
             raise InputError(f"{name}: given twice")
     return {**(given or {}), **named}
+
+
+def given_settings(given: Settings | None) -> Settings:
+    """The settings that a call gives; the defaults for None."""
+    return Settings() if given is None else checked_kind("settings", given, Settings, "atlas.Settings(...)")
 
 
 def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
