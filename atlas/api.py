@@ -86,7 +86,8 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
     (48, 4)
     """
     checked_flag("probe", probe)
-    made = make_plan(checked_kind("spec", spec, Spec, "an atlas.Spec"), workers)
+    checked_kind("spec", spec, Spec, "an atlas.Spec")
+    made = make_plan(spec, RunOptions(workers=workers).workers)
     return probed(made, lambda progress: None) if probe else made
 
 

@@ -143,6 +143,7 @@ def test_norms_and_flags_of_stability_are_checked() -> None:
 
 
 def test_the_window_of_a_branch_is_two_numbers() -> None:
+    assert_refused(lambda: atlas.branch(CELL, **LINE, switch_branches=3), "switch_branches")  # type: ignore[arg-type]
     for value in [None, *nonsense(np.ndarray)]:
         asked = {**LINE, "window": value}
         assert_refused(lambda asked=asked: atlas.branch(CELL, **asked), "window")
@@ -164,12 +165,30 @@ def test_a_run_refuses_arguments_of_a_wrong_kind(tmp_path: Path) -> None:
         assert_refused(lambda value=value: atlas.plan(value), "spec")
         assert_refused(lambda value=value: atlas.plan(spec, probe=value), "probe")
         assert_refused(lambda value=value: atlas.run(spec, tmp_path / "a.zarr", options=value), "options")
-        for name in ("retry", "timing"):
+        assert_refused(lambda value=value: atlas.run(spec, tmp_path / "a.zarr", client=value), "client")
+        assert_refused(lambda value=value: atlas.Spec.from_dataset(value), "atlas")
+        for name in ("retry", "timing", "tls"):
             assert_refused(lambda value=value, name=name: atlas.RunOptions(**{name: value}), name)
+    for value in nonsense(str):
+        assert_refused(lambda value=value: atlas.Spec.from_toml(value), "spec")
+    for tile in (3, "x", ("a", "b"), [None], object()):
+        assert_refused(lambda tile=tile: atlas.RunOptions(tile=tile), "tile")
     for name, fitting in {"workers": int, "patience": (int, float), "wait": (int, float), "scheduler": str}.items():
         for value in [value for value in NONSENSE if not isinstance(value, fitting)]:
             assert_refused(lambda value=value, name=name: atlas.RunOptions(**{name: value}), name)
+    for value in (-1, 0, 2.5, "x", [1]):
+        assert_refused(lambda value=value: atlas.plan(spec, value, probe=False), "workers")
     assert not list(tmp_path.iterdir())
+
+
+def test_work_on_a_store_refuses_options_that_are_none(plane: xr.Dataset) -> None:
+    store = plane.encoding["source"]
+    for function in (atlas.find_curves, atlas.label_attractors, atlas.measure_attractors):
+        for value in nonsense():
+            assert_refused(lambda f=function, value=value: f(store, options=value), "options")
+    for value in nonsense():
+        assert_refused(lambda value=value: atlas.extend(store, "new.zarr", value), "spec")
+        assert_refused(lambda value=value: atlas.find_curves(store, value), "settings")
 
 
 def test_verifying_refuses_arguments_of_a_wrong_kind(plane: xr.Dataset) -> None:

@@ -16,7 +16,7 @@ from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
 from atlas.measures.table import MARGIN, drop_family
 from atlas.service.crew import Crew
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import ZipPlace, refuse_packed
@@ -96,7 +96,7 @@ def find_curves(
     The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
     Raises InputError if the store is not a finished plane; see also ``run``.
     """
-    with called(store, client, options.updated(**fields)) as (header, options, stack):
+    with called(store, client, chosen(options, fields)) as (header, options, stack):
         settings = CurveSettings() if settings is None else settings
         checked_kind("settings", settings, CurveSettings, "an atlas.CurveSettings")
         search = Search(plane_of(header), settings)

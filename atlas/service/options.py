@@ -4,7 +4,7 @@ import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, TypedDict, TypeVar, Unpack
 
 from atlas.arguments import checked_kind
@@ -58,6 +58,8 @@ class RunOptions:
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
             found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
             raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
+        if self.tile is not None and not (isinstance(self.tile, Sequence) and all(map(_is_whole, self.tile))):
+            raise InputError(f"tile: found {shown(self.tile)}, must be the index of a tile, whole numbers")
         if self.tile is not None and self.scheduler is not None:
             raise InputError("tile: is done in this process, found a scheduler; give one of the two")
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):
@@ -69,7 +71,7 @@ class RunOptions:
             ("workers", int, "a whole number"),
             ("scheduler", str, "an address such as tcp://host:8786"),
             ("retry", Retry, "an atlas.Retry"),
-            ("tile", Sequence, "the index of a tile"),
+            ("tls", Tls, "an atlas.service.cluster.Tls"),
             ("on_progress", Callable, "a function of a Progress"),
         ):
             if (given := getattr(self, name)) is not None:
@@ -90,6 +92,10 @@ class RunOptions:
     def wait_for_first(self, seconds: float) -> None:
         """Report that a cluster has had no worker for these seconds."""
         self.report(Progress("waiting for the cluster's first worker", seconds=seconds))
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def with_fields(function: F) -> F:
@@ -116,6 +122,11 @@ class RunFields(TypedDict, total=False):
     patience: float
     wait: float
     timing: Timing
+
+
+def chosen(options: RunOptions, fields: RunFields) -> RunOptions:
+    """The options of a call, with the fields that it gives besides."""
+    return checked_kind("options", options, RunOptions, "an atlas.RunOptions").updated(**fields)
 
 
 DEFAULTS = RunOptions()
