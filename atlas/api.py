@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas import errors
+from atlas.arguments import checked_flag, checked_kind
 from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_point
 from atlas.cell.attractors import attractors
@@ -84,7 +85,9 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
     >>> found.tiling.cells, found.tiling.count
     (48, 4)
     """
-    made = make_plan(spec, workers)
+    checked_flag("probe", probe)
+    checked_kind("spec", spec, Spec, "an atlas.Spec")
+    made = make_plan(spec, RunOptions(workers=workers).workers)
     return probed(made, lambda progress: None) if probe else made
 
 

@@ -11,6 +11,9 @@ LONGEST_LINE = 500
 MADE_BY = {"curves": "atlas find-curves", "labels": "atlas label-attractors", "stability": "atlas measure-attractors"}
 """The commands that make a group of a store anew that is damaged, of those that a run does not make."""
 
+PACK = "pack the atlas again"
+"""The remedy for a damaged zip file."""
+
 _short = reprlib.Repr()
 _short.maxstring = _short.maxlong = _short.maxother = 60
 
@@ -57,7 +60,7 @@ class ChunkError(RunError):
     def __str__(self) -> str:
         found = "; ".join(f"{key} {fault}" for key, fault in self.faults.items())
         if self.store.lower().endswith(".zip"):
-            return f"{self.store}: {found}: pack the atlas again"
+            return f"{self.store}: {found}: {PACK}"
         groups = {key.partition("/")[0] for key in self.faults}
         if len(groups) == 1 and groups <= MADE_BY.keys():
             return f"{self.store}: {found}: {MADE_BY[groups.pop()]} {self.store} makes it anew"
@@ -73,5 +76,5 @@ def check_names(kind: str, found: Iterable[object], known: Iterable[str]) -> Non
     """Raise InputError, naming the nearest known name, at the first that is not known."""
     names = list(known)
     for name in found:
-        if name not in names:
-            raise InputError(unknown_name(kind, str(name), names))
+        if not isinstance(name, str) or name not in names:
+            raise InputError(unknown_name(kind, name if isinstance(name, str) else shown(name), names))

@@ -1,25 +1,29 @@
-"""A random visitor of the explorer for some minutes: is memory bounded, is no tile solved twice, is the store fine?
+"""Random visitors of the explorer for some minutes: is memory bounded, is no tile solved twice, is the store fine?
 
-Usage: python -m scripts.explore_soak STORE [--minutes 20] [--seed 1] [--size 1280x800] [--workers 2]
+Usage: python -m scripts.explore_soak STORE [--minutes 20] [--tabs 1] [--seed 1] [--size 1280x800] [--workers 2]
 
-The visitor zooms, drags, draws cuts and their branches, and follows orbits.
+A visitor zooms, drags, draws cuts and their branches, asks for basins, follows orbits, and opens the link of a view
+that some tab has shown.
 Needs chromium, Playwright and Linux. Scheduler and workers are processes of their own; the store is explored in place.
 Ends with exit code 1 where a tile of the atlas's plane failed, or was solved twice though its sheet was not dropped for
-room, where the browser complained, or where verifying finds a fault. Memory is printed to be judged: after the caches
-are full it should stay.
+room, where a browser complained, or where verifying finds a fault. Memory is printed to be judged, with the slope of
+its second half: after the caches are full it should stay.
 """
 
 import argparse
+import math
 import os
 import random
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from statistics import linear_regression
 from unittest.mock import patch
 
 import atlas
@@ -36,6 +40,10 @@ REPORT = 30.0
 STEPS_IN, DEEPEST = 6, 10
 """Turns of the wheel in one move; after so many in a row it begins anew, about 10^6 deep."""
 KINDS = "exponent", "period", "impacts", "combined"
+PATIENCE = 300.0
+"""Seconds for a page to show its plane, on a machine with much else to do."""
+LINKS = 10
+"""Views, the latest, whose links a visitor opens."""
 BUTTONS = (
     "cut across", "cut up", "branches, stable and unstable", "close the cut", "follow",
     "basins of this cell",
@@ -78,20 +86,26 @@ def processes(workers: int) -> Iterator[tuple[str, int, list[int]]]:
 
 
 class Visitor:
-    """Somebody at the page, who does something at random with each ``move``."""
+    """Somebody at the page, who does something at random with each ``move``.
 
-    def __init__(self, tab: Tab, url: str, draw: random.Random) -> None:
-        self._tab, self._page, self._url, self._draw, self._depth = tab, tab.page, url, draw, 0
-        self.pressed: Counter[str] = Counter()
-        tab.until(tab.image)
+    ``links`` are addresses of views, which all visitors share; ``done`` counts what they did.
+    """
+
+    def __init__(self, tab: Tab, links: list[str], done: Counter[str], draw: random.Random) -> None:
+        self.tab, self._page, self._links, self._draw, self._depth = tab, tab.page, links, draw, 0
+        self._done = done
+        tab.until(tab.image, PATIENCE)
 
     def move(self) -> None:
         """Mostly zoom in at a random point; now and then out, aside, to a cell, a slider, a button or the start."""
         draw, what = self._draw, self._draw.random()
         x, y = self._point()
         self._page.mouse.move(x, y)
-        if self._depth >= DEEPEST or what < 0.05:
-            self._begin()
+        if self._depth >= DEEPEST or what < 0.03:
+            self._open(self._links[0])
+        elif what < 0.05:
+            self._links.append(self.tab.address())
+            self._open(draw.choice(self._links[-LINKS:]))
         elif what < 0.1:
             self._page.locator("select").first.select_option(draw.choice(KINDS))
         elif what < 0.15:
@@ -115,15 +129,16 @@ class Visitor:
         button = self._page.get_by_role("button", name=name, exact=True)
         if button.count() and button.first.is_visible() and button.first.is_enabled():
             button.first.click()
-            self.pressed[name] += 1
+            self._done[name] += 1
 
-    def _begin(self) -> None:
+    def _open(self, link: str) -> None:
         self._depth = 0
-        self._page.goto(self._url)
-        self._tab.until(self._tab.image)
+        self._page.goto(link)
+        self.tab.until(self.tab.image, PATIENCE)
+        self._done["a link"] += 1
 
     def _point(self) -> tuple[float, float]:
-        left, top, width, height = self._tab.plot()
+        left, top, width, height = self.tab.plot()
         return left + self._draw.uniform(0.1, 0.9) * width, top + self._draw.uniform(0.1, 0.9) * height
 
 
@@ -136,6 +151,7 @@ class Report:
         self.counts: Counter[TileKey] = Counter()
         self.moves = 0
         self._memory: list[tuple[float, float, float]] = []
+        self._minutes: list[float] = []
         self._drop = patch("atlas.explore.kept.drop_sheet", wraps=drop_sheet).start()
         plane = running.explorer.subject.plane
         running.explorer.listen("soak", lambda of, key: self.counts.update([key] if of == plane else []))
@@ -150,9 +166,11 @@ class Report:
         explorer = self._running.explorer
         memory = resident(os.getpid()), resident(self._scheduler), max(resident(each) for each in self._workers)
         self._memory.append(memory)
+        self._minutes.append(self.seconds / 60.0)
         server, scheduler, worker = memory
         known, sheets = explorer.known.tiles, explorer.keeper.sheets
-        cached = f"tiles {known.memory.bytes / 2**20:.0f} MiB, {explorer.keeper.waiting} to keep"
+        cached = f"{threading.active_count()} threads, tiles {known.memory.bytes / 2**20:.0f} MiB"
+        cached += f", {explorer.keeper.waiting} to keep"
         cached += "".join(f", {count} sheets {what}" for what, count in (sheets.counts if sheets else {}).items())
         print(
             f"{self.seconds:5.0f} s  {self.moves:4d} moves  {sum(self.counts.values()):6d} tiles  "
@@ -167,7 +185,11 @@ class Report:
             ("server", "scheduler", "largest worker"), zip(*self._memory, strict=True), strict=True
         ):
             first, last = max(column[: half + 1]), max(column[half:])
-            print(f"memory of the {what}: at most {first:.0f} MiB in the first half, {last:.0f} MiB in the second")
+            slope = 60.0 * linear_regression(self._minutes[half:], column[half:]).slope if half > 1 else math.nan
+            print(
+                f"memory of the {what}: at most {first:.0f} MiB in the first half, {last:.0f} MiB in the second", end=""
+            )
+            print(f", where it rises by {slope:.0f} MiB an hour")
         twice = [key for key, count in self.counts.items() if count > 1]
         dropped = {drop.args[2] for drop in self._drop.call_args_list}
         again = [key for key in twice if SheetKey.of(key).name not in dropped]
@@ -187,6 +209,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("store")
     parser.add_argument("--minutes", type=float, default=20.0)
+    parser.add_argument("--tabs", type=int, default=1, help="each in a browser window of its own, with its own cookies")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--size", default="1280x800", help="of the browser's window, in pixels")
     parser.add_argument("--workers", type=int, default=2)
@@ -197,20 +220,24 @@ def main() -> None:
         running = explore(given.store, scheduler=address)
         try:
             report, said = Report(running, scheduler, workers), 0.0
-            with opened(browser, running.url, width, height) as tab:
-                visitor = Visitor(tab, running.url, draw)
+            links, done = [running.url], Counter[str]()
+            with ExitStack() as tabs:
+                shown = [tabs.enter_context(opened(browser, running.url, width, height)) for _ in range(given.tabs)]
+                visitors = [Visitor(tab, links, done, draw) for tab in shown]
                 while report.seconds < 60.0 * given.minutes:
+                    visitor = draw.choice(visitors)
                     visitor.move()
                     report.moves += 1
-                    tab.page.wait_for_timeout(1e3 * draw.uniform(*STAY))
+                    visitor.tab.page.wait_for_timeout(1e3 * draw.uniform(*STAY) / given.tabs)
                     if report.seconds - said >= REPORT:
                         said = report.seconds
                         report.line()
             report.line()
-            print("pressed:", ", ".join(f"{name} {count}" for name, count in visitor.pressed.most_common()))
+            print("done:", ", ".join(f"{name} {count}" for name, count in done.most_common()))
         finally:
             running.stop()
-    sys.exit(0 if report.summary(given.store, tab.complaints) else 1)
+    complaints = [said for tab in shown for said in tab.complaints]
+    sys.exit(0 if report.summary(given.store, complaints) else 1)
 
 
 if __name__ == "__main__":

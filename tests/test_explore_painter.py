@@ -1,5 +1,6 @@
 """When the explorer looks a view up and draws it, without a browser."""
 
+import itertools
 import sys
 import threading
 from collections.abc import Iterator
@@ -116,6 +117,26 @@ def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(
     assert waited(lambda: not painter.busy and bool(given) and given[-1] == len(came))
     count = len(given)
     assert not waited(lambda: len(given) > count, 0.5)  # once
+
+
+def test_memory_goes_back_though_there_is_always_more_to_be_drawn(
+    painter: Painter, view: Chosen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A visitor who never rests: each view is replaced before it is looked up."""
+    given: list[bool] = []
+    painter.show(view, SIZE)
+    assert waited(lambda: not painter.busy)
+    monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
+    monkeypatch.setattr(painting, "give_back_memory", lambda: given.append(painter.busy))
+    moves = itertools.count(1)
+
+    def moved() -> bool:
+        shift = 1e-4 * next(moves)
+        painter.show(replace(view, x=(2.5 + shift, 3.5 + shift)), SIZE)
+        return bool(given)
+
+    assert waited(moved, 5.0)
+    assert given[0]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc")

@@ -58,20 +58,20 @@ def command(*words: Any) -> str:
     return ended.output
 
 
-def test_a_finished_atlas_is_opened_by_six_requests(server: ObjectStore) -> None:
+def test_a_finished_atlas_is_opened_by_seven_requests(server: ObjectStore) -> None:
     atlas.open(URL)
-    assert (sum(server.counts.values()), listings(server)) == (6, {})
+    assert (sum(server.counts.values()), listings(server)) == (7, {})
 
 
-def test_the_status_of_a_finished_atlas_takes_at_most_eight_requests_and_one_listing(server: ObjectStore) -> None:
+def test_the_status_of_a_finished_atlas_takes_at_most_nine_requests_and_one_listing(server: ObjectStore) -> None:
     command("status", URL)
-    assert sum(server.counts.values()) <= 8
+    assert sum(server.counts.values()) <= 9
     assert sum(listings(server).values()) <= 1
 
 
-def test_a_query_takes_at_most_eighteen_requests_and_one_listing(server: ObjectStore) -> None:
+def test_a_query_takes_at_most_twenty_requests_and_one_listing(server: ObjectStore) -> None:
     command("query", URL)
-    assert sum(server.counts.values()) <= 18
+    assert sum(server.counts.values()) <= 20
     assert sum(listings(server).values()) <= 1
 
 

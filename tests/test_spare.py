@@ -16,10 +16,12 @@ import xarray as xr
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
+from atlas.query.resample import view
 from atlas.store.spare import SPARE
 from atlas.store.store import create, read_header
-from atlas.store.tiles import write_tile
+from atlas.store.tiles import read_tile, write_tile
 from tests.planes import plane_of
+from tests.synthetic import spec_of
 from workers import solve_tile
 
 
@@ -87,6 +89,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "records": (lambda at: (at / "tiles/records/zarr.json").unlink(), "tiles/records/zarr.json is missing"),
     "the spare is gone": (lambda at: (at / SPARE).unlink(), f"{SPARE} is missing or damaged"),
+    "the spare is another store's": (
+        lambda at: shutil.copy(create(at.with_name("other"), spec_of(7, 5), (5, 7)).path / SPARE, at / SPARE),
+        f"{SPARE} is missing or damaged",
+    ),
     "the spare is torn": (lambda at: (at / SPARE).write_bytes(b"{"), f"{SPARE} is missing or damaged"),
 }
 
@@ -124,7 +130,9 @@ def test_a_type_that_nobody_knows_is_named_with_its_array_and_the_remedy(whole: 
         ("zarr.json", lambda root: root["consolidated_metadata"]["metadata"]["largest"].update(data_type="float44")),
     ):
         changed(whole / at, change)
-    with pytest.raises(ChunkError, match=r"largest/zarr.json has data_type 'float44', must be 'float64'.*--repair"):
+    with pytest.raises(
+        InputError, match=r"zarr.json has consolidated .* those of largest/zarr.json: atlas verify --rep"
+    ):
         atlas.open(whole)
 
 
@@ -133,3 +141,44 @@ def test_a_chunk_of_another_size_is_named_with_the_remedy(whole: Path) -> None:
     said = r"largest/c/0/0 is damaged \(it unpacks to 35 bytes, must be 280\): atlas verify --repair"
     with pytest.raises(ChunkError, match=said):
         np.asarray(atlas.open(whole)["largest"])
+
+
+def big_endian(array: dict[str, Any]) -> None:
+    array["codecs"][0]["configuration"]["endian"] = "big"
+
+
+def test_cells_are_not_read_by_metadata_that_differ_from_their_copy(whole: Path) -> None:
+    changed(whole / "largest/zarr.json", big_endian)
+    header = read_header(whole)
+    for read in (lambda: read_tile(header, (0, 0)), lambda: view(atlas.open(whole), ["largest"])):
+        with pytest.raises(ChunkError, match=r"largest/zarr.json differs from its copy in zarr.json: atlas ver"):
+            read()
+
+
+def test_cells_are_not_read_by_copies_of_metadata_that_differ_from_the_spare(whole: Path) -> None:
+    changed(whole / "zarr.json", lambda root: big_endian(root["consolidated_metadata"]["metadata"]["largest"]))
+    with pytest.raises(InputError, match=r"that differ from those of largest/zarr.json: atlas verify --repair"):
+        atlas.open(whole)
+
+
+def test_a_fixed_parameter_whose_chunk_is_lost_is_not_read_as_zero(whole: Path) -> None:
+    (whole / "R/c").unlink()
+    with pytest.raises(ChunkError, match=r"R/c is missing: atlas verify --repair"):
+        np.asarray(atlas.open(whole)["R"])
+
+
+FOLDERS = ("zarr.json", "largest/zarr.json", SPARE, "R/c", "omega/c/0", "largest/c/0/0", "tiles/records/c.0.0.0")
+
+
+@pytest.mark.parametrize("key", FOLDERS)
+def test_an_empty_folder_in_the_place_of_an_object_is_a_missing_object(whole: Path, made: Path, key: str) -> None:
+    (whole / key).unlink()
+    (whole / key).mkdir()
+    found = verify(whole, sample=0)
+    assert any(key.partition("/")[0] in str(fault) for fault in found.faults), found
+    assert f"remedy: atlas verify --repair {whole}" in str(found)
+    for index in verify(whole, sample=0, repair=True).repaired or ():
+        write_tile(read_header(whole), index, read_tile(read_header(made), index))
+    assert verify(whole, sample=0).fine
+    with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
+        assert mended.identical(before)

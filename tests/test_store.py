@@ -203,7 +203,7 @@ def test_another_solver_version_is_refused(header: store.Header, plane: atlas.Sp
 
 
 def test_an_unknown_format_version_is_refused(header: store.Header) -> None:
-    zarr.open_group(header.path, mode="r+", use_consolidated=False).attrs["format_version"] = 99
+    set_attribute(header.path, "format_version", 99)
     with pytest.raises(InputError, match="format version 99, this program reads version 1"):
         atlas.open(header.path)
 

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from atlas.arguments import checked_ends, checked_flag
 from atlas.branches.seed import Seed
 from atlas.errors import InputError, check_names
 from atlas.spec.axis import admitted
@@ -24,6 +25,7 @@ def tree_from(seed: Seed, along: str, window: tuple[float, float], switch: bool 
     from atlas.branches.tree import Tree
 
     low, high = checked_window(seed, along, window)
+    checked_flag("switch_branches", switch)
     if isinstance(most, bool) or not isinstance(most, int) or most < 1:
         raise InputError(f"budget: found {most!r}, must be a whole number of branches, 1 or more")
     tree = Tree(seed.system, seed.values, along, (low, high), most, LONGEST)
@@ -40,7 +42,7 @@ def checked_window(seed: Seed, along: str, window: tuple[float, float]) -> tuple
     check_names("parameter", [along], [p.name for p in record.parameters])
     if along in record.states:
         raise InputError(f"{along} is an initial state: orbits do not depend on it; follow them along a parameter")
-    low, high = (admitted(record.parameter(along), end) for end in window)
+    low, high = (admitted(record.parameter(along), end) for end in checked_ends("window", window))
     if not low < high:
         raise InputError(f"{along} from {low:g} to {high:g}: must rise")
     if not low <= seed.values[along] <= high:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError
-from atlas.spec.spec import checked_parameters
+from atlas.spec.spec import checked_parameters, given_settings
 from atlas.spec.system import checked_system, refuse_drift, resolved_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
@@ -38,7 +38,7 @@ def seed_of_point(
 
     record = checked_system(system)
     values = checked_parameters(record, given)
-    arrays = solve_tile(record, values, settings or Settings())
+    arrays = solve_tile(record, values, given_settings(settings))
     return seed_of({name: array[()] for name, array in arrays.items()}, record, values)
 
 

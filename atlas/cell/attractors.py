@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters, given_values
+from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.attractors.starts import Starts
@@ -41,7 +41,7 @@ def attractors(
     """
     from workers.attractors.waves import solve_attractors
 
-    record, settings = checked_system(system), settings or Settings()
+    record, settings = checked_system(system), given_settings(settings)
     parameters = checked_parameters(record, given_values(given, named))
     search = cell_attractors(starts, record, settings)
     arrays = solve_attractors(record, parameters, settings, search)

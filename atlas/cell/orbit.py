@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.spec.resolved import digest_of
-from atlas.spec.spec import checked_parameters
+from atlas.spec.spec import checked_parameters, given_settings
 from atlas.spec.system import checked_system, impacts_of
 from atlas.text import plural
 from workers import Settings
@@ -102,11 +102,9 @@ def cell_orbit(
 
     record = checked_system(system)
     parameters = checked_parameters(record, given)
-    asked = replace(
-        settings or Settings(),
-        exponents="spectrum",
-        section_samples=max(SECTION_STATES, (settings or Settings()).section_samples),
-    )
+    settings = given_settings(settings)
+    samples = max(SECTION_STATES, settings.section_samples)
+    asked = replace(settings, exponents="spectrum", section_samples=samples)
     cell: dict[str, Any] = {name: array[()] for name, array in solve_tile(record, parameters, asked).items()}
     start = cell["state"]
     if not np.all(np.isfinite(start)):

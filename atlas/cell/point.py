@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from atlas.spec.spec import checked_parameters, given_values
+from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
@@ -32,7 +32,7 @@ def point(
     """
     from workers.tile import solve_tile
 
-    record, settings = checked_system(system), settings or Settings()
+    record, settings = checked_system(system), given_settings(settings)
     parameters = checked_parameters(record, given_values(given, named))
     arrays = solve_tile(record, parameters, settings)
     names = {regime.code: regime.name for regime in REGIMES}

@@ -15,8 +15,8 @@ from atlas.store.machine import MACHINES
 from atlas.store.record import RECORD, TILES
 from atlas.store.schema import OVERVIEWS, extra_sizes
 from atlas.store.spare import alone
-from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_group
-from atlas.store.tiles import covered_variables, object_shape
+from atlas.store.store import ROOT, ZOOM, Header, arrays_by, open_arrays, own_nodes
+from atlas.store.tiles import covered_variables, encoded, object_shape
 
 
 def metadata_faults(header: Header) -> list[str]:
@@ -37,13 +37,9 @@ def metadata_faults(header: Header) -> list[str]:
             f"{ROOT}: axis {a['name']} differs from its coordinate" for a in header.outline["axes"] if a not in ends
         ]
     try:
-        own, copied = open_arrays(header), open_arrays(header, consolidated=True)
-    except OSError:
-        raise
+        own, copied = arrays_by(header, own_nodes(header)), arrays_by(header, header.nodes)
     except ChunkError as error:
         return [*faults, *(f"{key} {fault}" for key, fault in error.faults.items())]
-    except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
-        return [*faults, f"metadata are damaged: {message_of(error)}"]
     sizes, variables = extra_sizes(spec), header.variables
     shapes = {name: coordinate.values.shape for name, coordinate in header.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
@@ -87,13 +83,19 @@ def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
 
     The root, each level of an overview and each table have copies of the metadata of all that lies in them. Of the
     root's those of its arrays are left out, see ``metadata_faults``, and those of groups that are not there any more.
+    A level or a table whose copies are not those of the same arrays as the root's is found too.
     """
     found: dict[str, dict[str, Any]] = {}
     for where in ("", *(key.removesuffix(ROOT) for key in _groups_with_copies(header))):
-        copies = (_json(header, f"{where}{ROOT}") or {}).get("consolidated_metadata") or {}
-        for name, copy in copies.get("metadata", {}).items():
+        group = _json(header, f"{where}{ROOT}")
+        copies = _copies_in(group)
+        known = {name.removeprefix(where) for name in header.nodes if where and name.startswith(where)}
+        if group is not None and known and known != copies.keys():
+            found[f"{where}{ROOT}"] = group
+            continue
+        for name, copy in copies.items():
             top = f"{where}{name}".partition("/")[0]
-            if (not where and "/" not in name and copy["node_type"] == "array") or top == ZOOM:
+            if (not where and "/" not in name and copy.get("node_type") == "array") or top == ZOOM:
                 continue
             if not header.place.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
                 continue
@@ -107,6 +109,13 @@ def restore(header: Header, copies: Mapping[str, Mapping[str, Any]]) -> None:
     """Write metadata anew, by their copies."""
     for key, copy in copies.items():
         header.place.put(key, json.dumps(alone(copy)).encode())
+
+
+def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The copies of metadata in those of a group, by path; none where they cannot be read."""
+    copies = (group or {}).get("consolidated_metadata")
+    nodes = copies.get("metadata") if isinstance(copies, dict) else None
+    return nodes if isinstance(nodes, dict) and all(isinstance(node, dict) for node in nodes.values()) else {}
 
 
 def _groups_with_copies(header: Header) -> list[str]:
@@ -126,7 +135,7 @@ def _json(header: Header, key: str) -> dict[str, Any] | None:
 
 def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> bool:
     """Whether a copy is that of these metadata; the attribute ``late`` may have been written after it was made."""
-    if own is None:
+    if own is None or not isinstance(own.get("attributes", {}), dict):
         return False
     one, other = alone(own), alone(copy)
     attributes = [dict(each.get("attributes", {})) for each in (one, other)]
@@ -154,8 +163,7 @@ def coordinate_faults(header: Header) -> list[str]:
 
 def restore_coordinates(header: Header) -> None:
     """Write the coordinates and their copies again, from the spec."""
-    group: Any = open_group(header.place, "r+")
+    arrays, objects = open_arrays(header), header.copies
     for name, coordinate in header.coordinates.items():
-        group[name][...] = coordinate.values
-    for key, data in header.copies.items():
-        header.place.put(key, data)
+        objects |= encoded(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
+    header.place.put_all(objects)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from atlas.errors import PACK
 from atlas.text import html_table, plural
 
 SHOWN = 50
@@ -68,6 +69,14 @@ class Report:
         return self.complete and not self.faults and not self.doubts
 
     @property
+    def remedy(self) -> str:
+        """What mends the faults, in words."""
+        if self.store.lower().endswith(".zip"):
+            return PACK
+        solves = any(fault.tile is not None for fault in self.faults)
+        return f"atlas verify --repair {self.store}" + ", then run it again" * solves
+
+    @property
     def rows(self) -> list[tuple[str, str]]:
         """What was looked at, each with its name."""
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
@@ -96,6 +105,8 @@ class Report:
         for title, found in (("found", self.faults), ("in doubt", self.doubts)):
             lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
             lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []
+        if self.faults and self.repaired is None:
+            lines.append(f"remedy: {self.remedy}")
         if self.repaired is not None:
             what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
             lines.append(what if self.repaired else "no tile to drop")

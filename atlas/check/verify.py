@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from atlas.arguments import checked_flag, checked_kind
 from atlas.check.foreign import foreign_keys
 from atlas.check.groups import check_groups, mend_groups
 from atlas.check.metadata import coordinate_faults, metadata_faults, restore_coordinates
@@ -24,7 +25,7 @@ from atlas.check.report import Fault, Report
 from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.check.rules import broken_rules
 from atlas.check.zoom import drop_zoom, plane_faults
-from atlas.errors import ChunkError, InputError
+from atlas.errors import ChunkError, InputError, shown
 from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
 from atlas.service.lease import Claim, claimed
@@ -97,8 +98,11 @@ def verify(
     >>> atlas.verify("plane.zarr", sample=2).fine
     True
     """
-    if sample < 0:
-        raise InputError(f"sample: found {sample}, must be 0 or more")
+    if isinstance(sample, bool) or not isinstance(sample, int) or sample < 0:
+        raise InputError(f"sample: found {shown(sample)}, must be a whole number, 0 or more")
+    if seed is not None:
+        checked_kind("seed", seed, int, "a whole number")
+    checked_flag("repair", repair)
     place = place_of(store)
     if repair:
         refuse_packed(place)

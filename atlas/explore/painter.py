@@ -137,19 +137,16 @@ class Painter:
     def _serve(self) -> None:
         given_back, used = time.monotonic(), False
         while True:
+            if used and time.monotonic() >= given_back + GIVE_BACK:  # also where there is always more to be drawn
+                give_back_memory()
+                given_back, used = time.monotonic(), False
             with self._changed:
                 if self._closed:
                     break
-                step = min(self._plan, key=self._plan.__getitem__, default=None)
-                wait = self._plan[step] - time.monotonic() if self._plan else None
-                if wait is None and used:
-                    wait = given_back + GIVE_BACK - time.monotonic()
-                if wait is None or wait > 0.0:
-                    self._changed.wait(wait)
-                    continue
-                if not self._plan:
-                    give_back_memory()
-                    given_back, used = time.monotonic(), False
+                step, now = min(self._plan, key=self._plan.__getitem__, default=None), time.monotonic()
+                times = [*self._plan.values(), *([given_back + GIVE_BACK] if used else [])]
+                if not self._plan or self._plan[step] > now:
+                    self._changed.wait(max(0.0, min(times) - now) if times else None)
                     continue
                 del self._plan[step]
                 self._at_work = used = True

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.arguments import checked_kind
 from atlas.curves.plane import Plane, plane_of
 from atlas.curves.table import KINDS, Curves, read_curves
 from atlas.errors import ChunkError, InputError, check_names
@@ -22,11 +23,12 @@ def checked_scale(header: Header, given: Mapping[str, Any] | None) -> dict[str, 
     Along a logarithmic axis it is a unit of the natural logarithm. InputError for a bad name or a unit not above 0.
     """
     plane = plane_of(header)
-    check_names("axis in scale", given or {}, plane.axes)
+    given = {} if given is None else checked_kind("scale", given, Mapping, "units by axis, such as {'omega': 0.1}")
+    check_names("axis in scale", given, plane.axes)
     found = {}
     for name, log in zip(plane.axes, plane.log, strict=True):
         low, high = (np.log(end) if log else end for end in plane.window[name])
-        unit = number(f"scale.{name}", given[name]) if given and name in given else float(high - low)
+        unit = number(f"scale.{name}", given[name]) if name in given else float(high - low)
         if unit <= 0.0:
             raise InputError(f"scale.{name}: found {unit:g}, must be above 0")
         found[name] = unit

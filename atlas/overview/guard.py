@@ -23,6 +23,7 @@ from atlas.store.groups import TABLES
 from atlas.store.origin import ALLOWANCES
 from atlas.store.remote import zarr_store
 from atlas.store.schema import OVERVIEWS
+from atlas.store.spare import unlike_copy
 from atlas.store.store import ROOT, Header
 from workers.results import REGIME
 
@@ -43,7 +44,10 @@ class GuardedStore(WrapperStore[Any]):
         self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
         self._parts = {name: parts_of(array) for name, array in header.arrays.items()}
         self._sizes = {name: chunk_bytes(array) for name, array in header.arrays.items()}
-        self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinate_names}
+        self._coordinates = {*header.coordinate_names}
+        self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | self._coordinates
+        own = ((name, node) for name, node in header.nodes.items() if name.partition("/")[0] not in TABLES)
+        self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
         """An object, None if there is none and none has to be."""
@@ -77,20 +81,22 @@ class GuardedStore(WrapperStore[Any]):
         return found
 
     def _checked_metadata(self, key: str, found: Any) -> Any:
-        """Metadata, unless they are nested so deeply that Zarr's own reader would fail halfway."""
+        """Metadata, unless they differ from their copy, or Zarr's own reader would fail halfway, so deep they nest."""
         if found is not None and key.endswith(ROOT):
             try:
-                json.loads(found.to_bytes())
+                own = json.loads(found.to_bytes())
             except RecursionError:
                 raise self._error(key, "is damaged (nested too deeply)") from None
             except ValueError:
-                pass  # Zarr says what it is
+                return found  # Zarr says what it is
+            if key in self._copies and (fault := unlike_copy(own, self._copies[key])):
+                raise self._error(key, fault)
         return found
 
     async def _must_exist(self, array: str, index: str) -> bool:
         """Whether what is written after a chunk is there."""
         above, _, name = array.rpartition("/")
-        if above in TABLES:  # one chunk each, all of which are there
+        if above in TABLES or (not above and name in self._coordinates):  # one chunk each, all of which are there
             return True
         if name not in self._complete or name == REGIME.name:
             return False

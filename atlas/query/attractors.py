@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from atlas.arguments import checked_atlas
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
 from atlas.query.open import open_table
@@ -20,7 +21,7 @@ def of_all(ds: "xr.Dataset") -> bool:
 
 def leading(ds: "xr.Dataset") -> "xr.Dataset":
     """The attractor with the largest share in every cell; a dataset of one attractor a cell is itself."""
-    return one(ds, 0) if of_all(ds) else ds
+    return one(ds, 0) if of_all(checked_atlas(ds)) else ds
 
 
 def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.arguments import checked_name
 from atlas.errors import InputError, check_names, shown
 from atlas.query.walk import Block
 from workers.results import PENDING, PERIODIC, REGIME, REGIMES
@@ -26,6 +27,7 @@ _STUCK = (0, -1, -1)
 
 def asked_class(by: str, value: object = None) -> tuple[str, object]:
     """What cells are classified by, and the one class meant, None for all; a regime may be named alone."""
+    checked_name("by", by)
     if value is None and by in _REGIMES:
         return REGIME.name, by
     check_names("class of cells", [by], (*BY, *_REGIMES))

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atlas.arguments import checked_name
 from atlas.errors import InputError
 from atlas.query.classes import Classes
 from atlas.query.resample import view
@@ -33,6 +34,8 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     Raises InputError for a variable that is no number of each cell, and as ``regions`` does.
     Reads the variable, and what tells the class, of tiles that have such cells.
     """
+    checked_name("variable", name)
+    checked_name("by", by)
     _check(ds, name)
     classes, part = None if by == ALL else Classes(ds, by), within(ds, window)
     codes = regimes_with(name)

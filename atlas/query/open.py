@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, message_of
 from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
-from atlas.store.spare import read_spare, spare_faults
 from atlas.store.store import ROOT, Header, read_header
 from workers.results import LABEL
 
@@ -40,9 +39,7 @@ def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.
     except (OSError, MemoryError, ChunkError):
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
-        spare = read_spare(header.place)
-        faults = spare_faults(header.place, spare) if spare is not None else {}
-        raise ChunkError(header.place, faults or {ROOT: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(header.place, {ROOT: f"is damaged ({message_of(error)})"}) from None
     if header.spec.coexistence and group_attributes(header, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
     if STABILITY in header.groups and group_attributes(header, STABILITY) is not None:

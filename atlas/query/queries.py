@@ -29,6 +29,7 @@ from atlas.query.window import (
     nearest,
     within,
 )
+from atlas.spec.axis import number
 from atlas.spec.cells import is_uniform
 from workers.model.parameter import OMEGA
 from workers.results import (
@@ -94,7 +95,7 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     missing = [name for name in names if name not in point]
     if missing:
         raise InputError(f"the point lacks {', '.join(missing)}; it needs a value for each axis: {', '.join(names)}")
-    index = {name: nearest(ds, name, float(point[name])) for name in names}
+    index = {name: nearest(ds, name, number(name, point[name])) for name in names}
     whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
     cell = ds[whole].isel(index).load()
     found: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}

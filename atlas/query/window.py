@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.arguments import Window as Window
+from atlas.arguments import checked_window
 from atlas.errors import InputError
 from atlas.query.attractors import one
 from atlas.spec import cells
@@ -20,8 +22,6 @@ if TYPE_CHECKING:
 
 LOG_SPAN = 4.0
 """A logarithmic axis is drawn on a log scale from this ratio of its ends on; below, log ticks say nothing."""
-
-Window = Mapping[str, tuple[float, float]]
 
 
 def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
@@ -132,7 +132,7 @@ def inside(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp
 
     An axis that it does not name is taken whole. InputError for an unknown axis and for a window without a cell.
     """
-    window = window or {}
+    window = checked_window(window)
     for name in window:
         known_axis(ds, name)
     return {name: _between(name, axis_values(ds, name), window.get(name)) for name in axis_names(ds)}
@@ -140,6 +140,7 @@ def inside(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp
 
 def within(ds: "xr.Dataset", window: Window | None) -> "xr.Dataset":
     """The part of an atlas in a window, not read yet; arguments and errors as in ``inside``."""
+    window = checked_window(window)
     if not window:
         return ds
     return ds.isel({name: _as_slice(found) for name, found in inside(ds, window).items() if name in window})

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
+from atlas.arguments import checked_atlas, checked_path
 from atlas.cell.orbit import CellOrbit, cell_orbit
 from atlas.errors import InputError, check_names
 from atlas.query.attractors import leading
@@ -13,7 +14,7 @@ from atlas.query.queries import PER_TIME, fractions, rate_of
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE, check_overlays, chosen_kind
-from atlas.render.options import MapLook, Sheet, Wanted, split_look, takes
+from atlas.render.options import MapLook, Sheet, Wanted, names_in, split_look, takes
 from atlas.render.provenance import check_path, provenance_of, save
 from atlas.spec.spec import MOST_AXES, given_values
 from atlas.spec.system import checked_system
@@ -64,7 +65,7 @@ def figure(
     if path is not None:
         check_path(path)
     wanted = Wanted.of(kind, window, pixels, **options)
-    drawn = _drawn(subject, wanted, titles)
+    drawn = _drawn(subject, wanted, [titles] if isinstance(titles, str) else names_in("titles", titles))
     if path is not None:
         save(drawn, Path(path), provenance_of(*_sources(subject, wanted)), wanted.page)
     return drawn if options.get("ax") is None else options["ax"]
@@ -74,8 +75,9 @@ def render(
     subject: "Subject", path: str | Path, kind: str | None = None, window: Window | None = None, **options: Any
 ) -> Path:
     """Draw a subject to a file and return its path; arguments and errors as in ``figure``."""
-    figure(subject, kind, window, path=path, **options)
-    return Path(path)
+    target = checked_path(path)
+    figure(subject, kind, window, path=target, **options)
+    return target
 
 
 @takes(Sheet, others=True)
@@ -115,6 +117,7 @@ def portrait(
 def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure":
     import xarray as xr
 
+    from atlas.branches.table import Branches
     from atlas.render import orbit, sweep, together
 
     page = wanted.page
@@ -123,18 +126,23 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
     elif isinstance(subject, CellOrbit):
         page.refuse_ends("a portrait")
         drawn = orbit.figure(subject, page)
-    elif isinstance(subject, Comparison | Sequence):
+    elif isinstance(subject, Comparison | Sequence) and not isinstance(subject, str | bytes):
         if page.given:
             raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
-        atlases = _sources(subject, wanted)
+        atlases = [checked_atlas(each, "atlases") for each in _sources(subject, wanted)]
+        if titles and len(titles) != len(atlases):
+            raise InputError(f"titles: found {len(titles)}, must be one for each of {len(atlases)} atlases")
         check_units(*atlases)
         if isinstance(subject, Comparison):
             drawn = together.difference(subject, page)
         else:
             drawn = together.side_by_side(atlases, wanted, titles)
-    else:
+    elif isinstance(subject, Branches):
         page.refuse_ends("branches are lines")
         drawn = sweep.figure_of_branches(subject, page)
+    else:
+        checked_atlas(subject, "subject")
+        raise InputError("subject: found no dataset of xarray, must be an atlas as atlas.open returns it")
     page.fit(drawn)
     return drawn
 

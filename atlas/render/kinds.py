@@ -259,8 +259,10 @@ def _check_scalar(ds: "xr.Dataset", wanted: "Wanted") -> None:
 
 def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
     """The kinds of curves that are asked for, given as a list or with commas between, or "all"; None where none are."""
-    if curves is None or curves == "all":
-        return None if curves is None else CURVES
+    if curves is None:
+        return None
+    if isinstance(curves, str) and curves == "all":
+        return CURVES
     wanted = names_in("curves", curves)
     for each in wanted:
         if each not in CURVES:

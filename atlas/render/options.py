@@ -7,8 +7,8 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar, Unpack
 
+from atlas.arguments import Window, checked_atlas, checked_flag, checked_name, checked_pixels, checked_window
 from atlas.errors import InputError, shown
-from atlas.query.window import Window
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -102,7 +102,14 @@ class Wanted:
         look: dict[str, Any] = dict(options)
         lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
         own = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
-        return cls(page(**look), kind, window, lines, curves, pixels=pixels, **own)
+        for name, given in (("kind", kind), ("variable", own.get("variable"))):
+            if given is not None:
+                checked_name(name, given)
+        for name in ("names", "log"):
+            checked_flag(name, own.get(name, False))
+        if own.get("against") is not None:
+            checked_atlas(own["against"], "against")
+        return cls(page(**look), kind, checked_window(window), lines, curves, pixels=checked_pixels(pixels), **own)
 
 
 def names_in(option: str, given: object) -> tuple[str, ...]:

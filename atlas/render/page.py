@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.transforms import ScaledTranslation
 
+from atlas.arguments import checked_flag
 from atlas.errors import InputError, shown
 from atlas.render.fit import TITLE, fit
 from atlas.render.options import Look
@@ -261,8 +262,8 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
         dpi=dpi,
         vmin=_number("vmin", look.get("vmin")),
         vmax=_number("vmax", look.get("vmax")),
-        title=look.get("title", True),
-        explained=look.get("legend", True),
+        title=checked_flag("title", look.get("title", True)),
+        explained=checked_flag("legend", look.get("legend", True)),
         rc=rc,
         given=given,
     )
@@ -292,8 +293,8 @@ def _number(name: str, value: float | None, positive: bool = False) -> float | N
     if value is None:
         return None
     try:
-        found = float(value)
-    except (TypeError, ValueError):
+        found = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not math.isfinite(found):
         raise InputError(f"{name}: found {shown(value)}, must be a number")

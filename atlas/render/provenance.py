@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from atlas.arguments import checked_path
 from atlas.errors import InputError
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name
@@ -36,7 +37,7 @@ class Provenance(NamedTuple):
 
 def check_path(path: str | Path) -> str:
     """The format of a picture's file; InputError for a suffix that is none: to be asked before long work."""
-    suffix = Path(path).suffix
+    suffix = checked_path(path).suffix
     if suffix.lower().removeprefix(".") not in FORMATS:
         found = f"found {suffix!r}" if len(suffix) > 1 else "found none"
         possible = f".{', .'.join(FORMATS)}"

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atlas.arguments import checked_flag
 from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters, given_values
+from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.attractors.starts import Starts, unseen_share, wilson
@@ -57,7 +58,8 @@ def stability(
     """
     from workers.attractors.basins import Table
 
-    record, settings = checked_system(system), settings or Settings()
+    record, settings = checked_system(system), given_settings(settings)
+    checked_flag("shocks", shocks)
     if settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
     parameters, weights = checked_parameters(record, given_values(given, named)), checked_weights(norm, record)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from atlas.arguments import checked_kind
 from atlas.errors import InputError, check_names
 from atlas.spec.axis import number
 from workers.model.oscillator import Array
@@ -18,8 +19,9 @@ def checked_weights(given: Mapping[str, Any] | None, record: System) -> dict[str
     >>> checked_weights({"v1": 2}, find_system("two-mass"))
     {'v1': 2.0}
     """
-    check_names("component of the state in norm", given or {}, record.states)
-    weights = {name: number(f"norm.{name}", value) for name, value in (given or {}).items()}
+    given = {} if given is None else checked_kind("norm", given, Mapping, "weights by component, such as {'v1': 2}")
+    check_names("component of the state in norm", given, record.states)
+    weights = {name: number(f"norm.{name}", value) for name, value in given.items()}
     for name, weight in weights.items():
         if weight <= 0.0:
             raise InputError(f"norm.{name}: found {weight:g}, must be above 0")

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atlas.arguments import checked_ends, checked_flag, checked_kind
 from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters, given_values
+from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system, refuse_drift
 from workers import Settings
 from workers.attractors.starts import Starts
@@ -56,9 +57,10 @@ def saddles(
     >>> [(each["period"], each["between"]) for each in found["saddles"]]
     [(1, [0, 1])]
     """
-    record, settings = checked_system(system), settings or Settings()
+    record, settings = checked_system(system), given_settings(settings)
     parameters, weights = checked_parameters(record, given_values(given, named)), checked_weights(norm, record)
     search = cell_attractors(starts, record, settings)
+    checked_flag("manifolds", manifolds)
     return saddles_between(record, parameters, settings, search, weights, manifolds, box)
 
 
@@ -112,7 +114,8 @@ def _box(table: "Table", given: Box | None) -> tuple["Array", "Array"]:
 
     names = table.record.states
     low, high = (each[0].copy() for each in boxes(table.starts, table.oscillators, names))
-    for name, (first, last) in (given or {}).items():
+    for name, ends in ({} if given is None else checked_kind("box", given, Mapping, "(low, high) by state")).items():
+        first, last = checked_ends(f"box.{name}", ends)
         if name not in names or not first < last:
             raise InputError(f"box.{name}: found {first:g} to {last:g}; must rise, of {' or '.join(names)}")
         low[names.index(name)], high[names.index(name)] = first, last

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
+from atlas.arguments import checked_kind
 from atlas.curves.finish import edge_share, finished
 from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
 from atlas.curves.plane import plane_of
@@ -15,7 +16,7 @@ from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
 from atlas.measures.table import MARGIN, drop_family
 from atlas.service.crew import Crew
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import ZipPlace, refuse_packed
@@ -95,8 +96,9 @@ def find_curves(
     The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
     Raises InputError if the store is not a finished plane; see also ``run``.
     """
-    with called(store, client, options.updated(**fields)) as (header, options, stack):
-        settings = settings or CurveSettings()
+    with called(store, client, chosen(options, fields)) as (header, options, stack):
+        settings = CurveSettings() if settings is None else settings
+        checked_kind("settings", settings, CurveSettings, "an atlas.CurveSettings")
         search = Search(plane_of(header), settings)
         digest = settings.digest(search.plane)
         stored = _stored(header, digest)

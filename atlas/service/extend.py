@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
+from atlas.arguments import checked_kind
 from atlas.errors import InputError
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.service.summary import Summary
@@ -50,6 +51,8 @@ def extend(
     >>> atlas.open("finer.zarr").largest.shape
     (9, 13)
     """
+    if spec is not None:
+        checked_kind("spec", spec, Spec, "an atlas.Spec")
     old = read_header(store)
     if old.spec.points or (spec is not None and spec.points):
         raise InputError(f"{old.place}: a table of points is not extended: run the new table into a store of its own")
@@ -62,7 +65,7 @@ def extend(
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
-    options = options.updated(**fields)
+    options = chosen(options, fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))

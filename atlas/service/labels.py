@@ -7,7 +7,7 @@ from typing import Any, Unpack
 
 from atlas.labels.table import Count, labels_of, stored_count, write_labels
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import claimed_place
 from atlas.spec.system import refuse_drift
@@ -57,7 +57,7 @@ def label_attractors(
     Returns at once where the store has them. Raises InputError if the store is not a finished atlas of all
     attractors.
     """
-    options = options.updated(**fields)
+    options = chosen(options, fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
         header = read_header(waiting(place_of(store), options.patience))

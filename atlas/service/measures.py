@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
+from atlas.arguments import checked_flag
 from atlas.errors import InputError, RunError
 from atlas.measures.job import (
     NEEDED,
@@ -37,7 +38,7 @@ from atlas.measures.table import (
 )
 from atlas.robustness.norm import checked_weights
 from atlas.service.crew import Crew
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
@@ -107,9 +108,11 @@ def measure_attractors(
     ``margin`` these are kept if the cells, and the curves, are the same.
     Raises InputError if the store is not a finished atlas; see also ``run``.
     """
-    with called(store, client, options.updated(**fields)) as (header, options, stack):
+    with called(store, client, chosen(options, fields)) as (header, options, stack):
         check_store(header)
         weights = checked_weights(norm, header.spec.record)
+        for name, flag in (("shocks", shocks), ("margin", margin)):
+            checked_flag(name, flag)
         of_margin = margin_request(header, checked_scale(header, scale)) if margin else None
         wanted = _requests(header, shocks, of_margin, weights)
         before = read_measures(header)

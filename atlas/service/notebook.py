@@ -9,6 +9,7 @@ from html import escape
 from types import TracebackType
 from typing import Any
 
+from atlas.arguments import checked_kind
 from atlas.service.progress import Progress
 
 INTERVAL = 0.25
@@ -18,7 +19,9 @@ INTERVAL = 0.25
 @contextmanager
 def reporting(on_progress: Callable[[Progress], None] | None) -> Iterator[Callable[[Progress], None] | None]:
     """What is to be called with each Progress: the given function; without one a bar in a notebook, elsewhere none."""
-    display = None if on_progress else _notebook_display()
+    if on_progress is not None:
+        checked_kind("on_progress", on_progress, Callable, "a function of a Progress")
+    display = None if on_progress is not None else _notebook_display()
     if display is None:
         yield on_progress
         return

@@ -3,11 +3,13 @@
 import inspect
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack
 
+from atlas.arguments import checked_kind
 from atlas.errors import InputError, shown
 from atlas.service.cluster import Tls
 from atlas.service.progress import Progress
@@ -56,9 +58,12 @@ class RunOptions:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
             found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
             raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
+        if self.tile is not None and not (isinstance(self.tile, Sequence) and all(map(_is_whole, self.tile))):
+            raise InputError(f"tile: found {shown(self.tile)}, must be the index of a tile, whole numbers")
         if self.tile is not None and self.scheduler is not None:
             raise InputError("tile: is done in this process, found a scheduler; give one of the two")
         if self.performance_report is not None:
@@ -70,6 +75,19 @@ class RunOptions:
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):
             if not seconds >= 0:
                 raise InputError(f"{name}: found {shown(seconds)}, must be 0 s or more")
+
+    def _check_kinds(self) -> None:
+        for name, kind, right in (
+            ("workers", int, "a whole number"),
+            ("scheduler", str, "an address such as tcp://host:8786"),
+            ("tls", Tls, "an atlas.service.cluster.Tls"),
+            ("on_progress", Callable, "a function of a Progress"),
+        ):
+            if (given := getattr(self, name)) is not None:
+                checked_kind(name, given, kind, right)
+        for name in ("patience", "wait"):
+            checked_kind(name, getattr(self, name), Real, "a number of seconds")
+        checked_kind("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
     def updated(self, **changed: Unpack["RunFields"]) -> "RunOptions":
         """The options with these fields in place of their own; TypeError for a name that is no field."""
@@ -83,6 +101,10 @@ class RunOptions:
     def wait_for_first(self, seconds: float) -> None:
         """Report that a cluster has had no worker for these seconds."""
         self.report(Progress("waiting for the cluster's first worker", seconds=seconds))
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def with_fields(function: F) -> F:
@@ -110,6 +132,11 @@ class RunFields(TypedDict, total=False):
     patience: float
     wait: float
     timing: Timing
+
+
+def chosen(options: RunOptions, fields: RunFields) -> RunOptions:
+    """The options of a call, with the fields that it gives besides."""
+    return checked_kind("options", options, RunOptions, "an atlas.RunOptions").updated(**fields)
 
 
 DEFAULTS = RunOptions()

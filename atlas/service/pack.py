@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from atlas.arguments import checked_flag, checked_path
 from atlas.errors import ChunkError, InputError
 from atlas.service.lease import Observer
 from atlas.service.notebook import reporting
@@ -70,7 +71,8 @@ def pack(
     >>> atlas.pack("plane.zarr", "plane.zip").complete
     True
     """
-    target = Path(file).absolute()
+    target = checked_path(file, "file").absolute()
+    checked_flag("force", force)
     if target.suffix.lower() != SUFFIX:
         raise InputError(f"{file}: must end in {SUFFIX}, by which the other commands know it")
     if target.is_dir():

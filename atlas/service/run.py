@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
+from atlas.arguments import checked_kind
 from atlas.errors import InputError, RunError, shown
 from atlas.overview.upkeep import Overviews
 from atlas.platform import processors
@@ -17,7 +18,7 @@ from atlas.service.dispatch import Workers
 from atlas.service.hiring import check_report
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.plan import make_plan, refuse_shortage
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
@@ -73,7 +74,8 @@ def run(
     >>> summary.cells_solved, summary.failures
     (4, ())
     """
-    options = options.updated(**fields)
+    options = chosen(options, fields)
+    checked_kind("spec", spec, Spec, "an atlas.Spec")
     with reporting(options.on_progress) as report:
         return complete(spec, place_of(store), client, replace(options, on_progress=report))
 
@@ -247,7 +249,9 @@ def memory_of(cells: int) -> int:
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:
-    """InputError if a number of workers is given for a cluster that is the caller's."""
+    """InputError for what is no client, and if a number of workers is given for a cluster that is the caller's."""
+    if client is not None and not hasattr(client, "scheduler_info"):
+        raise InputError(f"client: found {shown(client)}, must be a Dask client")
     if client is not None and options.workers is not None:
         raise InputError(f"workers: found {options.workers}, goes with a local cluster only, not with a client")
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from atlas.arguments import checked_atlas, checked_kind, checked_path
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.attractors import checked_attractors, resolved_attractors
 from atlas.spec.axis import Axis, StoredAxis, Values, admitted, checked_num, read_axis
@@ -147,7 +148,7 @@ class Spec:
         ``points`` is a CSV file of parameter sets that replaces its axes, which have to be columns there, or its own
         points.
         """
-        path, where = Path(source), str(source) or "''"
+        path, where = checked_path(source, "spec"), str(source) or "''"
         try:
             given = read_toml(path) if path.exists() else parse_toml(packaged_text(str(source)))
             if points is not None:
@@ -222,6 +223,7 @@ class Spec:
 
         InputError where it does not have its spec, or not all of its cells.
         """
+        checked_atlas(ds)
         try:
             kept, digest = json.loads(ds.attrs["spec"]), ds.attrs["digest"]
             kept = with_values(kept, {name: ds[name].values.tolist() for name in outlined(kept)})
@@ -297,6 +299,11 @@ def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> d
         if name in (given or {}):
             raise InputError(f"{name}: given twice")
     return {**(given or {}), **named}
+
+
+def given_settings(given: Settings | None) -> Settings:
+    """The settings that a call gives; the defaults for None."""
+    return Settings() if given is None else checked_kind("settings", given, Settings, "atlas.Settings(...)")
 
 
 def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:

@@ -46,6 +46,13 @@ def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values
     raise ChunkError(place, faults or {ROOT: "has a digest that does not match the spec and its coordinates"})
 
 
+def goes_with(place: Place, outline: Mapping[str, Any], digest: str) -> bool:
+    """Whether a spec's outline has its digest with the coordinates as they are stored at a place."""
+    stored = {name: _stored(place, name, {}) for name in outlined(outline)}
+    known = {name: values for name, values in stored.items() if values is not None}
+    return known.keys() == stored.keys() and resolved_digest(with_values(outline, known)) == digest
+
+
 def copies(spec: Spec) -> dict[str, bytes]:
     """The copies of the values that cannot be made again from the outline of a spec, by their keys."""
     listed = spec.points or {axis.name: axis.values for axis in spec.axes if _made(axis.outline()) != axis.values}

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+from atlas.arguments import checked_path
 from atlas.errors import InputError
 from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
@@ -44,7 +45,7 @@ def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -
     if isinstance(store, Place):
         return store
     if not is_url(store):
-        return _place_at(Path(store).absolute())
+        return _place_at(checked_path(store, "store").absolute())
     scheme = store.partition("://")[0]
     if scheme == "file":
         return _place_at(Path(url2pathname(urlsplit(store.rstrip("/")).path)).absolute())

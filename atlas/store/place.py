@@ -8,8 +8,11 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Self
 
+_ABSENT = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
+"""What a system says of an object that is not there."""
 Fence = Callable[[], None]
 """Raises an error once a place is no longer its holder's to write."""
 
@@ -96,7 +99,7 @@ class Place:
 
 @dataclass(frozen=True)
 class LocalPlace(Place):
-    """A folder."""
+    """A folder. An empty folder in the place of an object is no object, and gives way to one."""
 
     path: Path
 
@@ -108,10 +111,15 @@ class LocalPlace(Place):
         return self.path
 
     def get(self, key: str) -> bytes | None:
+        path = self.path / key
         try:
-            return (self.path / key).read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
+            return path.read_bytes()
+        except _ABSENT:
             return None
+        except PermissionError:
+            if path.is_dir():  # Windows says it so
+                return None
+            raise
 
     def exists(self, key: str) -> bool:
         return (self.path / key).is_file()
@@ -119,9 +127,10 @@ class LocalPlace(Place):
     def version(self, key: str) -> Hashable:
         try:
             found = (self.path / key).stat()
-        except (FileNotFoundError, NotADirectoryError):
+        except _ABSENT:
             return None
-        return found.st_ino, found.st_mtime_ns, found.st_size  # a write puts another file in its place
+        # A write puts another file in its place.
+        return None if S_ISDIR(found.st_mode) else (found.st_ino, found.st_mtime_ns, found.st_size)
 
     def inner(self, folder: str) -> "LocalPlace":
         return LocalPlace(self.path / folder).behind(self.fence)
@@ -159,6 +168,7 @@ class LocalPlace(Place):
 
     def remove(self, key: str) -> None:
         self.confirm()
+        self._clear(key)
         (self.path / key).unlink(missing_ok=True)
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
@@ -176,6 +186,12 @@ class LocalPlace(Place):
         try:
             make(written)
             self.confirm()
+            self._clear(key)
             yield written
         finally:
             written.unlink(missing_ok=True)
+
+    def _clear(self, key: str) -> None:
+        """Remove a folder in the place of an object; an OSError names one that is not empty."""
+        if (self.path / key).is_dir():
+            (self.path / key).rmdir()

@@ -40,7 +40,7 @@ from atlas.store.record import (
     unpacked,
 )
 from atlas.store.store import READERS, Header, done_tiles, is_done, open_arrays
-from atlas.store.tiles import read_tile
+from atlas.store.tiles import encoded, read_tile
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
 _LOOKS = 10
@@ -104,7 +104,7 @@ class Records:
     def _compacted(self) -> Rows:
         none = np.zeros((*self.header.tiling.grid, WIDTH))
         try:
-            rows = np.asarray(_compaction(self.header, "r")[...], dtype=np.float64)
+            rows = np.asarray(_compaction(self.header)[...], dtype=np.float64)
         except FileNotFoundError:
             return none
         except OSError:
@@ -188,7 +188,7 @@ def put_together(header: Header) -> None:
 
 def write_compaction(header: Header, rows: Rows, settled: NDArray[np.bool_]) -> None:
     """Write all rows as one chunk, then remove the single records of ``settled`` tiles that have a row in it."""
-    _compaction(header, "r+").with_config({"write_empty_chunks": True})[...] = rows
+    header.place.put_all(encoded(_compaction(header), tuple(map(slice, rows.shape)), rows))
     counts = settled & add_up(rows, header.tiling.sizes())
     header.place.remove_all([record_key(index) for index in single_records(header) if counts[index]])
 
@@ -233,12 +233,12 @@ def by_name(total: Rows, header: Header) -> tuple[dict[str, int], dict[str, int]
     return regimes, named if REASON.name in header.arrays else {}
 
 
-def _compaction(header: Header, mode: Any) -> Any:
+def _compaction(header: Header) -> Any:
     import zarr
 
     from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
 
-    return zarr.open_array(zarr_store(header.place, mode == "r"), path=RECORDS, mode=mode, zarr_format=3)
+    return zarr.open_array(zarr_store(header.place, read_only=True), path=RECORDS, mode="r", zarr_format=3)
 
 
 def _indices(mask: NDArray[np.bool_]) -> list[Index]:

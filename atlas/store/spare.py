@@ -10,8 +10,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
-from atlas.errors import message_of, shown
-from atlas.store.axes import ROOT
+from atlas.errors import PACK, message_of, shown
+from atlas.store.archive import ZipPlace
+from atlas.store.axes import ROOT, goes_with
 from atlas.store.place import Place
 from atlas.store.schema import COMPONENT, OVERVIEWS
 
@@ -26,14 +27,30 @@ def packed_spare(root: bytes) -> bytes:
 
 
 def read_spare(place: Place) -> dict[str, Any] | None:
-    """The root's metadata by the spare of a store; None if it is missing or damaged."""
-    checksum, _, root = (place.get(SPARE) or b"").partition(b"\n")
-    return dict(json.loads(root)) if hashlib.sha256(root).hexdigest().encode() == checksum else None
+    """The root's metadata by the spare of a store; None if it is missing or damaged, or another store's."""
+    return spare_by(place, place.get(ROOT), place.get(SPARE))
+
+
+def spare_by(place: Place, root: bytes | None, data: bytes | None) -> dict[str, Any] | None:
+    """``read_spare``, given the object of the root's metadata and that of their spare.
+
+    A spare with another spec than the root's is another store's if the coordinates at the place go with the root.
+    """
+    checksum, _, content = (data or b"").partition(b"\n")
+    if hashlib.sha256(content).hexdigest().encode() != checksum:
+        return None
+    spare = dict(json.loads(content))
+    try:
+        own = json.loads(root or b"")["attributes"]
+        other = own["digest"] != spare["attributes"]["digest"]
+        return None if other and goes_with(place, json.loads(own["spec"]), own["digest"]) else spare
+    except (ValueError, AttributeError, KeyError, TypeError, RecursionError):  # the root's are damaged
+        return spare
 
 
 def remedy(place: Place) -> str:
     """How metadata that are missing, damaged or wrong are mended, in words."""
-    return f"atlas verify --repair {place} writes them again"
+    return PACK if isinstance(place, ZipPlace) else f"atlas verify --repair {place} writes them again"
 
 
 def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
@@ -46,8 +63,7 @@ def spare_faults(place: Place, spare: Json) -> dict[str, str]:
     """What of a store's metadata is missing, damaged or not as its spare has it, in words by the keys."""
     faults = {}
     for key, right in {ROOT: spare, **nodes_of(spare)}.items():
-        fault = next(_faults(place.get(key), right, whole=key != ROOT), None)
-        if fault:
+        if fault := next(_faults(place.get(key), right, whole=key != ROOT), ""):
             faults[key] = fault
     return faults
 
@@ -89,6 +105,16 @@ def _copies(nodes: Json) -> dict[str, Any]:
 def alone(metadata: Json) -> dict[str, Any]:
     """Metadata without copies of others."""
     return {name: value for name, value in metadata.items() if name != "consolidated_metadata"}
+
+
+def root_fault(data: bytes | None, spare: Json) -> str:
+    """The first thing that is wrong with the object of a root's metadata, in words; "" where it is as its spare."""
+    return next(_faults(data, spare, whole=False), "")
+
+
+def unlike_copy(own: Any, copy: Json) -> str:
+    """What is wrong with metadata that differ from the root's copy of them, in words; "" where they do not."""
+    return "" if isinstance(own, dict) and alone(own) == alone(copy) else f"differs from its copy in {ROOT}"
 
 
 def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:

@@ -21,7 +21,7 @@ from atlas.store.making import is_free, make_store, refused
 from atlas.store.origin import ALLOWANCES, Allowance, Origin
 from atlas.store.record import RECORD
 from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates, variable_of
-from atlas.store.spare import read_spare, remedy
+from atlas.store.spare import SPARE, remedy, root_fault, spare_by, unlike_copy
 from atlas.store.tiling import Tiling, chunk_index
 from workers.results import ATTRACTOR, REGIME, Variable, leading
 
@@ -38,9 +38,8 @@ ZOOM = "zoom"
 class Header:
     """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
 
-    ``outline`` is its spec, without the values of axes and points. ``arrays`` are the metadata of its root's arrays by
-    name, in the root's copy, ``record`` those of the array of the tiles' records, and ``groups`` the names of its
-    groups there.
+    ``outline`` is its spec, without the values of axes and points. ``nodes`` are the root's copies of the metadata of
+    all its arrays and groups, by their paths.
     """
 
     place: Place
@@ -48,10 +47,8 @@ class Header:
     digest: str
     run_id: str
     solver_version: int
-    arrays: Mapping[str, Mapping[str, Any]] = field(repr=False)
-    record: Mapping[str, Any] = field(repr=False)
+    nodes: Mapping[str, Mapping[str, Any]] = field(repr=False)
     origin: Origin | None = None
-    groups: frozenset[str] = frozenset()
 
     def at(self, place: Place) -> "Header":
         """The same header, with all that is known of the store, for writing it through another view of its place."""
@@ -65,6 +62,21 @@ class Header:
         if self.place.local is None:
             raise RunError(f"{self.place}: not a folder of this machine")
         return self.place.local
+
+    @cached_property
+    def arrays(self) -> Mapping[str, Mapping[str, Any]]:
+        """The metadata of the root's arrays, by name."""
+        return {name: node for name, node in self.nodes.items() if node["node_type"] == "array" and "/" not in name}
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """The metadata of the array of the tiles' records."""
+        return self.nodes[RECORD]
+
+    @property
+    def groups(self) -> frozenset[str]:
+        """The names of the root's groups."""
+        return frozenset(name for name, node in self.nodes.items() if node["node_type"] == "group" and "/" not in name)
 
     @cached_property
     def spec(self) -> Spec:
@@ -195,15 +207,17 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
 
 
 def _read_header(place: Place) -> Header:
-    content = place.get(ROOT)
+    regime = f"{REGIME.name}/{ROOT}"
+    objects = place.get_all([ROOT, regime, SPARE])
+    content = objects.get(ROOT)
+    spare = spare_by(place, content, objects.get(SPARE))
+    if spare is not None and (fault := root_fault(content, spare)):
+        raise InputError(f"{place}: {ROOT} {fault}: {remedy(place)}")
     try:
         root = json.loads(content or b"")
         attrs = root["attributes"]
         ours = attrs.get("format") == FORMAT
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        if read_spare(place) is not None:
-            what = f"is damaged ({message_of(error)})" if content else "is missing"
-            raise InputError(f"{place}: {ROOT} {what}: {remedy(place)}") from None
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
         path = place.path if isinstance(place, ZipPlace) else place.local
         if content is None and not (path is not None and path.exists()):
             raise InputError(f"{place}: no such store") from None
@@ -214,37 +228,27 @@ def _read_header(place: Place) -> Header:
         found = shown(attrs.get("format_version"))
         raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
     try:
-        regime = json.loads(place.get(f"{REGIME.name}/{ROOT}") or b"")  # its own: by it tiles are cut and done
-        return header_by(place, root, regime)
+        return header_by(place, root, json.loads(objects.get(regime, b"")))
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: its metadata are damaged: {message_of(error)}: {remedy(place)}") from None
 
 
 def header_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) -> Header:
     """The header of a store by the metadata of its root and of its regimes."""
-    attrs, copies = root["attributes"], (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
+    attrs, nodes = root["attributes"], (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
+    if fault := unlike_copy(regime, nodes[REGIME.name]):
+        raise ValueError(f"{REGIME.name}/{ROOT} {fault}")
     header = Header(
         place=place,
         outline=json.loads(attrs["spec"]),
         digest=attrs["digest"],
         run_id=attrs["run_id"],
         solver_version=attrs["solver_version"],
-        arrays={**_array_metadata(place, root.get("consolidated_metadata")), REGIME.name: regime},
+        nodes=nodes,
         origin=Origin.of_attributes(attrs),
-        record=copies[RECORD],
-        groups=frozenset(key for key, node in copies.items() if node["node_type"] == "group" and "/" not in key),
     )
-    _ = header.tile
+    _ = header.tile, header.record
     return header
-
-
-def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str, Any]]:
-    """The metadata of the root's arrays, by name: the root's copy, or where it has none, each array's own."""
-    if consolidated is None:
-        group: Any = open_group(place, "r")
-        return {name: array.metadata.to_dict() for name, array in group.arrays()}
-    nodes = consolidated["metadata"].items()
-    return {name: node for name, node in nodes if node["node_type"] == "array" and "/" not in name}
 
 
 def find(store: str | os.PathLike[str] | Place) -> Header | None:
@@ -274,24 +278,51 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
 
 
-def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
+def open_arrays(header: Header) -> dict[str, Any]:
     """All Zarr arrays of the store's root by name, results and coordinates, for reading.
 
-    Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
-    ChunkError if they are damaged.
+    ChunkError if their metadata are missing or damaged, or differ from the root's copy of them.
     """
-    group = open_group(header.place, "r", consolidated)
-    results = (*header.spec.variables, *header.unknown, *ALLOWANCES)
-    found = {}
-    for name in (*(v.name for v in results), *coordinate_names(header.spec)):
+    own, faults = own_nodes(header), dict[str, str]()
+    for name in _array_names(header):
+        if name in header.nodes and (fault := unlike_copy(own.get(name), header.nodes[name])):
+            faults[f"{name}/{ROOT}"] = fault if name in own else "is missing"
+    if faults:
+        raise ChunkError(header.place, faults)
+    return arrays_by(header, own)
+
+
+def arrays_by(header: Header, nodes: Mapping[str, Any]) -> dict[str, Any]:
+    """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError if these are damaged."""
+    from zarr import Array, AsyncArray
+    from zarr.storage import StorePath
+
+    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+
+    store, found = zarr_store(header.place, read_only=True), {}
+    for name in _array_names(header):
         try:
-            if name in group:
-                found[name] = group[name]
-        except (OSError, MemoryError):
-            raise
-        except Exception as error:  # what is no JSON, or no metadata, may raise anything
+            if name in nodes:
+                found[name] = Array(AsyncArray(nodes[name], StorePath(store, name)))
+        except Exception as error:  # what is no metadata may raise anything
             raise ChunkError(header.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
     return found
+
+
+def own_nodes(header: Header) -> dict[str, Any]:
+    """The metadata that the arrays of the store's root have themselves, by name. ChunkError if they are damaged."""
+    found = {}
+    for key, data in header.place.get_all(f"{name}/{ROOT}" for name in _array_names(header)).items():
+        try:
+            found[key.removesuffix(f"/{ROOT}")] = json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise ChunkError(header.place, {key: f"is damaged ({message_of(error)})"}) from None
+    return found
+
+
+def _array_names(header: Header) -> list[str]:
+    results = (*header.spec.variables, *header.unknown, *ALLOWANCES)
+    return [*(variable.name for variable in results), *coordinate_names(header.spec)]
 
 
 def open_group(place: Place, mode: Literal["r", "r+"], consolidated: bool = False) -> "zarr.Group":

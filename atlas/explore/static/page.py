@@ -10,6 +10,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
+from atlas.arguments import checked_path
 from atlas.curves.asking import header_of
 from atlas.errors import InputError
 from atlas.explore.static import about
@@ -51,7 +52,7 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
     all, in place of any before; the same atlas gives the same bytes.
     Raises InputError for another suffix than .html, a path that cannot be written, and an atlas that is no plane.
     """
-    target = Path(path)
+    target = checked_path(path)
     check_path(target)
     text = page_of(ds, limit, most_cells)
     with written_whole(target) as unfinished:

@@ -1,0 +1,88 @@
+"""Arguments of public functions that have a form: InputError, in one line, names the argument, what was found, and what
+is right.
+"""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from numbers import Integral, Real
+from pathlib import Path
+from types import UnionType
+from typing import Any, TypeVar
+
+import numpy as np
+
+from atlas.errors import InputError, shown
+
+T = TypeVar("T")
+Window = Mapping[str, tuple[float, float]]
+"""A part of a plane: the (low, high) ends of the axes that it limits."""
+
+
+def checked_ends(name: str, given: object) -> tuple[float, float]:
+    """The two ends of a window, as numbers; they may be infinite, and in any order."""
+    ends = _items(given)
+    if len(ends) == 2 and all(isinstance(end, Real) and not isinstance(end, bool) for end in ends):
+        with suppress(OverflowError):
+            low, high = map(float, ends)
+            if not math.isnan(low + high) or low == -high:
+                return low, high
+    raise InputError(f"{name}: found {shown(given)}, must be two numbers, (low, high)")
+
+
+def checked_window(given: object) -> Window:
+    """A window, none of whose axes is checked; None stands for an empty one."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise InputError(f"window: found {shown(given)}, must be (low, high) by axis, such as {{'omega': (2, 3)}}")
+    return {name: checked_ends(f"window of {name}", ends) for name, ends in given.items() if ends is not None}
+
+
+def checked_pixels(given: object) -> tuple[int, int] | None:
+    """The size of a plot in pixels, (x, y); None where it is not given."""
+    sizes = _items(given)
+    if given is None:
+        return None
+    if len(sizes) != 2 or not all(isinstance(n, Integral) and not isinstance(n, bool) and n >= 1 for n in sizes):
+        raise InputError(f"pixels: found {shown(given)}, must be two whole numbers, (x, y), 1 or more")
+    x, y = (int(size) for size in sizes)
+    return x, y
+
+
+def checked_path(given: object, name: str = "path") -> Path:
+    """A path of this machine."""
+    if isinstance(given, str | os.PathLike) and isinstance(os.fspath(given), str):
+        return Path(given)
+    raise InputError(f"{name}: found {shown(given)}, must be a path")
+
+
+def checked_name(name: str, given: object) -> None:
+    """Refuse what is no text, where a name is asked for."""
+    checked_kind(name, given, str, "a name")
+
+
+def checked_flag(name: str, given: object) -> bool:
+    """True or False; anything else would be taken for one of them."""
+    return bool(checked_kind(name, given, bool | np.bool_, "True or False"))
+
+
+def checked_kind(name: str, given: T, kind: type | UnionType, right: str) -> T:
+    """What is of a type or a union of types; ``right`` says in words what it must be."""
+    if not isinstance(given, kind):
+        raise InputError(f"{name}: found {shown(given)}, must be {right}")
+    return given
+
+
+def checked_atlas(given: object, name: str = "atlas") -> Any:
+    """A dataset of xarray."""
+    if not all(hasattr(given, part) for part in ("dims", "coords", "data_vars")):
+        raise InputError(f"{name}: found {shown(given)}, must be an atlas as atlas.open returns it")
+    return given
+
+
+def _items(given: object) -> tuple[Any, ...]:
+    """The items of what has an order and is no text; none of anything else."""
+    whole = isinstance(given, Sequence) or getattr(given, "ndim", 0) == 1
+    return tuple(given) if whole and not isinstance(given, str | bytes) else ()  # type: ignore[arg-type]
