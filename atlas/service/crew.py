@@ -15,6 +15,7 @@ from atlas.service.lease import Claim
 from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
+from atlas.store.location import sendable
 from atlas.store.store import Header
 from atlas.task.known import forget_header
 from atlas.task.part import Site, prepare
@@ -48,7 +49,7 @@ class Crew:
     def site(self) -> Site:
         """The store as the jobs get it."""
         header = self.header
-        return Site(str(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
+        return Site(sendable(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
 
     @cached_property
     def hired(self) -> "Client":
@@ -70,7 +71,7 @@ class Crew:
             return
         client, site = self.hired, self.site
         leave = partial(forget_header, site.store, site.patience)
-        labour = Labour(site.store, work, partial(prepare, site, self.kernels), leave)
+        labour = Labour(str(site.store), work, partial(prepare, site, self.kernels), leave)
         with workforce(client, labour, self.options.timing) as force:
 
             def tick(workers: Workers) -> None:

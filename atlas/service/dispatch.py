@@ -54,7 +54,7 @@ class Workers:
 def tile_labour(job: Job, cells: int) -> Labour[Job, Receipt | Made]:
     """What workers do in a run whose jobs differ from this one by tile and level; a tile has that number of cells."""
     ready, done = partial(prepare, job), partial(forget_header, job.store, job.patience)
-    return Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
+    return Labour(str(job.store), do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from atlas.store.location import Place
 from atlas.store.outage import LONG
 from atlas.store.parts import get_part, put_part
 from atlas.store.store import Header
@@ -18,7 +19,7 @@ class Site:
     none. ``patience`` is how many seconds to wait for a store at a URL that does not answer.
     """
 
-    store: str
+    store: str | Place
     run_id: str
     solver_version: int
     patience: float = LONG

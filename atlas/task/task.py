@@ -57,7 +57,7 @@ class Job:
     """
 
     index: tuple[int, ...]
-    store: str
+    store: str | Place
     run_id: str
     solver_version: int
     patience: float = LONG
@@ -217,7 +217,7 @@ def header_of(job: Job) -> Header:
     return header.at(guarded(header.place, job.claim, job.note, job.attempt))
 
 
-def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
+def checked_header(store: str | Place, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
     """The header of the store that a run asks this worker to work on, see ``known_header``.
 
     Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
@@ -242,7 +242,7 @@ def check_solver(version: int) -> None:
 
 
 @contextmanager
-def file_errors(store: str) -> Iterator[None]:
+def file_errors(store: object) -> Iterator[None]:
     """Turn errors of the file system into what they mean: no room for anybody, or not for this worker; others pass."""
     try:
         yield
