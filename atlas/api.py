@@ -1,6 +1,5 @@
 """What ``import atlas`` offers, put together from the packages below it. The package loads this at first use."""
 
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +24,7 @@ from atlas.service.retry import retry
 from atlas.service.run import run
 from atlas.service.status import Status, read_status
 from atlas.spec.spec import Spec, given_values
+from atlas.store.location import Given
 from atlas.store.store import read_header
 from workers import Settings
 from workers.model.system import DEFAULT, System
@@ -57,10 +57,12 @@ __all__ = [
 ]
 
 
-def open(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Dataset":
+def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None) -> "xarray.Dataset":
     """The atlas of a store as an xarray Dataset, read from disk as it is used; ``ds.atlas`` is its accessor.
 
-    The store is a folder, a URL, or a zip file that ``pack`` made. ``chunks`` makes Dask arrays of its variables, as in
+    The store is a folder, a URL, a zip file that ``pack`` made, an obstore store, or any Zarr store object, such as
+    that of an Icechunk session. ``storage_options`` say how a URL is reached, where the environment does not:
+    ``{"endpoint": ..., "anon": True}``. ``chunks`` makes Dask arrays of its variables, as in
     ``xarray.open_dataset``: ``{}`` for the store's own chunks, ``"auto"``, or sizes by dimension.
     Raises atlas.errors.InputError where the store is not an atlas.
 
@@ -71,7 +73,7 @@ def open(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Datase
     """
     import atlas.accessor  # noqa: F401  registers it
 
-    return open_atlas(store, chunks)
+    return open_atlas(store, chunks, storage_options)
 
 
 def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
@@ -91,7 +93,7 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
     return probed(made, lambda progress: None) if probe else made
 
 
-def status(store: str | os.PathLike[str]) -> Status:
+def status(store: Given) -> Status:
     """How far a store is: tiles, cells and regimes done, and the run at work on it.
 
     Raises atlas.errors.InputError where the store is not an atlas.

@@ -31,10 +31,9 @@ def duration(seconds: float) -> str:
 
 
 def short_repr(value: Any) -> str:
-    """A dataclass as a call with the fields that differ from their defaults."""
-    changed = [
-        f"{each.name}={given!r}" for each in fields(value) if (given := getattr(value, each.name)) != each.default
-    ]
+    """A dataclass as a call with the fields that differ from their defaults, those apart that its repr leaves out."""
+    shown = [each for each in fields(value) if each.repr]
+    changed = [f"{each.name}={given!r}" for each in shown if (given := getattr(value, each.name)) != each.default]
     return f"{type(value).__name__}({', '.join(changed)})"
 
 

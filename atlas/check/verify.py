@@ -1,7 +1,6 @@
 """Whether a store is what it says: everything in it is read and compared with everything known of it."""
 
 import json
-import os
 import random
 import time
 from bisect import bisect_right
@@ -31,8 +30,8 @@ from atlas.overview.upkeep import Overviews
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
-from atlas.store.archive import ZipPlace, refuse_packed
-from atlas.store.location import place_of
+from atlas.store.archive import refuse_packed
+from atlas.store.location import Given, place_of
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
 from atlas.store.making import refused
@@ -75,7 +74,7 @@ Index = tuple[int, ...]
 
 
 def verify(
-    store: str | os.PathLike[str],
+    store: Given,
     sample: int = SAMPLE,
     repair: bool = False,
     seed: int | None = None,
@@ -240,7 +239,7 @@ def _with_zoom(
     Of as many sheets as the sample has cells, one cell each is solved again.
     """
     found = sheets(header)
-    planes = {} if isinstance(header.place, ZipPlace) else plane_faults(header)
+    planes = {} if header.place.only_read else plane_faults(header)
     solved = set(random.Random(report.seed).sample(found, min(sample, len(found))))
     faults, doubts = list(report.faults), list(report.doubts)
     faults += [Fault(None, f"{key} {what}") for key, what in planes.items()]

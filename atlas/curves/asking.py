@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from atlas.curves.export import columns, rows
 from atlas.curves.table import KINDS, Curves, read_curves
 from atlas.errors import InputError, check_names
+from atlas.query.open import store_of
 from atlas.store.store import Header, read_header
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def frame(found: Curves, kind: str | None = None) -> "pd.DataFrame":
 
 def header_of(ds: "xr.Dataset") -> Header:
     """The header of the store that a dataset is of; InputError where it does not say which."""
-    source = ds.encoding.get("source")
-    if not isinstance(source, str):
+    place = store_of(ds)
+    if place is None:
         raise InputError("this dataset does not name its store: use the one that atlas.open returns")
-    return read_header(source)
+    return read_header(place)

@@ -192,7 +192,7 @@ def plane_of(header: Header) -> Plane:
     missing = header.tiling.count - len(done_tiles(header))
     if missing:
         raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = leading(open_atlas(str(header.place)))
+    ds = leading(open_atlas(header.place))
     check_names("result of this atlas", NEEDED, map(str, ds.data_vars))
     x, y = spec.axes
 

@@ -18,7 +18,6 @@ from atlas.explore.threads import steady, why
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
 from atlas.service.lease import claimed
-from atlas.store.archive import ZipPlace
 from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import ROOT, Header, done_tiles
 from atlas.store.tiles import write_tile
@@ -56,7 +55,7 @@ class Keeper:
         self._sizes: dict[tuple[str, str], int] = {}
         self.header = subject.header if wanted else None
         self._trouble, self._lost, self._lately = "" if self.header is not None else "nothing is kept", 0, ""
-        if self.header is not None and isinstance(self.header.place, ZipPlace):
+        if self.header is not None and self.header.place.only_read:
             self.header, self._trouble = None, "nothing is kept: a packed atlas is read only"
         self.sheets = None if self.header is None else Sheets(subject, self.header)
         self._thread = steady("atlas-keeper", self._serve, lambda error: self._say(f"kept later: {error}"))

@@ -112,7 +112,7 @@ def attractors_of(header: Header) -> tuple[Attractors, int]:
     missing = header.tiling.count - len(done_tiles(header))
     if missing:
         raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = open_atlas(str(header.place))
+    ds = open_atlas(header.place)
     cells = int(np.prod(spec.shape))
 
     def read(name: str) -> NDArray[Any]:

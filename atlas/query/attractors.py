@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.arguments import checked_atlas
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.open import open_table
+from atlas.query.open import open_table, store_of
 from atlas.store.groups import LABELS, group_attributes
 from atlas.store.store import read_header
 from workers.results import ATTRACTOR, LABEL, PENDING, REGIME
@@ -56,8 +56,8 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where they are not.
     """
-    source = ds.encoding.get("source")
-    header = read_header(source) if LABEL.name in ds and isinstance(source, str) else None
+    place = store_of(ds)
+    header = read_header(place) if LABEL.name in ds and place is not None else None
     if header is None or group_attributes(header, LABELS) is None:  # the labels of basins are its results
         raise InputError("the attractors of this atlas are not labelled; label them with atlas label-attractors")
     return open_table(header, LABELS).drop_vars(LABEL.name).load()

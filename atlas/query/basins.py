@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.open import open_table
+from atlas.query.open import open_table, store_of
 from atlas.query.window import Window, axis_names, within
 from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.store import read_header
@@ -60,10 +60,10 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where it is no such atlas, or not complete.
     """
-    source = ds.encoding.get("source")
-    if not of_basins(ds) or not isinstance(source, str):
+    place = store_of(ds)
+    if not of_basins(ds) or place is None:
         raise InputError("not an atlas of basins: its axes must be initial states, and its spec must have [attractors]")
-    header = read_header(source)
+    header = read_header(place)
     if group_attributes(header, ATTRACTORS) is None:
         raise InputError(f"{header.place}: has no table of attractors yet; run it to its end")
     return open_table(header, ATTRACTORS).load()

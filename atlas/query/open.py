@@ -1,11 +1,11 @@
 """Opening a store as a dataset."""
 
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, message_of
 from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
+from atlas.store.location import Given, Place, place_of
 from atlas.store.store import ROOT, Header, read_header
 from workers.results import LABEL
 
@@ -13,11 +13,15 @@ if TYPE_CHECKING:
     import xarray
 
 
+_PLACE = "place"
+"""The key of a dataset's encoding that has the place of its store: a name does not say how a server is reached."""
 Chunks = int | str | Mapping[Any, Any] | None
 """Of Dask arrays, as ``xarray.open_dataset`` takes them; None for none."""
 
 
-def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Dataset":
+def open_atlas(
+    store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
+) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
     ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too, and
@@ -27,7 +31,7 @@ def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.
     """
     import xarray
 
-    header = read_header(store)
+    header = read_header(place_of(store, storage_options=storage_options))
     try:
         opened: Any = xarray.open_dataset(
             _guarded(header),
@@ -47,8 +51,14 @@ def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.
     for variable in opened.variables.values():  # xarray would write [1] on every axis
         if variable.attrs.get("units") == "1":
             del variable.attrs["units"]
-    opened.encoding["source"] = str(header.place)  # by which a view finds the overviews
+    opened.encoding |= {"source": str(header.place), _PLACE: header.place}  # by which a view finds the overviews
     return opened
+
+
+def store_of(ds: "xarray.Dataset") -> Place | None:
+    """The place of the store that a dataset, or the one that it was selected from, was opened from; None if unknown."""
+    place, source = ds.encoding.get(_PLACE), ds.encoding.get("source")
+    return place if isinstance(place, Place) else place_of(source) if isinstance(source, str) else None
 
 
 def open_table(header: Header, table: str) -> "xarray.Dataset":

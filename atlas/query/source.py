@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import ChunkError, InputError
 from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, needed
 from atlas.overview.pyramid import MARKS, Pyramid
+from atlas.query.open import store_of
 from atlas.query.window import axis_values
 from atlas.spec.axis import Axis
 from atlas.spec.spec import MOST_AXES, Slices
@@ -31,11 +32,11 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
 
     Selections of neighbouring cells are; anything computed, changed, loaded or put together is not.
     """
-    source = ds.encoding.get("source")
-    if not isinstance(source, str):
-        return None
     try:
-        header = read_header(source)
+        place = store_of(ds)
+        if place is None:
+            return None
+        header = read_header(place)
     except InputError:
         return None
     dims, spec = ds[REGIME.name].dims, header.spec

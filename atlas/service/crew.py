@@ -15,6 +15,7 @@ from atlas.service.lease import Claim
 from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
+from atlas.store.location import sendable
 from atlas.store.store import Header
 from atlas.task.site import Site, prepare
 from workers import SOLVER_VERSION
@@ -51,7 +52,7 @@ class Crew(Generic[J, R]):
     def site(self) -> Site:
         """The store as the jobs get it."""
         header = self.header
-        return Site(str(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
+        return Site(sendable(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
 
     @cached_property
     def force(self) -> Workforce[J, R]:
@@ -61,7 +62,7 @@ class Crew(Generic[J, R]):
             prepare_kernels(self.options.report, *self.kernels)
         client = hired(self.client, self.threads, self.options, self.stack)
         self.begin = time.monotonic() if self.client is None else self.begin
-        labour = Labour(site.store, self.act, partial(prepare, site, self.kernels), site.forget, self.memory)
+        labour = Labour(str(site.store), self.act, partial(prepare, site, self.kernels), site.forget, self.memory)
         return self.stack.enter_context(workforce(client, labour, self.options.timing))
 
     def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:

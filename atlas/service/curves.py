@@ -1,6 +1,5 @@
 """Finding a plane's curves on the workers: stages of tasks, finished ones kept in the store, the curves at the end."""
 
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,8 +18,9 @@ from atlas.service.crew import Crew
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
-from atlas.store.archive import ZipPlace, refuse_packed
+from atlas.store.archive import refuse_packed
 from atlas.store.groups import CURVES
+from atlas.store.location import Given
 from atlas.store.parts import drop_parts, kept_parts, part_names
 from atlas.store.store import Header
 from atlas.task.compile import ORBITS, kernels_for
@@ -85,7 +85,7 @@ class CurvesSummary:
 
 @with_fields
 def find_curves(
-    store: str | os.PathLike[str],
+    store: Given,
     settings: CurveSettings | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
@@ -123,7 +123,7 @@ def _stored(header: Header, digest: str) -> Curves | None:
         return None  # they are found anew
     if stored is None or stored.report.get("digest") != digest:
         return None
-    if not isinstance(header.place, ZipPlace) and any(part_names(header, CURVES)):
+    if not header.place.only_read and any(part_names(header, CURVES)):
         drop_parts(header, CURVES)  # of a run that was killed at its very end
     return stored
 

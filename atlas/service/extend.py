@@ -1,10 +1,9 @@
 """Extending an atlas: a new store of more cells, which reuses the cells of an old one."""
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.arguments import checked_kind
 from atlas.errors import InputError
@@ -15,7 +14,7 @@ from atlas.service.run import complete
 from atlas.service.summary import Summary
 from atlas.spec.grown import extended, refined
 from atlas.spec.spec import Spec
-from atlas.store.location import Place, place_of
+from atlas.store.location import Given, Place, beside, is_url, place_of
 from atlas.store.origin import Origin
 from atlas.store.store import Header, done_tiles, read_header
 from atlas.task.reuse import absent_results, count_shared
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
 
 @with_fields
 def extend(
-    store: str | os.PathLike[str],
-    into: str | os.PathLike[str],
+    store: Given,
+    into: Given,
     spec: Spec | None = None,
     refine: int | Mapping[str, int] | None = None,
     client: "Client | None" = None,
@@ -40,8 +39,8 @@ def extend(
 
     ``spec`` is the spec of the new atlas; only the values on its axes may differ. Or ``refine`` is the factor by which
     all axes, or the axes by name, become finer. ``store`` does not change, and has to stay where it is until the new
-    one is complete. The same call resumes an extension that was stopped. ``client``, ``options`` and
-    ``fields``: as for ``run``.
+    one is complete; at a URL it is reached as the new one is, and ``storage_options`` are for both. The same call
+    resumes an extension that was stopped. ``client``, ``options`` and ``fields``: as for ``run``.
     Raises InputError, before anything is written, where the two atlases do not fit together; see also ``run``.
 
     Of 7 x 5 cells, each axis twice as fine:
@@ -51,9 +50,10 @@ def extend(
     >>> atlas.open("finer.zarr").largest.shape
     (9, 13)
     """
+    options = chosen(options, fields)
     if spec is not None:
         checked_kind("spec", spec, Spec, "an atlas.Spec")
-    old = read_header(store)
+    old = header_from(store, options.storage_options)
     if old.spec.points or (spec is not None and spec.points):
         raise InputError(f"{old.place}: a table of points is not extended: run the new table into a store of its own")
     if old.spec.attractors is not None or (spec is not None and spec.attractors is not None):
@@ -61,22 +61,28 @@ def extend(
     if (spec is None) == (refine is None):
         raise InputError("give either a spec or by how much to refine")
     grown = refined(old.spec, refine, old.tile) if spec is None else extended(old.spec, spec, str(old.place))
-    place = place_from(old, into)
+    place = place_from(old, into, options.storage_options)
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
-    options = chosen(options, fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
         return complete(grown, place, client, options, Origin(str(old.place), old.run_id))
 
 
-def place_from(old: Header, into: str | os.PathLike[str]) -> Place:
+def header_from(store: Given, storage_options: Mapping[str, Any] | None) -> Header:
+    """The header of a store that cells are taken from; the options are those of a new store at a URL too."""
+    return read_header(place_of(store, storage_options=storage_options if is_url(store) else None))
+
+
+def place_from(old: Header, into: Given, storage_options: Mapping[str, Any] | None = None) -> Place:
     """The place of a new store that takes over cells; InputError where none of them could be."""
-    place = place_of(into)
+    place = place_of(into, storage_options=storage_options)
     if place == old.place:
         raise InputError(f"{place}: is the store to take cells from; the new one needs another path")
+    if beside(place, str(old.place)) != old.place:
+        raise InputError(f"{old.place}: workers reach it by its name, as they reach {place}; give both alike")
     if old.solver_version != SOLVER_VERSION:
         raise InputError(
             f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "

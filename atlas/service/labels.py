@@ -1,6 +1,5 @@
 """Labelling the attractors of a finished atlas: labels are found here and now, and kept in its store."""
 
-import os
 import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Unpack
@@ -12,7 +11,7 @@ from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import claimed_place
 from atlas.spec.system import refuse_drift
 from atlas.store.archive import refuse_packed
-from atlas.store.location import place_of, waiting
+from atlas.store.location import Given, place_of, waiting
 from atlas.store.store import read_header
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import duration, plural
@@ -49,9 +48,7 @@ class LabelSummary:
 
 
 @with_fields
-def label_attractors(
-    store: str | os.PathLike[str], options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]
-) -> LabelSummary:
+def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
     Returns at once where the store has them. Raises InputError if the store is not a finished atlas of all
@@ -60,7 +57,8 @@ def label_attractors(
     options = chosen(options, fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
-        header = read_header(waiting(place_of(store), options.patience))
+        place = place_of(store, storage_options=options.storage_options)
+        header = read_header(waiting(place, options.patience))
         stored = stored_count(header)
         if stored is not None:
             return LabelSummary(str(header.place), stored)

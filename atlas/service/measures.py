@@ -1,7 +1,6 @@
 """Measuring the attractors of a finished atlas on the workers: in parts that the store keeps, and all at the end."""
 
 import hashlib
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -42,6 +41,7 @@ from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_
 from atlas.service.progress import Progress
 from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
+from atlas.store.location import Given
 from atlas.store.parts import drop_parts, kept_parts
 from atlas.store.store import Header
 from atlas.store.tiles import read_tile
@@ -88,7 +88,7 @@ class MeasureSummary:
 
 @with_fields
 def measure_attractors(
-    store: str | os.PathLike[str],
+    store: Given,
     *,
     shocks: bool = False,
     margin: bool = False,

@@ -3,8 +3,8 @@
 import inspect
 import math
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack
@@ -35,6 +35,8 @@ class RunOptions:
     dashboard     whether a local cluster has a dashboard, whose address is reported; with Bokeh only
     performance_report
                   HTML file for Dask's report of how the workers spent their time; with Bokeh only
+    storage_options
+                  how a store at a URL is reached: ``{"endpoint": ..., "anon": True}``; the environment says the rest
     patience      seconds to wait for a server at a URL that stops answering
     wait          seconds to wait for the first worker of a cluster; its job may be queued for days
     timing        how long the run waits for everything else
@@ -51,6 +53,7 @@ class RunOptions:
     on_progress: Callable[[Progress], None] | None = None
     dashboard: bool = True
     performance_report: str | os.PathLike[str] | None = None
+    storage_options: Mapping[str, Any] | None = field(default=None, repr=False)
     patience: float = LONG
     wait: float = math.inf
     timing: Timing = TIMING
@@ -129,6 +132,7 @@ class RunFields(TypedDict, total=False):
     on_progress: Callable[[Progress], None] | None
     dashboard: bool
     performance_report: str | os.PathLike[str] | None
+    storage_options: Mapping[str, Any] | None
     patience: float
     wait: float
     timing: Timing

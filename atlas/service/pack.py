@@ -14,7 +14,7 @@ from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
 from atlas.store.groups import groups_of, read_group
-from atlas.store.location import place_of
+from atlas.store.location import Given, place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, chunk_key, done_tiles, read_header
 from atlas.text import byte_size, plural
@@ -54,7 +54,7 @@ class Packed:
 
 
 def pack(
-    store: str | os.PathLike[str],
+    store: Given,
     file: str | os.PathLike[str],
     force: bool = False,
     on_progress: Callable[[Progress], None] | None = None,

@@ -1,12 +1,11 @@
 """Solving some cells of an atlas again: a new store, which takes over all other cells of the old one."""
 
-import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.errors import InputError, check_names
-from atlas.service.extend import place_from
+from atlas.service.extend import header_from, place_from
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
 from atlas.service.progress import Progress
@@ -15,9 +14,9 @@ from atlas.service.status import read_status
 from atlas.service.submit import submit
 from atlas.service.summary import Summary
 from atlas.spec.spec import Spec
-from atlas.store.location import Place
+from atlas.store.location import Given, Place
 from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, Allowance, Origin, Retry
-from atlas.store.store import Header, read_header
+from atlas.store.store import Header
 from atlas.text import plural
 from workers.results import APERIODIC, CHAOTIC, REGIMES, UNDETERMINED
 from workers.settings import MOST_PERIODS
@@ -32,8 +31,8 @@ DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.co
 
 @with_fields
 def retry(
-    store: str | os.PathLike[str],
-    into: str | os.PathLike[str],
+    store: Given,
+    into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None = None,
     survival: int | None = None,
@@ -57,8 +56,8 @@ def retry(
     >>> summary.retried, atlas.status("again.zarr").fraction
     (True, 1.0)
     """
-    spec, place, origin, report = asked(store, into, regimes, max_periods, survival)
     options = options.updated(**fields)
+    spec, place, origin, report = asked(store, into, regimes, max_periods, survival, options.storage_options)
     with reporting(options.on_progress) as on_progress:
         options = replace(options, on_progress=on_progress)
         options.report(Progress(report))
@@ -80,17 +79,18 @@ def submit_retry(
 
 
 def asked(
-    store: str | os.PathLike[str],
-    into: str | os.PathLike[str],
+    store: Given,
+    into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None,
     survival: int | None,
+    storage_options: Mapping[str, Any] | None = None,
 ) -> tuple[Spec, Place, Origin, str]:
     """The spec of a retry, the place of its new store, where that takes cells from, and how many it solves, in words.
 
     InputError if it could change no cell.
     """
-    old = read_header(store)
+    old = header_from(store, storage_options)
     if old.spec.attractors is not None:
         raise InputError(f"{old.place}: an atlas of all attractors cannot be retried: run it again with more periods")
     if old.spec.continuation is not None:
@@ -99,7 +99,7 @@ def asked(
         )
     names = regimes.split(",") if isinstance(regimes, str) else regimes
     chosen = checked_retry(old, tuple(names), max_periods, survival)
-    place = place_from(old, into)
+    place = place_from(old, into, storage_options)
     status = read_status(old)
     if status.fraction < 1:
         done = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"

@@ -1,7 +1,6 @@
 """Running an atlas: plan, claim, create or resume, solve the tiles due, add up their receipts."""
 
 import math
-import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -25,7 +24,7 @@ from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
 from atlas.store.groups import ATTRACTORS, group_attributes
-from atlas.store.location import Place, place_of, waiting
+from atlas.store.location import Given, Place, place_of, waiting
 from atlas.store.making import check_run, remove_half_made
 from atlas.store.origin import Origin
 from atlas.store.records import Records, RunRecords
@@ -49,7 +48,7 @@ SMALL, BYTES_PER_CELL = 4096, 750
 @with_fields
 def run(
     spec: Spec,
-    store: str | os.PathLike[str] | Place,
+    store: Given,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunFields],
@@ -59,8 +58,8 @@ def run(
     ``fields`` are those of ``RunOptions``, as in ``run(spec, "plane.zarr", workers=4)``; they replace those of
     ``options``. The tiles run on ``client`` (used, not closed), or where the options say: on the cluster of a
     scheduler, else on the Dask client that the caller has open, else on a local cluster. In a notebook a bar shows the
-    progress, unless there is an ``on_progress``. Where a store at a URL stops answering, the run waits ``patience``
-    seconds for it.
+    progress, unless there is an ``on_progress``. The store is a path, a URL (with ``storage_options``), or an obstore
+    store. Where a server stops answering, the run waits ``patience`` seconds for it.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
     server does not answer.
@@ -77,7 +76,8 @@ def run(
     options = chosen(options, fields)
     checked_kind("spec", spec, Spec, "an atlas.Spec")
     with reporting(options.on_progress) as report:
-        return complete(spec, place_of(store), client, replace(options, on_progress=report))
+        place = place_of(store, storage_options=options.storage_options)
+        return complete(spec, place, client, replace(options, on_progress=report))
 
 
 def complete(
@@ -283,7 +283,7 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 
 @contextmanager
 def called(
-    store: str | os.PathLike[str], client: "Client | None", options: RunOptions
+    store: Given, client: "Client | None", options: RunOptions
 ) -> Iterator[tuple[Header, RunOptions, ExitStack]]:
     """A call that works on a store: its header, the options with what reports progress, and what ends with the call.
 
@@ -293,7 +293,8 @@ def called(
     check_client(client, options)
     with reporting(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
-        yield read_header(waiting(place_of(store), options.patience)), options, stack
+        place = place_of(store, storage_options=options.storage_options)
+        yield read_header(waiting(place, options.patience)), options, stack
 
 
 @contextmanager

@@ -69,11 +69,14 @@ def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOption
     scheduler, timing = options.scheduler, options.timing
     if scheduler is None:
         raise InputError("submit: needs the address of a scheduler")
-    refuse_packed(place_of(store))
+    place = place_of(store)
+    refuse_packed(place)
+    if options.storage_options is not None or place_of(str(place)) != place:
+        raise InputError("submit: the coordinator reaches the store by its environment; give a path or a URL alone")
     options.report(Progress(f"connecting to {scheduler}", passing=True))
     with connected(scheduler, options.tls, timing) as client:
         count_threads(client, options.wait_for_first, options.wait, timing.poll)
-        path, name = str(place_of(store)), f"atlas-{uuid.uuid4().hex[:8]}"
+        path, name = str(place), f"atlas-{uuid.uuid4().hex[:8]}"
         settled = replace(options, scheduler=None, tls=None, on_progress=None)
         task = Submission(spec, path, settled, name, SOLVER_VERSION, _run_id(path), origin)
         options.report(Progress("starting the coordinator on the cluster"))

@@ -34,6 +34,8 @@ class ZipPlace(Place):
 
     path: Path
 
+    only_read = "a zip file"
+
     def __str__(self) -> str:
         return str(self.path)
 
@@ -87,10 +89,11 @@ def reading(path: Path) -> Iterator[None]:
         raise OSError(errno.EIO, f"the zip file is damaged or incomplete: {error}", str(path)) from None
 
 
-def refuse_packed(place: object) -> None:
-    """InputError if a place that is to be written is a zip file."""
-    if isinstance(place, ZipPlace):
-        raise InputError(f"{place}: a zip file is read only; give a folder such as {place.path.with_suffix('.zarr')}")
+def refuse_packed(place: Place) -> None:
+    """InputError if a place that is to be written can only be read, as a zip file."""
+    if place.only_read:
+        name = f"folder such as {place.path.with_suffix('.zarr')}" if isinstance(place, ZipPlace) else "path or a URL"
+        raise InputError(f"{place}: {place.only_read} is read only; give a {name}")
 
 
 @contextmanager

@@ -5,30 +5,37 @@ or looked for, and a write under a condition, which an object store has in place
 """
 
 import os
+import pickle
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, TypeVar
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from atlas.arguments import checked_path
-from atlas.errors import InputError
+from atlas.errors import InputError, shown
+from atlas.store.access import BY_ENVIRONMENT, Access, access_by, access_of, is_obstore, local_folder
 from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
 from atlas.store.place import LocalPlace as LocalPlace
 from atlas.store.place import Place as Place
+from atlas.store.zarr_place import ZarrPlace, is_zarr_store
 
 if TYPE_CHECKING:
     from obstore import PutMode, UpdateVersion
     from obstore.store import ObjectStore
+    from zarr.abc.store import Store
+
+    Given: TypeAlias = str | os.PathLike[str] | Place | ObjectStore | Store
+else:
+    Given = Any  # a store as users give it, whose kinds take a while to load
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
 """Schemes of URLs that a store may have, besides ``file``: the ones that obstore supports."""
-_ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT", "GOOGLE_BASE_URL", "AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT")
 _SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
 """What settings of a client begin with in the environment."""
 AT_ONCE = 64
@@ -36,29 +43,75 @@ AT_ONCE = 64
 _T = TypeVar("_T")
 
 
-def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -> Place:
-    """The place that a user named by a path or a URL; InputError for a URL that cannot be one.
+def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str, Any] | None = None) -> Place:
+    """The place that a user names by a path or a URL, or gives as an obstore store or as a Zarr store object.
 
     A path that ends in .zip is an atlas packed into one file, unless it is a folder. At a URL, each call waits
-    ``patience`` seconds for a server that does not answer.
+    ``patience`` seconds for a server that does not answer; ``storage_options`` say how it is reached, see ``access``.
+    What Zarr stores, and those of obstore in memory, hold is only read. InputError for what cannot be a place.
     """
+    if storage_options is not None and not is_url(store):
+        raise InputError(f"storage_options: go with a URL, found {shown(store)}")
     if isinstance(store, Place):
         return store
+    if is_obstore(store):
+        return _place_of_object(store, patience)
+    if is_zarr_store(store):
+        return ZarrPlace(store)
+    if not isinstance(store, str | os.PathLike):
+        raise InputError(f"found {shown(store)}, must be a path, a URL, an obstore store or a Zarr store")
     if not is_url(store):
         return _place_at(checked_path(store, "store").absolute())
     scheme = store.partition("://")[0]
     if scheme == "file":
+        if storage_options:
+            raise InputError("storage_options: go with a server, found file://")
         return _place_at(Path(url2pathname(urlsplit(store.rstrip("/")).path)).absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
-    place = ObjectPlace(store.rstrip("/"), patience)
+    access = access_by(storage_options, store) if storage_options else BY_ENVIRONMENT
+    return _checked(ObjectPlace(store.rstrip("/"), access, patience))
+
+
+def _checked(place: "ObjectPlace") -> "ObjectPlace":
+    """The place; InputError for one that cannot work."""
     try:
-        _ = place.client  # a URL that cannot work is refused here
+        _ = place.client
     except ImportError as error:
         raise InputError(f"{place}: {first_line(error)}; needs obstore: pip install obstore") from None
     except Exception as error:
         raise InputError(f"{place}: not a place for a store: {first_line(error)}") from None
     return place
+
+
+def _place_of_object(store: Any, patience: float) -> Place:
+    """The place of an obstore store."""
+    folder = local_folder(store)
+    if folder is not None:
+        return _place_at(folder)
+    if type(store).__name__ == "MemoryStore":  # no other process sees it
+        from zarr.storage import ObjectStore
+
+        return ZarrPlace(ObjectStore(store, read_only=True))
+    return _checked(ObjectPlace(*access_of(store), patience))
+
+
+def beside(place: Place, store: str) -> Place:
+    """The place of another store, reached as this one is where both are at URLs."""
+    found = place_of(store)
+    if isinstance(found, ObjectPlace) and isinstance(place, ObjectPlace):
+        return replace(found, access=place.access)
+    return found
+
+
+def sendable(place: Place) -> Place:
+    """The place as it crosses to workers, without its fence; InputError if what gives its credentials cannot."""
+    bare = place.behind(None)
+    try:
+        pickle.dumps(bare)
+    except Exception as error:
+        raise InputError(f"{place}: its credential_provider cannot be sent to workers: {first_line(error)}") from None
+    return bare
 
 
 def is_url(store: object) -> TypeGuard[str]:
@@ -76,25 +129,21 @@ def waiting(place: Place, patience: float) -> Place:
 
 
 @lru_cache(maxsize=16)
-def _client(url: str, settings: tuple[tuple[str, str], ...], process: int) -> "ObjectStore":
-    """The client of a URL under these settings. It tries everything once: ``persist`` knows when to try again."""
-    from obstore.store import from_url
-
-    options: dict[str, Any] = {"retry_config": {"max_retries": 0}}
-    endpoints = (value for name, value in settings if name in _ENDPOINTS)
-    if any(text.startswith("http://") for text in (url, *endpoints)):
-        options["client_options"] = {"allow_http": True}  # the URL says http explicitly
-    return from_url(url, **options)
+def _client(url: str, access: Access, settings: tuple[tuple[str, str], ...], process: int) -> "ObjectStore":
+    """The client of a URL under these settings."""
+    return access.make(url, dict(settings))
 
 
 @dataclass(frozen=True)
 class ObjectPlace(Place):
-    """A prefix of an object store, by obstore. Credentials and endpoint come from the environment (AWS_*, ...).
+    """A prefix of an object store, by obstore. Credentials and endpoint come from the environment (AWS_*, ...) where
+    its ``access`` does not say them.
 
     Each call waits ``patience`` seconds for a server that does not answer, and then raises NetworkError.
     """
 
     url: str
+    access: Access = BY_ENVIRONMENT
     patience: float = field(default=BRIEF, compare=False)
 
     def __str__(self) -> str:
@@ -104,7 +153,7 @@ class ObjectPlace(Place):
     def client(self) -> "ObjectStore":
         """obstore's own object, which Zarr takes too: one of each place in a process."""
         settings = {name: value for name, value in os.environ.items() if name.upper().startswith(_SETTINGS)}
-        return _client(self.url, tuple(sorted(settings.items())), os.getpid())
+        return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
 
     def inner(self, folder: str) -> "ObjectPlace":
         return replace(self, url=f"{self.url}/{folder}").behind(self.fence)
@@ -174,7 +223,9 @@ class ObjectPlace(Place):
         if not isinstance(other, ObjectPlace):
             return None, "", ""
         ours, others = urlsplit(self.url), urlsplit(other.url)
-        if ours[:2] != others[:2] or ours.scheme in ("http", "https"):  # there a path may name the bucket
+        if self.access != other.access or ours[:2] != others[:2]:
+            return None, "", ""
+        if ours.scheme in ("http", "https"):  # there a path may name the bucket
             return None, "", ""
         bucket = replace(self, url=f"{ours.scheme}://{ours.netloc}").client
         return bucket, f"{ours.path.lstrip('/')}/", f"{others.path.lstrip('/')}/"

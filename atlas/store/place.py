@@ -26,6 +26,8 @@ class Place:
     """
 
     fence: Fence | None = None
+    only_read = ""
+    """What it is, in words, if it can only be read."""
 
     def behind(self, fence: Fence | None) -> Self:
         """The same place, which calls ``fence`` before it changes anything; None takes its fence away."""
@@ -33,9 +35,12 @@ class Place:
         object.__setattr__(fenced, "fence", fence)  # no field: two views of one place are equal
         return fenced
 
+    def __deepcopy__(self, memo: object) -> Self:
+        return self  # it names what it is of
+
     def inner(self, folder: str) -> "Place":
         """The place of a store within this one, behind the same fence. ValueError if this one cannot be written."""
-        raise ValueError(f"{self}: nothing can be kept in a packed store")
+        raise ValueError(f"{self}: nothing can be kept in a store that is only read")
 
     def confirm(self) -> None:
         """Raise what the fence raises if this place may no longer be written; nothing without a fence."""
@@ -94,7 +99,7 @@ class Place:
             self.remove(key)
 
     def _read_only(self) -> OSError:
-        return OSError(errno.EROFS, "a zip file is read only", str(self))
+        return OSError(errno.EROFS, f"{self.only_read} is read only", str(self))
 
 
 @dataclass(frozen=True)

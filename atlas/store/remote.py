@@ -14,6 +14,7 @@ from zarr.storage import LocalStore, ObjectStore, WrapperStore, ZipStore
 from atlas.store.archive import ZipPlace, reading
 from atlas.store.location import ObjectPlace, Place
 from atlas.store.outage import persist_async
+from atlas.store.zarr_place import ZarrPlace
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
@@ -133,14 +134,30 @@ class FencedStore(WrapperStore[Any]):
         await asyncio.to_thread(self._place.confirm)  # it reads a note, perhaps from a server
 
 
-def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | PackedStore | FencedStore":
-    """Zarr's store of a place; OSError for a zip file that is to be written."""
+class ReadStore(WrapperStore[Any]):
+    """A Zarr store object that a user gave, for reading: not every class of them can be made read only."""
+
+    def _with_store(self, store: Any) -> Self:
+        return type(self)(store)
+
+    @property
+    def read_only(self) -> bool:
+        return True
+
+    def with_read_only(self, read_only: bool = False) -> Self:
+        return self
+
+
+def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | PackedStore | FencedStore | ReadStore":
+    """Zarr's store of a place; OSError for one that is to be written and is only read, as a zip file."""
     if place.fence is not None and not read_only:
         return FencedStore(zarr_store(place.behind(None), read_only), place)
+    if place.only_read and not read_only:
+        place.remove("")
     if isinstance(place, ZipPlace):
-        if not read_only:
-            place.remove("")
         return PackedStore(place)
+    if isinstance(place, ZarrPlace):
+        return ReadStore(place.store)
     if isinstance(place, ObjectPlace):
         return RemoteStore(place, read_only)
     assert place.local is not None, "a place is a folder or an object store"

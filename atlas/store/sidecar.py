@@ -21,7 +21,7 @@ import google_crc32c
 from atlas.errors import InputError, RunError
 from atlas.platform import file_lock
 from atlas.store.archive import ZipPlace
-from atlas.store.location import ObjectPlace, Place, place_of
+from atlas.store.location import Given, ObjectPlace, Place, place_of
 from atlas.store.place import Fence
 
 CLAIM = "claim"
@@ -49,7 +49,7 @@ class Notes(Protocol):
         """Remove all notes but one: only for who holds that one."""
 
 
-def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
+def notes_of(store: Given) -> Notes:
     """The notes of a store: next to it, since a claim comes before the store and Zarr owns its inside.
 
     If the store's path is a link, they are next to its target, so that a store has one claim.
@@ -58,9 +58,26 @@ def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
     if isinstance(place, ObjectPlace):
         return notes_at_url(place)
     path = place.path if isinstance(place, ZipPlace) else place.local  # nobody claims a file, so there are none
-    assert path is not None
+    if path is None:
+        return NoNotes()
     path = Path(os.path.realpath(path))
     return Folder(path.parent / f".{path.name}.run")
+
+
+class NoNotes:
+    """The notes of a store that can only be read, which nobody claims."""
+
+    def read(self, name: str) -> bytes | None:
+        return None
+
+    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+        return False
+
+    def remove(self, name: str, expected: bytes) -> bool:
+        return False
+
+    def clear(self, keep: str) -> None:
+        pass
 
 
 def claim_token(notes: Notes) -> str:

@@ -1,7 +1,6 @@
 """A store: made whole and empty, found again, and what it says about itself."""
 
 import json
-import os
 from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import ZipPlace
 from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
-from atlas.store.location import Place, place_of
+from atlas.store.location import Given, Place, place_of
 from atlas.store.making import is_free, make_store, refused
 from atlas.store.origin import ALLOWANCES, Allowance, Origin
 from atlas.store.record import RECORD
@@ -179,7 +178,7 @@ class Header:
 
 
 def create(
-    store: str | os.PathLike[str] | Place,
+    store: Given,
     spec: Spec,
     tile: tuple[int, ...],
     origin: Origin | None = None,
@@ -195,7 +194,7 @@ def create(
     return read_header(place)
 
 
-def read_header(store: str | os.PathLike[str] | Place) -> Header:
+def read_header(store: Given) -> Header:
     """The header of a store; InputError if there is none, or it is not ours, or of an unknown format.
 
     Where the disk or the server refused, its OSError is that InputError's cause. NetworkError if the server does
@@ -251,7 +250,7 @@ def header_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) 
     return header
 
 
-def find(store: str | os.PathLike[str] | Place) -> Header | None:
+def find(store: Given) -> Header | None:
     """The header of a store, None if there is none yet; InputError if there is something else."""
     place = place_of(store)
     with refused(place, "written"):

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from atlas.store.archive import ZipPlace
 from atlas.store.location import Place
 from atlas.store.store import ROOT, ZOOM, Header
 from workers.results import REGIME
@@ -36,7 +35,7 @@ def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None
 
 def sheets(header: Header) -> list[tuple[str, str]]:
     """The planes and the names of all sheets; none of a packed store, whose sheets are read as parts of it alone."""
-    if isinstance(header.place, ZipPlace):
+    if header.place.only_read:
         return []
     local = header.place.local
     if local is not None:  # without a look at what lies in them

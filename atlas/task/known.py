@@ -2,25 +2,26 @@
 
 from collections.abc import Hashable
 
-from atlas.store.location import place_of
+from atlas.store.location import Place, beside, place_of, waiting
 from atlas.store.outage import LONG
 from atlas.store.store import ROOT, Header, read_header
 
-_headers: dict[tuple[str, float], tuple[Hashable, Header]] = {}
-"""By path or URL, and patience: each with the state of the store's root."""
+_headers: dict[tuple[Place, float], tuple[Hashable, Header]] = {}
+"""By place and patience: each with the state of the store's root."""
 
 
-def known_header(store: str, patience: float = LONG) -> Header:
+def known_header(store: str | Place, patience: float = LONG) -> Header:
     """The header of a store, by one look at the state of its root; errors as of ``read_header``."""
-    place = place_of(store, patience)
-    version, known = place.version(ROOT), _headers.get((store, patience))
+    place = waiting(place_of(store), patience)
+    version, known = place.version(ROOT), _headers.get((place, patience))
     if known is None or known[0] != version:
-        known = _headers[store, patience] = version, read_header(place)
+        known = _headers[place, patience] = version, read_header(place)
     return known[1]
 
 
-def forget_header(store: str, patience: float = LONG) -> None:
+def forget_header(store: str | Place, patience: float = LONG) -> None:
     """Drop what is kept of a store, and of the one that it copies cells from."""
-    known = _headers.pop((store, patience), None)
+    place = place_of(store)
+    known = _headers.pop((place, patience), None)
     if known is not None and known[1].origin is not None:
-        forget_header(known[1].origin.store)
+        forget_header(beside(place, known[1].origin.store))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
 from atlas.spec.spec import Slices, Spec
+from atlas.store.location import beside
 from atlas.store.machines import machines, record_machine
 from atlas.store.origin import ALLOWANCES
 from atlas.store.schema import extra_sizes
@@ -102,7 +103,7 @@ def _meetings(
 def _origin_of(header: Header) -> Header:
     assert header.origin is not None
     try:
-        origin = known_header(header.origin.store)
+        origin = known_header(beside(header.place, header.origin.store))
     except InputError as error:
         found = str(error)
     else:

@@ -35,7 +35,7 @@ class Site:
     has none. ``patience`` is how many seconds to wait for a store at a URL that does not answer.
     """
 
-    store: str
+    store: str | Place
     run_id: str
     solver_version: int
     patience: float = LONG
@@ -87,7 +87,7 @@ def prepare(site: Site, kernels: Sequence[str]) -> None:
     compile_once(*kernels)
 
 
-def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
+def checked_header(store: str | Place, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
     """The header of the store that a run asks this worker to work on, see ``known_header``.
 
     Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
@@ -112,7 +112,7 @@ def check_solver(version: int) -> None:
 
 
 @contextmanager
-def file_errors(store: str) -> Iterator[None]:
+def file_errors(store: object) -> Iterator[None]:
     """Turn errors of the file system into what they mean: no room for anybody, or not for this worker; others pass."""
     try:
         yield

@@ -1,0 +1,64 @@
+"""Any Zarr store object as a place that is read only: one in memory, of obstore's, of a session of Icechunk."""
+
+import asyncio
+import sys
+from collections.abc import Hashable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from atlas.store.place import Place
+
+
+def is_zarr_store(store: object) -> bool:
+    """Whether this is one of Zarr's stores, or of a class derived from theirs; Zarr is not loaded for it."""
+    module = sys.modules.get("zarr.abc.store")
+    return module is not None and isinstance(store, module.Store)
+
+
+@dataclass(frozen=True, eq=False)
+class ZarrPlace(Place):
+    """The root of a Zarr store object. Two places are equal if they are of one object."""
+
+    store: Any
+
+    only_read = "a Zarr store object"
+
+    def __str__(self) -> str:
+        return str(self.store).splitlines()[0]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ZarrPlace) and other.store is self.store
+
+    def __hash__(self) -> int:
+        return id(self.store)
+
+    def get(self, key: str) -> bytes | None:
+        return self.get_all([key]).get(key)
+
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
+        from zarr.core.buffer import default_buffer_prototype
+        from zarr.core.sync import sync
+
+        wanted, prototype = list(keys), default_buffer_prototype()
+
+        async def gather() -> list[Any]:
+            return await asyncio.gather(*(self.store.get(key, prototype) for key in wanted))
+
+        found = zip(wanted, sync(gather()), strict=True)
+        return {key: data.to_bytes() for key, data in found if data is not None}
+
+    def version(self, key: str) -> Hashable:
+        return self.get(key)  # a Zarr store tells nothing else of an object
+
+    def exists(self, key: str) -> bool:
+        from zarr.core.sync import sync
+
+        return bool(sync(self.store.exists(key)))
+
+    def list_keys(self, prefix: str = "") -> Iterator[str]:
+        from zarr.core.sync import sync
+
+        async def listed() -> list[str]:
+            return [key async for key in self.store.list_prefix(prefix)]
+
+        yield from sync(listed())
