@@ -151,6 +151,26 @@ def test_damage_of_a_group_is_named_and_after_a_repair_gone(
     assert faults(path) == []
 
 
+@pytest.mark.parametrize(
+    ("which", "group", "makes"),
+    [
+        ("whole", "curves", "find-curves"),
+        ("whole", "stability", "measure-attractors"),
+        ("labelled", "labels", "label-attractors"),
+        ("basins", "attractors", ""),
+    ],
+)
+def test_a_group_whose_own_metadata_are_lost_does_not_vanish_without_a_word(
+    which: str, group: str, makes: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    path = copied(request.getfixturevalue(which), tmp_path)
+    (path / group / "zarr.json").unlink()
+    remedy = f" (atlas {makes} {path} makes it anew)" if makes else ""
+    assert f"{group}/zarr.json is missing{remedy}" in faults(path)
+    verify(path, sample=0, repair=True)
+    assert faults(path) == []
+
+
 def test_a_damaged_record_of_a_machine_is_restored_from_its_copy(whole: Path, tmp_path: Path) -> None:
     path = copied(whole, tmp_path)
     (record,) = (path / "machines").glob("*/zarr.json")

@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from atlas.store.added import add_allowances
 
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
+from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
 from atlas.query.resample import view
+from atlas.store.records import Records, write_compaction
+from atlas.store.schema import SURVIVAL
 from atlas.store.spare import SPARE
 from atlas.store.store import create, read_header
 from atlas.store.tiles import read_tile, write_tile
@@ -182,3 +186,27 @@ def test_an_empty_folder_in_the_place_of_an_object_is_a_missing_object(whole: Pa
     assert verify(whole, sample=0).fine
     with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
         assert mended.identical(before)
+
+
+def test_records_are_read_and_written_whatever_their_own_metadata_say(whole: Path, made: Path) -> None:
+    shutil.copy(whole / "omega/zarr.json", whole / "tiles/records/zarr.json")
+    header = read_header(whole)
+    rows = Records(header).rows
+    assert np.array_equal(rows, Records(read_header(made)).rows)
+    write_compaction(header, rows, Records(header).done)
+    key = "tiles/records/c.0.0.0"
+    assert (whole / key).read_bytes() == (made / key).read_bytes()
+
+
+@pytest.mark.parametrize("key", ["zarr.json", "survival/zarr.json"])
+def test_what_came_after_the_spare_outlives_the_loss_of_metadata(whole: Path, key: str) -> None:
+    header = read_header(whole)
+    add_allowances(header, [SURVIVAL])
+    write_measures(header, Stored(empty(of_family(LINEAR), header.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
+    before = atlas.open(whole).load()
+    assert {"survival", "reactivity"} <= before.keys()
+    (whole / key).unlink()
+    assert f"{key} is missing: atlas verify --repair {whole} writes them again" in str(verify(whole, sample=0))
+    verify(whole, sample=0, repair=True)
+    assert verify(whole, sample=0).fine
+    assert atlas.open(whole).load().identical(before)

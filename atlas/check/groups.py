@@ -10,7 +10,7 @@ from atlas.store.machine import UNKNOWN
 from atlas.store.machines import machine_keys, record_machine, recorded_machine
 from atlas.store.parts import damaged_parts
 from atlas.store.schema import OVERVIEWS
-from atlas.store.store import Header
+from atlas.store.store import ROOT, Header
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,9 @@ def check_groups(header: Header) -> GroupReport:
     found: dict[str, list[str]] = {}
     for group in groups_of(header):
         try:
-            read_group(header, group)
+            # Arrays without the metadata of their group: these are lost, or whoever wrote them was killed.
+            if read_group(header, group) is None and any(header.place.list_keys(f"{group}/")):
+                found[group] = [f"{group}/{ROOT} is missing"]
         except ChunkError as error:
             found[group] = [f"{key} {fault}" for key, fault in error.faults.items()]
     copies = copy_faults(header)
@@ -51,7 +53,11 @@ def mend_groups(header: Header, report: GroupReport) -> list[str]:
     """Drop the groups that are damaged, and restore what can be; what was done, each in a line."""
     done = []
     for group in report.groups:
-        drop_all(header) if group == OVERVIEWS else drop_group(header, group)
+        if group == OVERVIEWS:
+            drop_all(header)
+        else:
+            drop_group(header, group)
+            header.place.remove_all(list(header.place.list_keys(f"{group}/")))
         command = f"{MADE_BY[group]} {header.place}" if group in MADE_BY else "the next run"
         done.append(f"{group} dropped: {command} makes them anew")
     for key in report.parts:

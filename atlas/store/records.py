@@ -39,7 +39,7 @@ from atlas.store.record import (
     record_key,
     unpacked,
 )
-from atlas.store.store import READERS, Header, done_tiles, is_done, open_arrays
+from atlas.store.store import READERS, Header, array_by, done_tiles, is_done, open_arrays
 from atlas.store.tiles import encoded, read_tile
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
@@ -105,11 +105,9 @@ class Records:
         none = np.zeros((*self.header.tiling.grid, WIDTH))
         try:
             rows = np.asarray(_compaction(self.header)[...], dtype=np.float64)
-        except FileNotFoundError:
-            return none
         except OSError:
             raise
-        except Exception as error:  # metadata or a codec that meet bytes nobody wrote may raise anything
+        except Exception as error:  # a codec that meets bytes nobody wrote may raise anything
             self.damaged[RECORDS] = f"is damaged ({message_of(error)})"
             return none
         return rows if rows.shape == none.shape else none
@@ -234,11 +232,7 @@ def by_name(total: Rows, header: Header) -> tuple[dict[str, int], dict[str, int]
 
 
 def _compaction(header: Header) -> Any:
-    import zarr
-
-    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
-
-    return zarr.open_array(zarr_store(header.place, read_only=True), path=RECORDS, mode="r", zarr_format=3)
+    return array_by(header.place, RECORDS, header.nodes[RECORDS])
 
 
 def _indices(mask: NDArray[np.bool_]) -> list[Index]:

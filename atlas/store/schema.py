@@ -20,6 +20,8 @@ FORMAT_VERSION = 1
 """The only one that is read."""
 OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
+ZOOM = "zoom"
+"""The group of what was explored, see ``store.zoom``."""
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
 """New names of dimensions: xarray takes a variable that is named like one of its dimensions for a coordinate."""

@@ -14,7 +14,7 @@ from atlas.errors import PACK, message_of, shown
 from atlas.store.archive import ZipPlace
 from atlas.store.axes import ROOT, goes_with
 from atlas.store.place import Place
-from atlas.store.schema import COMPONENT, OVERVIEWS
+from atlas.store.schema import COMPONENT, ZOOM
 
 SPARE = f"{COMPONENT}/spare"
 """The key of the spare: a checksum in the first line, then the root's metadata."""
@@ -60,9 +60,12 @@ def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
 
 
 def spare_faults(place: Place, spare: Json) -> dict[str, str]:
-    """What of a store's metadata is missing, damaged or not as its spare has it, in words by the keys."""
+    """What of a store's metadata is missing, damaged or not as its spare has it, in words by the keys.
+
+    Of an array that came later, as by a retry, the root's copy is the spare.
+    """
     faults = {}
-    for key, right in {ROOT: spare, **nodes_of(spare)}.items():
+    for key, right in {ROOT: spare, **_right_nodes(place, spare)}.items():
         if fault := next(_faults(place.get(key), right, whole=key != ROOT), ""):
             faults[key] = fault
     return faults
@@ -70,24 +73,31 @@ def spare_faults(place: Place, spare: Json) -> dict[str, str]:
 
 def mend_by_spare(place: Place, spare: Json, keys: Mapping[str, str]) -> None:
     """Write these metadata as the spare has them, and the root's with copies of all that there is."""
-    nodes = nodes_of(spare)
+    nodes = _right_nodes(place, spare)
     for key in keys:
         if key != ROOT:
             place.put(key, json.dumps(alone(nodes[key])).encode())
     copy_metadata(place, spare)
 
 
+def _right_nodes(place: Place, spare: Json) -> dict[str, dict[str, Any]]:
+    """The metadata that the spare has, and those of arrays of the root that came later, by their keys."""
+    try:
+        there = nodes_of(json.loads(place.get(ROOT) or b""))
+        later = {key: node for key, node in there.items() if key.count("/") == 1 and node["node_type"] == "array"}
+    except (ValueError, AttributeError, TypeError, KeyError, RecursionError):
+        later = {}
+    return later | nodes_of(spare)
+
+
 def copy_metadata(place: Place, root: Json) -> None:
     """Write a root's metadata with copies of the metadata of its arrays and groups as these have them now.
 
-    Such are the ones that ``root`` has copies of, or the root that is there, and those of the levels of overviews.
+    Such are the ones that ``root`` has copies of, and all others that are there now but the zoom levels: what came
+    later, as by a retry or a search, is in no spare.
     """
-    try:
-        there = nodes_of(json.loads(place.get(ROOT) or b""))
-    except (ValueError, AttributeError, TypeError, RecursionError):
-        there = {}
-    levels = {key for key in place.list_keys(f"{OVERVIEWS}/") if key.endswith(f"/{ROOT}")}
-    keys = sorted({*nodes_of(root), *there, *levels})
+    found = {key for key in place.list_keys() if key.endswith(f"/{ROOT}") and not key.startswith(f"{ZOOM}/")}
+    keys = sorted({*nodes_of(root), *(key for key in found if _parents(key) <= found)})
     copies = {}
     for key, data in sorted(place.get_all(keys).items()):
         try:
@@ -96,6 +106,12 @@ def copy_metadata(place: Place, root: Json) -> None:
         except (ValueError, AttributeError, RecursionError):
             continue  # damaged: whoever checks it says so
     place.put(ROOT, json.dumps(alone(root) | _copies(copies)).encode())
+
+
+def _parents(key: str) -> set[str]:
+    """The keys of the metadata of the groups that an array or a group lies in, the root's left out."""
+    parts = key.split("/")[:-1]
+    return {"/".join([*parts[:n], ROOT]) for n in range(1, len(parts))}
 
 
 def _copies(nodes: Json) -> dict[str, Any]:

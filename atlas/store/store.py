@@ -20,6 +20,7 @@ from atlas.store.making import is_free, make_store, refused
 from atlas.store.origin import ALLOWANCES, Allowance, Origin
 from atlas.store.record import RECORD
 from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates, variable_of
+from atlas.store.schema import ZOOM as ZOOM
 from atlas.store.spare import SPARE, remedy, root_fault, spare_by, unlike_copy
 from atlas.store.tiling import Tiling, chunk_index
 from workers.results import ATTRACTOR, REGIME, Variable, leading
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 READERS = 8
 """Tiles read at once: a disk or a network answers several as soon as one."""
-ZOOM = "zoom"
-"""The group of what was explored, see ``store.zoom``."""
 
 
 @dataclass(frozen=True)
@@ -293,19 +292,24 @@ def open_arrays(header: Header) -> dict[str, Any]:
 
 def arrays_by(header: Header, nodes: Mapping[str, Any]) -> dict[str, Any]:
     """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError if these are damaged."""
+    found = {}
+    for name in _array_names(header):
+        try:
+            if name in nodes:
+                found[name] = array_by(header.place, name, nodes[name])
+        except Exception as error:  # what is no metadata may raise anything
+            raise ChunkError(header.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
+    return found
+
+
+def array_by(place: Place, path: str, node: Any) -> Any:
+    """A Zarr array of a store, for reading, as these metadata describe it; any error where they are damaged."""
     from zarr import Array, AsyncArray
     from zarr.storage import StorePath
 
     from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
 
-    store, found = zarr_store(header.place, read_only=True), {}
-    for name in _array_names(header):
-        try:
-            if name in nodes:
-                found[name] = Array(AsyncArray(nodes[name], StorePath(store, name)))
-        except Exception as error:  # what is no metadata may raise anything
-            raise ChunkError(header.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
-    return found
+    return Array(AsyncArray(node, StorePath(zarr_store(place, read_only=True), path)))
 
 
 def own_nodes(header: Header) -> dict[str, Any]:
