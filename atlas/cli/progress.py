@@ -41,7 +41,8 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._planned = True
             self._print(str(progress.plan))
         if progress.stage != self._stage:
-            self._stage, self._last = progress.stage, time.monotonic()
+            self._stage = self._line = progress.stage
+            self._last = time.monotonic()
             self._print(progress.stage)
         elif time.monotonic() - self._last >= self._interval:
             self._last = time.monotonic()
