@@ -12,7 +12,7 @@ from workers.attractors.starts import Starts, initial_states
 from workers.attractors.waves import Coexistence, solve_attractors
 from workers.model.oscillator import make_blocks
 from workers.model.system import find_system
-from workers.results import CHAOTIC, INVALID, NO_IMPACT, PENDING, PERIODIC
+from workers.results import CHAOTIC, INVALID, LOCKING, NO_IMPACT, PENDING, PERIODIC
 
 TWINS = {"omega": 2.561, "b": 0.193}
 """Two orbits of period 1, mirror images of each other."""
@@ -156,6 +156,14 @@ def test_what_ends_in_an_orbit_is_no_attractor() -> None:
     found = solved(params, Starts(6), short)
     assert found["regime"][: found["attractors"]].tolist() == [NO_IMPACT]
     assert found["share"][0] + found["undecided"] / found["starts"] == pytest.approx(1.0)
+
+
+def test_motions_that_lock_onto_a_stop_are_on_one_attractor_without_a_period() -> None:
+    """Truth: the load on the table has one phase at which it lets go, so that all follow the same release."""
+    found = solve_attractors("bouncing-ball", {"omega": 1.0, "A": 3.3, "R": 0.5}, Settings(), Starts(8))
+    assert (found["attractors"], found["undecided"], found["own"]) == (1, 0, 0)
+    assert (found["regime"][0], found["period"][0], found["share"][0]) == (LOCKING, 0, 1.0)
+    assert not found["exact"][0] and found["lumped"][0] == 0 and found["mirror"][0] == -1
 
 
 def test_a_cell_whose_parameters_make_no_sense_is_invalid_in_the_first_place() -> None:

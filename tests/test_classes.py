@@ -12,6 +12,7 @@ from workers import Settings, System, solve_tile
 from workers.cell.averages import shears
 from workers.results import (
     FAILED,
+    INVALID,
     LOCKING,
     NEVER_RECURS,
     NO_IMPACT,
@@ -19,6 +20,7 @@ from workers.results import (
     PERIODIC,
     PERIODS_SPENT,
     QUASIPERIODIC,
+    RESONANCE,
     RUNS_AWAY,
     UNDETERMINED,
 )
@@ -149,6 +151,85 @@ def test_loads_that_phases_switch_move_a_linear_machine_to_its_one_orbit() -> No
     assert state == pytest.approx(found["state"], rel=1e-13)
 
 
+def test_an_undamped_machine_of_phases_alone_swings_for_ever_where_its_multipliers_are_on_the_unit_circle() -> None:
+    """Truth: the trace of its map, of determinant 1, is less than 2. Without phases it has no impact, exponents 0."""
+    swings = machine(damping=[[0.0]], **SWITCHED)
+    found = solved(swings, omega=2.3, x=0.1)
+    half = [
+        np.array([[math.cos(w * t), math.sin(w * t) / w], [-w * math.sin(w * t), math.cos(w * t)]])
+        for w, t in ((math.sqrt(k), math.pi / 2.3) for k in (0.35, 0.15))
+    ]
+    assert abs(np.trace(half[1] @ half[0])) < 2.0
+    assert (found["regime"], found["period"], found["spectrum"].tolist()) == (NO_IMPACT, 1, [0.0, 0.0])
+    assert found["state"] == pytest.approx([0.1, 0.0], abs=1e-15)
+
+
+def test_two_undamped_masses_of_phases_alone_swing_for_ever() -> None:
+    """Truth: eigenvalues of the product of the halves' matrix exponentials, by modes, all have modulus 1."""
+    stiffness = [[[3.0, -1.0], [-1.0, 2.0]], [[2.5, -1.0], [-1.0, 2.2]]]
+    turn = np.eye(4)
+    for K in stiffness:
+        lam, U = np.linalg.eigh(np.array(K))
+        w, t = np.sqrt(lam), math.pi / 1.1
+        c, s = U @ np.diag(np.cos(w * t)) @ U.T, U @ np.diag(np.sin(w * t) / w) @ U.T
+        turn = np.block([[c, s], [-np.array(K) @ s, c]]) @ turn
+    assert np.abs(np.linalg.eigvals(turn)) == pytest.approx(1.0, abs=1e-12)
+    two = System.from_mapping({
+        "name": "two", "coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": stiffness[0],
+        "phases": [{"start": 0.0}, {"start": 0.5, "stiffness": stiffness[1]}],
+    })  # fmt: skip
+    found = solved(two, omega=1.1, x1=0.1)
+    assert (found["regime"], found["spectrum"].tolist()) == (NO_IMPACT, [0.0] * 4)
+
+
+def test_where_multipliers_meet_on_the_unit_circle_nothing_is_said_to_swing_for_ever() -> None:
+    """Truth: at a trace of -2 a motion grows in proportion to the time. It is met by bisection."""
+
+    def trace_of(omega: float) -> float:
+        a, b = math.sqrt(0.35), math.sqrt(0.15)
+        s, t = a * math.pi / omega, b * math.pi / omega
+        return 2.0 * math.cos(s) * math.cos(t) - (a / b + b / a) * math.sin(s) * math.sin(t)
+
+    low, high = 1.0, 2.3
+    assert trace_of(low) < -2.0 < trace_of(high)
+    while low < 0.5 * (low + high) < high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if trace_of(middle) < -2.0 else (low, middle)
+    found = solved(machine(damping=[[0.0]], **SWITCHED), Settings(max_periods=300, survival=0), omega=high, x=0.1)
+    assert found["regime"] != NO_IMPACT
+
+
+def test_gears_without_a_load_coast_to_rest_within_their_backlash() -> None:
+    """Truth: x'' + 2 zeta x' = E omega^2 sin(omega t): the place of rest is neutral, and the speed decays."""
+    found = solved("gear-mesh", F=0.0)
+    T = 2.0 * math.pi / 0.8
+    assert (found["regime"], found["period"], found["reason"]) == (NO_IMPACT, 1, NO_REASON)
+    assert found["spectrum"] == pytest.approx([0.0, -2.0 * 0.05 * T], rel=1e-12) and found["largest"] == 0.0
+    answer = 0.05 * 0.8**2 / complex(-(0.8**2), 2.0 * 0.05 * 0.8)
+    x, v = found["state"]
+    assert v == pytest.approx(0.8 * answer.real, rel=1e-12)
+    assert abs(x - answer.imag) + abs(answer) < 1.0
+
+
+# Resonance
+
+
+@pytest.mark.parametrize("phases", [{}, {"phases": [{"start": 0.0}, {"start": 0.5}]}], ids=["plain", "with modes"])
+def test_undamped_resonance_is_invalid_in_every_machine(phases: dict[str, Any]) -> None:
+    stopped = {"stiffness": [[1.0]], "force": [0.1], "gap": [1.0], "upper": 5.0, "restitution": 0.5}
+    found = solved(machine(damping=[[0.0]], **stopped, **phases), omega=1.0)
+    assert (found["regime"], found["reason"]) == (INVALID, RESONANCE)
+
+
+@pytest.mark.parametrize("A", [0.3, 0.9])
+def test_a_mass_that_friction_holds_for_ever_is_periodic_where_it_would_resonate_if_it_slid(A: float) -> None:
+    """As at any other frequency: its place is neutral, its speed is lost."""
+    for omega in (0.7, 1.0):
+        found = solved("friction-oscillator", omega=omega, zeta=0.0, A=A)
+        assert (found["regime"], found["period"], found["stuck_fraction"]) == (PERIODIC, 1, 1.0)
+        assert found["spectrum"].tolist() == [0.0, -math.inf]
+
+
 # Growth and decay
 
 RESONANT = {"omega": 2.0, "A": 0.1, "b": 0.001, "R": 1.0, "zeta": 0.0}
@@ -170,8 +251,10 @@ def test_what_dies_away_or_grows_for_ever_is_no_torus(system: str, params: dict[
     assert found["reason"] in (NEVER_RECURS, PERIODS_SPENT)
 
 
-def test_growth_without_end_is_the_reason_that_a_resonant_mass_gives() -> None:
-    assert solved("single-mass", **RESONANT)["reason"] == NEVER_RECURS
+@pytest.mark.parametrize("method", ["adaptive", "fixed"])
+def test_growth_without_end_is_the_reason_that_a_resonant_mass_gives(method: str) -> None:
+    found = solved("single-mass", Settings(method=method, survival=2000), **RESONANT)
+    assert (found["regime"], found["reason"]) == (UNDETERMINED, NEVER_RECURS)
 
 
 def test_a_mass_that_flies_from_wall_to_wall_without_loss_is_a_torus_still() -> None:
@@ -232,7 +315,8 @@ def test_a_mass_that_dies_away_at_an_equilibrium_on_its_stop_never_locks(R: floa
 def test_a_force_so_near_undamped_resonance_that_growth_seems_to_close_has_no_class() -> None:
     """Truth: its own history moves on by .084 a period, for thousands of periods."""
     for omega in (1.0 + 1e-9, 1.0 - 1e-12):
-        assert solved("friction-oscillator", omega=omega, zeta=0.0, A=1.3, s=1.0)["regime"] == FAILED
+        found = solved("friction-oscillator", omega=omega, zeta=0.0, A=1.3, s=1.0)
+        assert (found["regime"], found["reason"]) == (INVALID, RESONANCE)
 
 
 @pytest.mark.parametrize("load", [0.999, 1.0])

@@ -9,11 +9,11 @@ from scipy.integrate import solve_ivp
 
 from tests import naive
 from tests.oscillators import mass_spring
+from workers.kernel.chatter import chatter_left
 from workers.kernel.contact import (
     LEAVE,
     REBOUND,
     REST,
-    chatter_left,
     from_held,
     kick,
     load_on_stop,

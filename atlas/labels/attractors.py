@@ -11,13 +11,12 @@ from atlas.errors import InputError
 from atlas.query.open import open_atlas
 from atlas.store.store import Header, done_tiles
 from atlas.text import plural
+from workers.attractors.record import ON_ATTRACTOR
 from workers.model.system import System
-from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME
+from workers.results import NO_IMPACT, PERIODIC, REGIME
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-
-ON_ATTRACTOR = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from atlas.robustness.linear import NO_ORBIT, UNMEASURED, measures_of
 from atlas.robustness.norm import weights_of
 from atlas.robustness.shock import shock_of
 from workers.attractors.basins import Table
-from workers.attractors.record import STABLE, STATISTICAL, Attractor
+from workers.attractors.record import ON_ATTRACTOR, STABLE, Attractor
 from workers.attractors.starts import Starts
 from workers.cell.stretch import begin
 from workers.model.oscillator import Array, taken
@@ -33,7 +33,7 @@ def linear_measures(
     """
     regime = cells["regime"]
     found = empty(of_family(LINEAR), regime.shape)
-    found["unmeasured"][np.isin(regime, STATISTICAL)] = UNMEASURED[NO_ORBIT]
+    found["unmeasured"][np.isin(regime, ON_ATTRACTOR) & ~np.isin(regime, STABLE)] = UNMEASURED[NO_ORBIT]
     oscillators, reasons = record.build_many(params)
     stable = np.isin(regime, STABLE) & (reasons == NO_REASON)[:, None] & np.isfinite(cells["state"]).all(axis=-1)
     cell, place = np.nonzero(stable)
@@ -68,7 +68,7 @@ def shock_measures(
     The attractors of a cell are found anew from the same initial states; one that is not found again has no shock.
     """
     found = empty(of_family(SHOCKS), cells["regime"].shape)
-    for n in np.flatnonzero(np.isin(cells["regime"], (*STABLE, *STATISTICAL)).any(axis=1)).tolist():
+    for n in np.flatnonzero(np.isin(cells["regime"], ON_ATTRACTOR).any(axis=1)).tolist():
         table = Table(record, {name: float(values[n]) for name, values in params.items()}, settings, starts)
         if len(table.attractors) < 2:
             continue

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from workers.attractors.basins import Table, section_points
 from workers.attractors.cell import attractor_of
-from workers.attractors.record import STABLE
+from workers.attractors.record import SHOWN
 from workers.attractors.starts import unseen_share
 from workers.model.oscillator import Array
 from workers.results import BEYOND_TABLE, INVALID, UNKNOWN_LABEL
@@ -112,7 +112,7 @@ def reached(table: Table, states: Array) -> Labels:
     """
     search = table.solved(states, references=False)
     labels, regime = search.label.copy(), search.regime
-    for r in np.flatnonzero((labels < 0) & np.isin(regime, STABLE)).tolist():  # proved anew
+    for r in np.flatnonzero((labels < 0) & np.isin(regime, SHOWN)).tolist():  # proved anew
         new = attractor_of(table.oscillators, search, r)
         place = table.label(table.cell.same(new)[0]) if new else UNKNOWN_LABEL
         labels[r] = BEYOND_TABLE if new and place == UNKNOWN_LABEL else place

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workers.attractors.cell import attractor_of
-from workers.attractors.record import STABLE, STATISTICAL, Attractor
+from workers.attractors.record import ON_ATTRACTOR, SHOWN, Attractor
 from workers.attractors.search import Search, motions_at_once
 from workers.attractors.starts import Starts
 from workers.attractors.waves import Coexistence
@@ -95,7 +95,7 @@ def _solve_part(table: Table, params: Mapping[str, Array], arrays: Results) -> N
     """Write the results of the initial states among these parameters (N,)."""
     search = table.solved(initial_state(table.record, params), references=False)
     label, regime = search.label.copy(), search.regime
-    for r in np.flatnonzero((label < 0) & np.isin(regime, STABLE)).tolist():  # proved anew
+    for r in np.flatnonzero((label < 0) & np.isin(regime, SHOWN)).tolist():  # proved anew
         new = attractor_of(table.oscillators, search, r)
         label[r] = table.label(table.cell.same(new)[0] if new else None)
     for name, values in search.cells.found.items():
@@ -103,7 +103,7 @@ def _solve_part(table: Table, params: Mapping[str, Array], arrays: Results) -> N
     for k, each in enumerate(table.attractors):
         for name, value in each.result.items():
             arrays[name][label == k] = value
-    on_attractor = (label >= 0) | np.isin(regime, (*STABLE, *STATISTICAL))
+    on_attractor = (label >= 0) | np.isin(regime, ON_ATTRACTOR)
     arrays["periods_used"][:] = search.cells.used
     settled = np.where(search.arrival >= 0, search.arrival, search.cells.flown)
     arrays[SETTLED.name][on_attractor] = settled[on_attractor]

@@ -10,7 +10,7 @@ from workers.kernel.motion import axes
 from workers.model.oscillator import Oscillator, one_of
 from workers.orbit.attraction import shrinking_norm
 from workers.orbit.map import iterate, jacobian_of
-from workers.results import NO_IMPACT
+from workers.results import LOCKING, NO_IMPACT
 
 FIRST = np.zeros(1, dtype=np.int64)
 """The only row of a record of one machine."""
@@ -53,7 +53,12 @@ class CellAttractors:
         return known
 
     def same(self, new: Attractor) -> tuple[Attractor | None, float]:
-        """The known attractor that another one is, an orbit exactly, any other by statistics; and its distance."""
+        """The known attractor that another one is, and its distance: an orbit exactly, any other by statistics.
+
+        What locks onto a stop follows the same release ever after, so that it is one attractor.
+        """
+        if new.regime == LOCKING:
+            return next(iter(self.alike(new)), None), np.nan
         if new.reference is None:
             return next((each for each in self.attractors if same_orbit(self.oscillator, each, new)), None), np.nan
         return nearest(self.alike(new), new.reference)
@@ -73,12 +78,15 @@ class CellAttractors:
 def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | None:
     """The attractor of a motion that was solved in full, as it alone shows it; None where that is not known.
 
-    An orbit or motion without impact that it has been proved to fall into, or chaos or a torus that it was followed on.
+    An orbit or motion without impact that it has been proved to fall into, chaos or a torus that it was followed on, or
+    the class alone of what locks onto a stop.
     """
     regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
     new = Attractor(regime, search.result(r), int(search.cells.contact[r]), reference=reference)
     if reference is not None:
         new.last, new.seen = [search.last(r)], int(new.result["survived"]) + int(search.compared[r])
+        return new
+    if regime == LOCKING:
         return new
     if regime not in STABLE:
         return None

@@ -6,10 +6,13 @@ from typing import Any
 import numpy as np
 
 from workers.model.oscillator import Array
-from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 STABLE = (NO_IMPACT, PERIODIC)
 STATISTICAL = (QUASIPERIODIC, CHAOTIC, APERIODIC)
+SHOWN = (*STABLE, LOCKING)
+"""Whose attractor a motion shows by itself: an orbit, or the class of what locks onto a stop."""
+ON_ATTRACTOR = (*SHOWN, *STATISTICAL)
 
 
 @dataclass(eq=False)

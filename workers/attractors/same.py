@@ -137,7 +137,8 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
     """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved."""
     if (old.regime, old.period) != (new.regime, new.period):
         return False
-    if old.regime == NO_IMPACT and not half and not oscillator.has_modes:  # there is one alone
+    neutral = old.jacobian is None and new.jacobian is None  # nothing pulls motion to one of these orbits
+    if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # there is one alone
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(osc, motion.h, int(motion.contact[0]))[0] if half else motion.h

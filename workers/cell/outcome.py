@@ -25,7 +25,7 @@ from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
-from workers.orbit.linear import ATTRACTS, REPELS, UNKNOWN, linear_orbits
+from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orbits
 from workers.orbit.newton import Orbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
@@ -66,23 +66,26 @@ def end_impact_free(cells: Cells, rows: Rows) -> Rows:
 
 
 def _end_linear(cells: Cells, rows: Rows) -> Rows:
-    """Write the results of cells whose machines have phases alone, and so one orbit; the others.
+    """Write the results of cells whose motion changes with phases alone, see ``orbit.linear``; the others.
 
-    What is repelled by it grows without bound: nothing holds it.
+    What grows does so without bound: nothing holds it.
     """
-    _, contacts, frictions = cells.oscillators.table.machines.sizes
-    if contacts or frictions or cells.drifts or not len(rows):
+    _, _, frictions = cells.oscillators.table.machines.sizes
+    if frictions or cells.drifts or not len(rows):
         return rows
+    motions = cells.batch.motions
     spent = np.zeros_like(cells.used)
-    found = np.zeros(len(cells.used), dtype=np.int64)
+    found = np.full(len(cells.used), UNKNOWN)
 
     def look(some: Rows) -> None:
-        found[some] = linear_orbits(cells.oscillators, some, cells.orbits, spent)
+        found[some] = linear_orbits(cells.oscillators, motions, some, cells.orbits, spent)
 
-    cells.oscillators.with_modes(look, rows)
+    free = rows[contact_free(cells.oscillators, motions, rows)]
+    if len(free):
+        cells.oscillators.with_modes(look, free)
     cells.used[rows] += spent[rows]
-    put_periodic(cells, rows[found[rows] == ATTRACTS])
-    grows = rows[found[rows] == REPELS]
+    put_periodic(cells, rows[found[rows] == STAYS])
+    grows = rows[found[rows] == GROWS]
     put(cells, grows, regime=results.FAILED, periods_used=cells.used[grows], reason=results.RUNS_AWAY)
     return rows[found[rows] == UNKNOWN]
 

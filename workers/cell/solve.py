@@ -8,11 +8,12 @@ import numpy as np
 
 from workers.cell import averages
 from workers.cell.cells import Cells
-from workers.cell.course import Course
+from workers.cell.course import Course, none_of
 from workers.cell.orbits import NEAR, end_on_orbits
 from workers.cell.outcome import end_impact_free, end_stopped, put, put_averaged, put_chaotic
+from workers.cell.recurrence import Recurrence
 from workers.model.oscillator import Rows
-from workers.results import PERIODS_SPENT, UNDETERMINED
+from workers.results import NEVER_RECURS, PERIODS_SPENT, UNDETERMINED
 
 
 def solve(cells: Cells) -> None:
@@ -30,12 +31,14 @@ def _solve_fixed(cells: Cells) -> None:
     The averages of a cell whose orbit is proved may span chaos that came before it: they are kept as ``average``, and
     its exponents are the exact ones.
     """
-    settings = cells.settings
+    settings, recurrence = cells.settings, Recurrence(len(cells.used))
     cells.framed[:] = True
     ready = _through(cells, cells.ready, settings.transient_periods)
+    recurrence.look(cells, ready, none_of(ready))
     cells.since[ready] = cells.flown[ready]
     averages.begin(cells, ready)
     ready = _through(cells, ready, settings.periods)
+    recurrence.look(cells, ready, np.full(len(ready), settings.transient_periods > 0))
     put_averaged(cells, ready)
     kept = {"average", "sum_law_defect", "state", "section"} & cells.found.keys()
     averaged = {name: cells.found[name].copy() for name in kept}
@@ -44,10 +47,11 @@ def _solve_fixed(cells: Cells) -> None:
     known = np.setdiff1d(ready, rest)
     put(cells, known, **{name: values[known] for name, values in averaged.items()})
     mean, error, periods, _, _ = averages.under_way(cells, rest)
-    chaotic = averages.clearly_positive(mean, error, periods)
+    recurs = recurrence.recurred[rest]
+    chaotic = averages.clearly_positive(mean, error, periods) & recurs
     put_chaotic(cells, rest[chaotic])
-    unclear = rest[~chaotic]
-    put(cells, unclear, regime=UNDETERMINED, periods_used=cells.used[unclear], reason=PERIODS_SPENT)
+    unclear, reason = rest[~chaotic], np.where(recurs, np.int8(PERIODS_SPENT), np.int8(NEVER_RECURS))[~chaotic]
+    put(cells, unclear, regime=UNDETERMINED, periods_used=cells.used[unclear], reason=reason)
 
 
 def _through(cells: Cells, ready: Rows, periods: int) -> Rows:

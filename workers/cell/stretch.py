@@ -16,6 +16,7 @@ REASON_OF = np.array(
     [
         results.NO_REASON, results.GAVE_UP, results.COSTLY_PERIOD, results.NOT_FINITE, results.BEYOND_STOP,
         results.MANY_MODES, results.NO_MODE, results.ENDLESS_EVENTS, results.TWO_IMPACTS,
+        results.RESONANCE,
     ],
     dtype=np.int8,
 )  # fmt: skip

@@ -12,7 +12,7 @@ from workers.continuation.admissible import CONTACT, HELD, LOST, ORDER, Fault, T
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.continuation.legs import ACT, MODE, NO_EVENT, RESTS, beyond_range, event_of_leg
 from workers.continuation.switching import SwitchingMotion
-from workers.kernel.contact import chatter_time
+from workers.kernel.chatter import chatter_time
 from workers.model.hybrid_modes import OPEN, SIGNALS
 
 AT_ONCE = 1e-6

@@ -1,4 +1,4 @@
-"""Impacts: the restitution law and its saltation matrix, chatter to rest, motion on a stop, release."""
+"""Impacts: the restitution law and its saltation matrix, the end of chatter, motion on a stop, release."""
 
 import numpy as np
 
@@ -16,12 +16,9 @@ REBOUND, REST, LEAVE = range(3)
 
 EPS = float(np.finfo(np.float64).eps)
 
-ENDING = 1e-4
-"""Change of the load in the rest of a chatter, as a share of it, from which on lanes leave it to another kernel."""
-
-FORESEEN, AGREES = 4e-4, 0.1
-"""Change of load and motion in the rest of a chatter up to which its end is foreseen to 1e-10 of the time that they
-take; share of that rest by which estimates of one end may differ."""
+ENDING, BRIEF = 1e-4, 1.0 / 64.0
+"""Change of the load in the rest of a chatter, as a share of it, or length of that rest, as a share of the period, from
+which on lanes leave it to another kernel, which follows hops more exactly: see chatter.hop."""
 
 SHORTEST_HOP = 1e-11
 """Share of a forcing period below which a hop is too short to be seen."""
@@ -31,35 +28,6 @@ SHORTEST_HOP = 1e-11
 def load_at_rest(side, v, a, cA2k):
     """side * (a - cA^2k v): the acceleration that would press the mass on the stop with v taken off."""
     return side * (a - cA2k * v)
-
-
-@inlined
-def chatter_time(load, w, R):
-    """The time that chatter takes under this load on the stop after a rebound at speed w, to leading order."""
-    return 2.0 * w / (load * (1.0 - R)) if w > 0.0 else 0.0
-
-
-@inlined
-def chatter_left(load, jerk, cA2k, w, R):
-    """chatter_time to second order, of a velocity that decays at -cA^2k and a third derivative toward the stop, jerk.
-
-    t (1 - t (jerk / load - 3 cA^2k / 2) / 3), t the time to leading order; at a velocity of 0 the load rises at the
-    rate jerk - cA^2k load. Half of t or twice t at most, where R is so near to 1 that chatter is slower than all else.
-    """
-    t = chatter_time(load, w, R)
-    return t * min(max(1.0 - t * (jerk / load - 1.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
-
-
-@inlined
-def chatter_end(known, t, left, theta, R):
-    """When a chatter ends that takes ``left`` from time t on; ``known`` is what was said of it at the impact before.
-
-    theta: the most that load and motion change in that time, 1 / R times as much at the impact before. The first
-    estimate that is good enough is kept as long as it agrees: rounding of y moves the last hops, which last less and
-    less, by more and more of their time.
-    """
-    agrees = abs(t + left - known) <= AGREES * left
-    return known if theta <= FORESEEN * R and agrees else t + left
 
 
 @inlined
@@ -77,8 +45,8 @@ def outcome(load, v, R, scale, period):
     """What an impact at velocity v leads to under a load on the stop: see load_at_rest.
 
     R = 0 rests where the load presses, load > 0, and leaves else. For 0 < R < 1 chatter is followed, hop by hop, until
-    hops are below rounding, ``scale`` being the sum of the moduli that add up to y; what is left of it lasts for
-    chatter_left, and what that neglects of the state is of third order. R = 1 never completes.
+    hops are below rounding, ``scale`` being the sum of the moduli that add up to y; what is left of it ends at
+    chatter.chatter_end, and what that neglects of the state is of third order. R = 1 never completes.
     """
     if R == 0.0:
         return REST if load > 0.0 else LEAVE
@@ -89,18 +57,9 @@ def outcome(load, v, R, scale, period):
 def is_rebound(load, v, R, cA2k, scale, remaining, period):
     """Whether an impact at velocity v rebounds and no chatter that it is part of is about to end."""
     w = R * abs(v)
-    change = 2.0 * abs(cA2k * v)
-    slow = change > ENDING * load or 2.0 * w > remaining * (load * (1.0 - R))
+    change, pressing = 2.0 * abs(cA2k * v), load * (1.0 - R)
+    slow = (change > ENDING * load and 2.0 * w > BRIEF * period * pressing) or 2.0 * w > remaining * pressing
     return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not hop_is_rounding(load, w, scale, period)))
-
-
-@inlined
-def fastest_rate(blocks):
-    """How fast the fastest block oscillates or decays, per time."""
-    rate = 0.0
-    for j in range(len(blocks)):
-        rate = max(rate, blocks[j, COLUMN.fast], np.sqrt(abs(blocks[j, COLUMN.lam])))
-    return rate
 
 
 @inlined

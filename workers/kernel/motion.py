@@ -33,10 +33,10 @@ NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
 
 (
     RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND,
-    MODE_MISSING, NO_MODE, ENDLESS_EVENTS, SIMULTANEOUS,
-) = range(9)  # fmt: skip
+    MODE_MISSING, NO_MODE, ENDLESS_EVENTS, SIMULTANEOUS, RESONANT_MODE,
+) = range(10)  # fmt: skip
 """Status: fine, or why a cell cannot go on. Of machines with modes: one is not built, or cannot be; events follow each
-other without end at one time; two rigid contacts are reached at once."""
+other without end at one time; two rigid contacts are reached at once; a mode resonates undamped."""
 
 OVERDRAFT = 1_000_000
 """Evaluations by which a period may exceed what is left, so that motions can end at a section."""

@@ -7,12 +7,11 @@ import numpy as np
 from numba import types
 
 from workers.kernel.apart import apart
+from workers.kernel.chatter import UNKNOWN, chatter_end, chatter_left, fastest_rate, hop, with_estimate
 from workers.kernel.contact import (
     LEAVE,
     REST,
-    chatter_end,
-    chatter_left,
-    fastest_rate,
+    is_rebound,
     kick,
     load_at_rest,
     outcome,
@@ -137,8 +136,8 @@ def through_impacts(osc, motion, duration):
     vectors, frame, watched = V.shape[0] > 0, motion.growth.shape[0] > 0, motion.extremes.shape[0] > 0
     rate = spread_rate(blocks) if vectors else 0.0
     unit, loss = osc.head[HEAD.time_unit], loss_spread(R)
-    start, chatter, ends, period = 0, 0.0, 0.0, osc.head[HEAD.period]
-    fastest = max(omega, fastest_rate(blocks))
+    start, chatter, ends, period = 0, 0.0, UNKNOWN, osc.head[HEAD.period]
+    w, fastest = 0.0, fastest_rate(blocks, waves, omega)
     t, phase = 0.0, osc.tau
     if watched:
         y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
@@ -158,8 +157,11 @@ def through_impacts(osc, motion, duration):
                 return
         s, side, evaluations = next_crossing(gap, h, phase, 0.0, top, bottom, start, duration - t, scratch)
         spend(tally, evaluations)
-        hit = abs(side) == 1
+        hit, speed = abs(side) == 1, 0.0
         y, v, a, jerk, scale = NOWHERE
+        if w > 0.0 and side == start:
+            s, speed = hop(blocks, waves, omega, h, phase, side, w, s, fastest)
+            s = min(s, duration - t)
         if hit:
             y, v, a, jerk, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
             v = side * max(side * v, TINY)  # seen to approach; evaluated anew, the last digit may differ
@@ -186,14 +188,19 @@ def through_impacts(osc, motion, duration):
         if watched:
             widen(motion.extremes, stop)
         scale += abs(y)
+        if speed > 0.0:
+            kick(blocks, h, side * speed - v)  # rounding, which hides how fast so low a hop ends
+            v = side * speed
         load = load_at_rest(side, v, a, cA2k)
         following = outcome(load, v, R, scale, period)
+        left, w = 0.0, 0.0
         if load > 0.0 and 0.0 < R < 1.0:
             left = chatter_left(load, side * jerk, cA2k, R * abs(v), R)
-            ends = chatter_end(ends, t, left, left * max(fastest, abs(jerk) / load), R)
+            ends = with_estimate(ends if side == start else UNKNOWN, t + left)
+            w = 0.0 if is_rebound(load, v, R, cA2k, scale, duration - t, period) else R * abs(v)
         start, contact = side, FREE
         if following == REST:
-            chatter = ends - t if R > 0.0 else 0.0
+            chatter = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
             come_to_rest(blocks, cA2k, motion, v)
             write_down_rest(tally, impacts, t, side, abs(v), chatter)
             contact = side

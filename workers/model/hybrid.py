@@ -58,9 +58,10 @@ def elements_of(machines: HybridMachines) -> Elements:
 class Table(NamedTuple):
     """The modes of N machines that are built so far, at most K of each.
 
-    codes (N, K): the number of each, see Code, -1 where there is none yet; wrong (N, K): 1 where it is no mode; missing
-    (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first. tau is that at a
-    section, see free.phase_of. drifts (N,): 1 where a coordinate may drift, else 0. Kernels see nothing of machines.
+    codes (N, K): the number of each, see Code, -1 where there is none yet; wrong (N, K): why it is no mode, see
+    pieces_of; missing (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first.
+    tau is that at a section, see free.phase_of. drifts (N,): 1 where a coordinate may drift, else 0. Kernels see
+    nothing of machines.
     """
 
     codes: NDArray[np.int64]
@@ -121,9 +122,9 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
     elements = elements_of(machines)
     forced = np.any(swing > 0.0, axis=(1, 2))[:, None, None]
-    swing = np.where(forced, swing, _unforced_swing(machines, lam, modes, elements.weight))
-    known = np.isfinite(swing) & ~wrong[:, None, None]
-    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(known, swing, 0.0)
+    known = forced & (wrong == 0)[:, None, None] & np.isfinite(swing)
+    swing = np.where(known, swing, _unforced_swing(machines, lam, modes, elements.weight))
+    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(np.isfinite(swing), swing, 0.0)
     # What a soft contact takes in, not counted yet, is nothing where its force depends on its depth alone.
     keeps = np.all((machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.pad[..., 1] == 0.0, 1)), 1)
     none, endless = np.zeros(N), np.full(N, np.inf)

@@ -33,6 +33,9 @@ CONTACT_DIGIT, SLIP_DIGIT = 5, 3
 ROUNDING = 1e-12
 """Share of the terms of a sum, or of the largest eigenvalue, that may be what rounding leaves of zero."""
 
+NO_FORM, RESONANT = 1, 2
+"""Why a mode is none: no motion in closed form; undamped resonance. 0 of one that is."""
+
 SIGNALS = 2
 """Signals of a contact: y, or its force while it holds; and the force of a soft one that is released by it."""
 
@@ -100,12 +103,12 @@ class Pieces(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
-    """A mode of machines, and of which of them it is none.
+def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.int64]]:
+    """A mode of machines, and why it is none of each of them, 0 where it is one.
 
-    That is where held rows depend on each other, motion grows or resonates undamped, planes cannot be separated, or a
-    load drives a free motion that what is held leaves. Machines of which other friction sticks on the row of a contact
-    that is held are made apart from each other: what holds them is not the same.
+    RESONANT where it resonates undamped. NO_FORM where held rows depend on each other, motion grows, planes cannot be
+    separated, or a load drives a free motion that what is held leaves. Machines of which other friction sticks on the
+    row of a contact that is held are made apart from each other: what holds them is not the same.
     """
     along = along_contacts(machines)
     resting, kind = _resting(machines, code, along)
@@ -120,7 +123,9 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     )
 
 
-def _pieces_alike(machines: HybridMachines, code: Code, along: Array, resting: dict[int, int]) -> tuple[Pieces, Mask]:
+def _pieces_alike(
+    machines: HybridMachines, code: Code, along: Array, resting: dict[int, int]
+) -> tuple[Pieces, NDArray[np.int64]]:
     """pieces_of machines of which the same friction is ``resting``."""
     p, mass, omega = code.phase, machines.mass, machines.omega
     N, n = machines.load.shape[0], machines.load.shape[2]
@@ -264,9 +269,9 @@ def _reduced(
     D: Array,
     omega: Array,
     moves: Mask,
-) -> tuple[tuple[Array, Array], Array, Array, Mask]:
+) -> tuple[tuple[Array, Array], Array, Array, NDArray[np.int64]]:
     """The flow while rows G (N, r, n) are held: its blocks and their forced response, the ways between them and
-    (x, v), and of which machines there is none.
+    (x, v), and why there is none, see pieces_of.
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
     """
@@ -281,6 +286,7 @@ def _reduced(
     loading = loading_of(flow, force @ null, (across @ load[..., None])[..., 0])
     mode, resonant = motion_in(flow, loading, omega)
     a, b = np.zeros((2, N, free, r))
+    undriven = np.zeros(N, dtype=np.bool_)
     if r and free:
         rigid = modes.rigid > 0
         # No spring pulls at a rigid motion, K x = 0: of all solutions there it is the least one.
@@ -288,7 +294,7 @@ def _reduced(
         drags = np.where(moves[:, None], across @ damping @ (D + null @ a), 0.0)
         b = -_solved(k, rigid, drags)
         undone = np.abs(k @ b + drags) > ROUNDING * (np.abs(k) @ np.abs(b) + np.abs(drags))
-        resonant = resonant | (rigid & np.any(undone, axis=(1, 2)))  # a belt drags at what nothing pulls back
+        undriven = rigid & np.any(undone, axis=(1, 2))  # a belt drags at what nothing pulls back
     gather = flow.inverse_mass @ across @ mass if free else np.zeros((N, 0, n))
     down = np.zeros((N, 2 * n, 2 * n))
     q_rows = np.zeros((N, 2 * free, 2 * n))
@@ -307,8 +313,9 @@ def _reduced(
     still[..., COLUMN.metric] = omega[:, None] ** 2
     blocks = np.concatenate([mode.blocks, still], axis=1)
     forced = np.concatenate([mode.forced, np.zeros((N, r, *mode.forced.shape[2:]))], axis=1)
-    wrong = resonant | modes.unstable | modes.inseparable | ~np.isfinite(down).all(axis=(1, 2))
-    return (blocks, forced), down, up, wrong | ~np.isfinite(up).all(axis=(1, 2))
+    wrong = undriven | modes.unstable | modes.inseparable
+    wrong |= ~resonant & ~(np.isfinite(down) & np.isfinite(up)).all(axis=(1, 2))
+    return (blocks, forced), down, up, np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
 
 def _solved(matrix: Array, singular: Mask, right: Array) -> Array:

@@ -1,52 +1,151 @@
-"""The orbit of machines with phases alone: their map is affine, z -> J z + c, so that it is known for all states."""
+"""The motion of machines whose law phases alone change: their map is affine, z -> J z + c, so that it is known for all
+states. Others are such machines where their motion certainly meets no contact, and phases change contacts alone."""
 
 import numpy as np
 
 from workers.kernel.borrow import row_of
-from workers.kernel.jit import kernel
+from workers.kernel.hybrid.state import enter, number_of, read_number, slot_of, transform
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
 from workers.kernel.linalg import highest, sort_down
-from workers.kernel.motion import RUNNING, STATUS
+from workers.kernel.motion import CONTRACTION, RUNNING, STATUS
+from workers.kernel.signal import derivative_bounds
 from workers.model.hybrid import FIRST_NUMBER
+from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.orbit.floquet import floquet
 from workers.orbit.map import FixedPoint, copy_into, map_with_jacobian
 from workers.orbit.newton import CYCLES, corrected
 
-UNKNOWN, ATTRACTS, REPELS = range(3)
-"""What is known of the one orbit of such a machine: nothing, that all motion falls into it, or that almost none stays
-near it."""
+UNKNOWN, STAYS, GROWS = range(3)
+"""What is known of such a motion: nothing, that it dies away, comes to rest or goes on for ever, or that it grows."""
+
+ELLIPTIC = 1.5e-8
+"""Largest logarithm of a multiplier of a machine without damping that counts as zero: they come in pairs m, 1/m, and
+two on the unit circle that meet are known to the square root of rounding."""
+
+SQUARINGS, LOOK = 60, 20
+"""Squarings of the map until what is damped is gone; after LOOK of them it shows whether what goes on grows."""
+
+SETTLED, BOUNDED = 1e-12, 1e3
+"""Share of itself by which another squaring changes a map that has settled; how far one grows that is bounded."""
+
+
+@inline_always
+def meets_nothing(osc, h, contact):
+    """Whether this motion meets no contact for ever, and phases change nothing until then. So without contacts."""
+    table, pieces, n = osc.table, osc.table.pieces, h.shape[0]
+    C, F, P = table.elements.row.shape[0], table.elements.slide.shape[0], table.elements.starts.shape[0] - 1
+    if F > 0 or C == 0:
+        return F == 0
+    states, slips = np.zeros(C, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    k = slot_of(table.codes, number_of(states, slips, 0))
+    read_number(contact - FIRST_NUMBER, states, slips)
+    if k < 0 or np.any(states != OPEN):
+        return False
+    for p in range(1, P):
+        other = slot_of(table.codes, number_of(states, slips, p))
+        same = other >= 0 and np.all(pieces.acceleration[other] == pieces.acceleration[k])
+        if not (same and np.all(pieces.drive[other] == pieces.drive[k])):
+            return False
+    z, at = np.zeros((1, 2 * n)), np.zeros((n, 2))
+    transform(osc.to_physical, h.copy().reshape((1, n, 2)), z)
+    enter(pieces, k, z[0], np.zeros((0, 2 * n)), osc.tau, at, np.zeros((0, n, 2)))
+    for c in range(C):
+        g = SIGNALS * c
+        reach = derivative_bounds(pieces.blocks[k, g], pieces.numbers[k, g], at)[0] * (1.0 + 1e-12)
+        low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
+        if not (pieces.offset[k, g] + reach < high and pieces.offset[k, g] - reach > low):
+            return False
+    return True
 
 
 @kernel
-def linear_orbits(oscillators, cells, orbits, spent):
-    """Whether the orbit z = (I - J)^-1 c of each of these machines without contacts and friction attracts or repels.
-
-    It is written into the rows of ``orbits`` of these cells, and the periods that this took into spent (N,). UNKNOWN
-    where its largest multiplier is one to rounding.
-    """
-    oscillators, orbits = lend(oscillators), lend(orbits)
-    found = np.empty(len(cells), dtype=np.int64)
-    contact, steps, half = np.int64(FIRST_NUMBER), np.int64(1), np.bool_(False)  # no literals, as in run_batch
+def contact_free(oscillators, motions, cells):
+    """Which of these motions of machines with modes meet no contact for ever, see meets_nothing."""
+    oscillators, motions = lend(oscillators), lend(motions)
+    found = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        osc = row_of(oscillators, r)
+        found[e] = meets_nothing(row_of(oscillators, r), motions.h[r], motions.contact[r, 0])
+    return found
+
+
+@kernel
+def linear_orbits(oscillators, motions, cells, orbits, spent):
+    """Whether each of these motions, all of them contact_free, STAYS or GROWS.
+
+    Where it goes, or where it is where it goes on for ever, is written into the rows of ``orbits`` of these cells with
+    its exponents, and the periods that this took into spent (N,). Multipliers of one to rounding have exponents of 0.
+    """
+    oscillators, motions, orbits = lend(oscillators), lend(motions), lend(orbits)
+    found = np.empty(len(cells), dtype=np.int64)
+    steps, half = np.int64(1), np.bool_(False)  # no literals, as in run_batch
+    for e in range(len(cells)):
+        r = cells[e]
+        osc, given, contact = row_of(oscillators, r), motions.h[r].copy(), motions.contact[r, 0]
         found[e] = UNKNOWN
-        start = np.zeros(orbits.h[r].shape)
-        first, J = map_with_jacobian(osc, start, contact, steps, half)
-        h = corrected(start, first.h, J)
-        if first.tally[STATUS] != RUNNING or not np.all(np.isfinite(h)):
+        base = np.zeros(given.shape) if osc.table.elements.row.shape[0] == 0 else given  # exact where it is that orbit
+        first, J = map_with_jacobian(osc, base, contact, steps, half)
+        if first.tally[STATUS] != RUNNING:
             continue
-        turn, J = map_with_jacobian(osc, h, contact, steps, half)
-        point = FixedPoint(h, turn.h, turn.contact[0], J, 0.0)
-        logs, rounding, turns = floquet(osc, point, steps, half, CYCLES)
+        point = FixedPoint(base, first.h, first.contact[0], J, 0.0)
+        logs, error, turns = floquet(osc, point, steps, half, CYCLES)
         spent[r] = 2 + turns
-        largest = highest(logs, 0, len(logs))
-        if turns == 0 or not abs(largest) > rounding:
+        if turns == 0:
             continue
-        found[e] = ATTRACTS if largest < 0.0 else REPELS
+        error = max(error, ELLIPTIC if first.tally[CONTRACTION] == 0.0 else 0.0)
+        neutral = 0.0
+        for k in range(len(logs)):
+            if abs(logs[k]) <= error:
+                neutral, logs[k] = max(neutral, abs(logs[k])), 0.0
+        largest = highest(logs, 0, len(logs))
+        if largest > 0.0:
+            found[e] = GROWS
+            continue
+        h = corrected(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, given)
+        turn, _ = map_with_jacobian(osc, h, contact, steps, half)
+        if not np.all(np.isfinite(h)) or turn.tally[STATUS] != RUNNING:
+            continue
+        found[e] = STAYS
         sort_down(logs)
-        orbits.contact[r, 0], orbits.period[r], orbits.error[r] = contact, 1, rounding
+        orbits.contact[r, 0], orbits.period[r] = contact, 1
+        orbits.error[r] = error if largest < 0.0 else neutral
         copy_into(orbits.h[r], h)
         copy_into(orbits.tally[r], turn.tally)
         copy_into(orbits.exponents[r], logs)
     return found
+
+
+@kernel
+def where_it_stays(J, base, image, h):
+    """Where block state h (n, 2) goes under z -> J z + c that takes ``base`` to ``image``, its largest multiplier one.
+
+    h itself where motion goes on for ever; NaN where it goes away, as a free mass does.
+    """
+    size = h.size
+    A, start, c, zero = J.copy(), h.ravel(), image.copy().ravel(), base.ravel()
+    for i in range(size):
+        for k in range(size):
+            c[i] -= J[i, k] * zero[k]
+    before = max(np.max(np.abs(A)), 1.0), np.max(np.abs(c)) + np.max(np.abs(start))
+    bounded = True
+    for count in range(SQUARINGS):
+        square, twice = np.zeros((size, size)), c.copy()
+        for i in range(size):
+            for k in range(size):
+                twice[i] += A[i, k] * c[k]
+                for j in range(size):
+                    square[i, k] += A[i, j] * A[j, k]
+        settled = np.max(np.abs(square - A)) <= SETTLED * np.max(np.abs(A))
+        still = np.max(np.abs(twice - c)) <= SETTLED * before[1]
+        A, c = square, twice
+        if count == LOOK:
+            bounded = np.max(np.abs(A)) <= BOUNDED * before[0] and np.max(np.abs(c)) <= BOUNDED * before[1]
+        if settled and still:
+            end = np.empty(size)
+            for i in range(size):
+                end[i] = c[i]
+                for k in range(size):
+                    end[i] += A[i, k] * start[k]
+            return end.reshape(h.shape)
+    return h.copy() if bounded else np.full_like(h, np.nan)

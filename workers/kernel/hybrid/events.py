@@ -10,14 +10,15 @@ starts on in the next mode, and the order of its first derivative that is not ze
 
 import numpy as np
 
-from workers.kernel.contact import REBOUND, chatter_end, chatter_left, fastest_rate, load_at_rest, outcome
+from workers.kernel.chatter import chatter_left
+from workers.kernel.contact import REBOUND, load_at_rest, outcome
 from workers.kernel.hybrid.state import damping_along, guard_value, number_of, product, reset, right_hand_side, slot_of
 from workers.kernel.jit import kernel
 from workers.kernel.signal import evaluate
-from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS
+from workers.model.hybrid_modes import DETACHED, ON, OPEN, RESONANT, SIGNALS
 
-MISSING, WRONG, ENDLESS = -1, -2, -3
-"""In place of a mode: it is not built yet; it is none; the changes that lead to it have no end."""
+MISSING, WRONG, ENDLESS, RESONATES = -1, -2, -3, -4
+"""In place of a mode: it is not built yet; it is none; the changes that lead to it have no end; it resonates."""
 
 JUMPED = 1e-12
 """Share of its terms by which a signal has to be beyond its range for a jump to have taken it there."""
@@ -28,10 +29,12 @@ CHANGES = 4
 
 @kernel
 def mode_of(table, states, slips, where):
-    """Where the mode of these contacts and slips in this phase is, MISSING or WRONG; and its number."""
+    """Where the mode of these contacts and slips in this phase is, MISSING, WRONG or RESONATES; and its number."""
     number = number_of(states, slips, where)
     k = slot_of(table.codes, number)
-    return (WRONG if k >= 0 and table.wrong[k] else k), number
+    if k >= 0 and table.wrong[k] != 0:
+        k = RESONATES if table.wrong[k] == RESONANT else WRONG
+    return k, number
 
 
 @kernel
@@ -135,10 +138,8 @@ def soft_event(g, c, side, states, begun):
 
 
 @kernel
-def impact(table, k, g, c, side, rate, t, ends, h, states, slips, where, z, f, W, phase, begun):
-    """A rigid contact is reached at this rate of y: what follows, see contact.outcome, and when a chatter ends then.
-
-    ``ends``: when it ended by the impact before; see contact.chatter_end.
+def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, begun):
+    """A rigid contact is reached at this rate of y: what follows, see contact.outcome; what is left of a chatter.
 
     Friction that it jerks slides from then on. The end of chatter is to leading order one impact with R = 0; a load
     that pulls away from R = 0 lets go at once, see follow_one.
@@ -153,20 +154,15 @@ def impact(table, k, g, c, side, rate, t, ends, h, states, slips, where, z, f, W
     reset(z, 0, row, kick, stop, 1.0)  # or rounding would add up over many impacts
     rests = following != REBOUND
     share = 1.0 if rests else 1.0 + R
-    reset(z, n, row, kick, 0.0, share)
+    reset(z, n, row, kick, 0.0 if rests else -R * rate, 1.0)
     reset(f, n, row, kick, 0.0, share)
     for i in range(W.shape[0]):
         reset(W[i], n, row, kick, 0.0, share)
-    if R == 0.0:
-        ends = t
-    elif load > 0.0 and R < 1.0:
+    left = 0.0
+    if load > 0.0 and 0.0 < R < 1.0:
         away = load_away(table, c, side, load, states, slips, where, z, phase)
-        if away == load:
-            left = chatter_left(load, side * jerk, cA2k, w, R)
-            fastest = max(table.omega, fastest_rate(pieces.blocks[k, g]))
-            ends = chatter_end(ends, t, left, left * max(fastest, abs(jerk) / load), R)
-        else:
-            ends = t + uneven_chatter(away, load, w, R)
+        even = away == load
+        left = chatter_left(load, side * jerk, cA2k, w, R) if even else uneven_chatter(away, load, w, R)
     if rests:
         states[c] = side
     else:
@@ -178,7 +174,7 @@ def impact(table, k, g, c, side, rate, t, ends, h, states, slips, where, z, f, W
             begun[SIGNALS * len(states) + e] = 0
         if rests and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
             slips[e] = 0
-    return following, ends
+    return following, left
 
 
 @kernel

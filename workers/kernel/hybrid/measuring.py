@@ -114,24 +114,29 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
 
 
 @kernel
-def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, z, phase, chatter):
-    """Take the end of a chatter, from state z (2n,), off the time that contact c holds and friction along it sticks.
+def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, phase, omega, chatter):
+    """Take the end of a chatter, from block state h (n, 2), off the time that contact c holds and friction sticks.
 
-    It flies in that time, in mode ``before``, and not in mode k: its acceleration is another one.
+    It flies in that time, in mode ``before``, and not in mode k: its acceleration is another one. By Simpson's rule.
     """
-    n = len(z) // 2
+    n = len(h)
     reading.touching[c] -= chatter
     for e in range(len(slips)):
         if slips[e] == 0 and along[e, c] != 0.0:
             reading.stuck[e] -= chatter
-    flying, held = np.empty(2 * n), np.empty(2 * n)
-    right_hand_side(pieces, before, z, phase, flying)
-    right_hand_side(pieces, k, z, phase, held)
-    for m in range(len(meter.rows)):
-        if meter.orders[m] == ACCELERATION:
-            there, here = product(meter.rows[m], flying, n), product(meter.rows[m], held, n)
-            reading.first[m] += chatter * (there - here)
-            reading.square[m] += chatter * (there * there - here * here)
+    z, flying, held = np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
+    for node in range(3):
+        since, weight = 0.5 * node * chatter, chatter * (4.0 if node == 1 else 1.0) / 6.0
+        moved, at = h.copy(), phase + omega * since
+        flow(pieces.blocks[k, 0], since, moved)
+        leave(pieces, k, moved, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
+        right_hand_side(pieces, before, z, at, flying)
+        right_hand_side(pieces, k, z, at, held)
+        for m in range(len(meter.rows)):
+            if meter.orders[m] == ACCELERATION:
+                there, here = product(meter.rows[m], flying, n), product(meter.rows[m], held, n)
+                reading.first[m] += weight * (there - here)
+                reading.square[m] += weight * (there * there - here * here)
 
 
 @kernel
@@ -209,7 +214,8 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
     integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally)
     if leg[LEG.chatter] != 0.0:
         at, chatter = int(leg[LEG.signal]) // SIGNALS, min(leg[LEG.chatter], s)
-        read_chatter(pieces, meter, reading, before, k, at, states, slips, elements.along, z, phase, chatter)
+        along = elements.along
+        read_chatter(pieces, meter, reading, before, k, at, states, slips, along, h, phase, table.omega, chatter)
     for m in range(len(meter.rows)):
         if meter.peaks[m] > 0.0:
             row, direct = output_row(pieces, k, meter.rows[m], meter.orders[m])

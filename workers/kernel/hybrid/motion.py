@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from workers.kernel.chatter import UNKNOWN, chatter_end, fastest_rate, hop, with_estimate
 from workers.kernel.contact import REBOUND, REST
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.elementary import log
@@ -11,6 +12,7 @@ from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.hybrid.events import (
     ENDLESS,
     MISSING,
+    RESONATES,
     follow_jumps,
     friction_event,
     impact,
@@ -41,6 +43,7 @@ from workers.kernel.motion import (
     MIN_SPEED,
     MODE_MISSING,
     NO_MODE,
+    RESONANT_MODE,
     RUNNING,
     SIMULTANEOUS,
     STATUS,
@@ -66,7 +69,7 @@ def stop_at(table, tally, k, number):
         tally[STATUS] = MODE_MISSING
         table.missing[0] = number
     else:
-        tally[STATUS] = ENDLESS_EVENTS if k == ENDLESS else NO_MODE
+        tally[STATUS] = ENDLESS_EVENTS if k == ENDLESS else RESONANT_MODE if k == RESONATES else NO_MODE
 
 
 @kernel
@@ -111,30 +114,33 @@ def fly(pieces, k, s, h, V, growth, triangle, lost):
 def pass_contact(table, k, g, c, side, rate, t, ends, h, where, states, slips, z, f, W, phase, begun, tally, hits):
     """Signal g of contact c is at the end of its range: what happens, and what is counted of it.
 
-    Whether it comes to rest, and when a chatter that is under way ends: see events.impact.
+    How long it still hops where it comes to rest, estimates of when a chatter ends, see chatter.chatter_end, and the
+    speed of a rebound in one.
     """
     elements = table.elements
     if elements.soft[c] > 0.0:
         if states[c] == OPEN:
             count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
         soft_event(g, c, side, states, begun)
-        return False, 0.0
+        return 0.0, UNKNOWN, 0.0
     if states[c] != OPEN:
         release(elements, g, c, where, states, slips, begun, 3)
-        return False, 0.0
+        return 0.0, UNKNOWN, 0.0
     R, energy = elements.R[c], elements.weight[c] * rate * rate
-    following, ends = impact(table, k, g, c, side, rate, t, ends, h, states, slips, where, z, f, W, phase, begun)
+    following, left = impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, begun)
+    ends = with_estimate(ends, t + left)
     if following != REBOUND:
         tally[LOST] = max(tally[LOST], 1.0 + table.drifts)
     if following == REST:  # at the end of a chatter, whose impacts cannot be counted
         tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
-        write_down_rest(tally, hits, t, side * (1.0 + c), abs(rate), ends - t)
-        return True, ends
+        chatter = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
+        write_down_rest(tally, hits, t, side * (1.0 + c), abs(rate), chatter)
+        return chatter, UNKNOWN, 0.0
     count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
     tally[LOSS] += (1.0 - R * R) * energy
     tally[CONTRACTION] += 2.0 * log(max(R, TINY))
-    return False, ends
+    return 0.0, ends, R * abs(rate) if left > 0.0 else 0.0
 
 
 @inline_always
@@ -189,7 +195,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     where = 0  # a section is where the first phase begins
     keep_held(elements, states, slips, z)
     k, number = follow_jumps(table, states, slips, where, z, phase, begun)
-    hit, side, rate, ends, chatter = -1, 0, 0.0, 0.0, 0.0
+    hit, side, rate, ends, chatter, w = -1, 0, 0.0, UNKNOWN, 0.0, 0.0
     while True:
         if k < 0:
             stop_at(table, tally, k, number)
@@ -204,9 +210,14 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
         last = until >= min(duration, period)
         margin = AT_SECTION * period if last else 0.0
         s, reached, end = first_event(pieces, k, h, phase, begun, until - t + margin, scratch, tally)
-        s = min(s, until - t)
         if tally[STATUS] != RUNNING:
             return
+        again, speed = w > 0.0 and reached == hit and end == side, 0.0
+        if again:
+            blocks, waves = pieces.blocks[k, hit], pieces.waves[k, hit]
+            fastest = fastest_rate(blocks, waves, table.omega)
+            s, speed = hop(blocks, waves, table.omega, h, phase, side, w, s, fastest)
+        s = min(s, until - t)
         if seen < legs.shape[0]:
             note(legs[seen], t, hit, side, rate, number, k, s, chatter, z, begun)
             seen += 1
@@ -224,17 +235,18 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
             code[0] = number
             return
         if hit < 0:
-            rate = 0.0
+            rate, w = 0.0, 0.0
             where += 1
             k, number = follow_jumps(table, states, slips, where, z, phase, begun)
             continue
         right_hand_side(pieces, k, z, phase, f)
-        rate = side * max(side * guard_rate(pieces, k, hit, f, table.omega, phase), TINY)
+        rate = side * (speed if speed > 0.0 else max(side * guard_rate(pieces, k, hit, f, table.omega, phase), TINY))
         row = pieces.rows[k, hit, : 2 * n]
         for e in range(m):
             slopes[e] = product(row, W[e], 0) / rate
         c = hit // SIGNALS
         if c >= C:
+            w = 0.0
             k, number = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
             if k < 0:
                 continue
@@ -242,10 +254,10 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
             tally[STATUS] = SIMULTANEOUS
             return
         else:
-            rests, ends = pass_contact(
+            ends = ends if again else UNKNOWN
+            chatter, ends, w = pass_contact(
                 table, k, hit, c, side, rate, t, ends, h, where, states, slips, z, f, W, phase, begun, tally, hits
             )
-            chatter = ends - t if rests else 0.0
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
         if k < 0:
             continue

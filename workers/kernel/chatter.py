@@ -1,0 +1,123 @@
+"""Chatter: hops off a stop and back, each known to rounding of its own size, and when the sequence of them ends.
+
+y, as a sum of terms of the machine's size, hides how low a hop is. The speed that a hop begins with is known, and so
+are the derivatives of y from the second on: the hop is their Taylor series.
+"""
+
+import numpy as np
+
+from workers.kernel.jit import inlined, kernel
+from workers.kernel.signal import forced, loaded_output
+from workers.model.oscillator import COLUMN
+
+ORDER = 17
+"""Of the series of a hop."""
+
+SHORT = 1.0
+"""Radians of the fastest oscillation in a hop up to which its series is exact to rounding, SHORT^17 / 18!."""
+
+NEWTON_STEPS, NEAR = 4, 1e-2
+"""Newton's method for the end of a hop; share of the hop by which the search may differ, since it sees y alone."""
+
+AGREES = 0.1
+"""Share of what is left of a chatter by which better estimates of its end may differ from the last one."""
+
+UNKNOWN = (np.nan, np.nan, np.nan)
+"""In place of estimates of a chatter's end where none begins."""
+
+
+@inlined
+def chatter_time(load, w, R):
+    """The time that chatter takes under this load on the stop after a rebound at speed w, to leading order."""
+    return 2.0 * w / (load * (1.0 - R)) if w > 0.0 else 0.0
+
+
+@inlined
+def chatter_left(load, jerk, cA2k, w, R):
+    """chatter_time to second order, of a velocity that decays at -cA^2k and a third derivative toward the stop, jerk.
+
+    t (1 - t (jerk / load - 3 cA^2k / 2) / 3), t the time to leading order; at a velocity of 0 the load rises at the
+    rate jerk - cA^2k load. Half of t or twice t at most, where R is so near to 1 that chatter is slower than all else.
+    """
+    t = chatter_time(load, w, R)
+    return t * min(max(1.0 - t * (jerk / load - 1.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
+
+
+@inlined
+def with_estimate(ends, end):
+    """The last three estimates of when a chatter ends."""
+    return ends[1], ends[2], end
+
+
+@inlined
+def chatter_end(ends, left, R):
+    """When a chatter ends that takes ``left``, of estimates at its last three impacts, to fourth order.
+
+    What an estimate of chatter_left misses is a w^3 + b w^4 + ..., and R^3 and R^4 times as much at the next impact:
+    Richardson's extrapolation takes off both, or one where there are two estimates.
+    """
+    cube, fourth = R**3 / (1.0 - R**3), R**4 / (1.0 - R**4)
+    before, after = ends[1] + cube * (ends[1] - ends[0]), ends[2] + cube * (ends[2] - ends[1])
+    best = after + fourth * (after - before)
+    best = best if abs(best - ends[2]) <= AGREES * left else after  # false where it is not a number
+    return best if abs(best - ends[2]) <= AGREES * left else ends[2]
+
+
+@inlined
+def fastest_rate(blocks, waves, omega):
+    """How fast the fastest block or harmonic oscillates or decays, per time."""
+    rate = omega * len(waves)
+    for j in range(len(blocks)):
+        rate = max(rate, blocks[j, COLUMN.fast], np.sqrt(abs(blocks[j, COLUMN.lam])))
+    return rate
+
+
+@kernel
+def hop(blocks, waves, omega, h, phase, side, w, s, rate):
+    """(time, speed) of the impact that ends a hop off stop ``side`` at speed w > 0, which a search has found after s.
+
+    h (n, 2) and phase: where it begins; rate: see fastest_rate. (s, 0) where the hop is not SHORT or no such series.
+    The distance from the stop is t p(t), p = w + sum_k u_k t^(k-1) / k!, and at its zero the speed is -t p'(t).
+    """
+    if not s * rate <= SHORT:
+        return s, 0.0
+    u = np.zeros(ORDER + 2)  # by the order of the derivative
+    for k in range(len(waves)):
+        square = ((k + 1.0) * omega) ** 2
+        _, _, even, odd = forced((k + 1.0) * phase, (k + 1.0) * omega, waves[k, 0], waves[k, 1])
+        for order in range(2, ORDER + 1, 2):
+            u[order] += even
+            u[order + 1] += odd
+            even, odd = -square * even, -square * odd
+    for j in range(len(blocks)):
+        block = blocks[j]
+        eta, lam = block[COLUMN.eta], block[COLUMN.lam]
+        _, _, this, following = loaded_output(
+            h[j, 0], h[j, 1], eta, lam,
+            block[COLUMN.c0], block[COLUMN.c1], block[COLUMN.cA0], block[COLUMN.cA1], block[COLUMN.load],
+        )  # fmt: skip
+        for order in range(2, ORDER + 1):
+            u[order] += this
+            this, following = following, -2.0 * eta * following - lam * this
+    share = 1.0
+    for order in range(2, ORDER + 1):
+        share /= order
+        u[order] *= -side * share
+    t = s
+    for _ in range(NEWTON_STEPS):
+        height, slope = series(u, w, t)
+        t -= height / slope
+    _, slope = series(u, w, t)
+    if abs(t - s) <= NEAR * s and slope < 0.0:
+        return t, -t * slope
+    return s, 0.0
+
+
+@inlined
+def series(u, w, t):
+    """p(t) = w + sum_k u_k t^(k-1) over k = 2...ORDER, and p'(t)."""
+    p, slope = 0.0, 0.0
+    for order in range(ORDER, 1, -1):
+        slope = slope * t + p
+        p = p * t + u[order]
+    return w + t * p, slope * t + p
