@@ -17,6 +17,7 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on
 from workers.continuation.legs import ACT, EVENT, SLOWS
+from workers.continuation.onward import asks_multipliers, is_smooth
 from workers.continuation.switching import SwitchingMotion
 from workers.continuation.walk import Step
 from workers.model.hybrid_modes import SIGNALS
@@ -110,6 +111,8 @@ def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: fl
     if event.last == GRAZING:
         lost = CONTACT_LOST if motion.lin.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
         event = event._replace(last=lost, kind=event.kind if own else lost)
+    if asks_multipliers(eq) and not is_smooth(motion.lin, event):
+        return None  # those of the orbit with the event are others
     return LocatedEvent(share, event)
 
 
