@@ -98,7 +98,11 @@ def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: fl
     if own is None:
         return None
     conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
-    found = solution(eq, orbit, conditions, np.append(eq.contacts(X), time), X)
+    contacts = np.append(eq.contacts(X), time)
+    if not orbit.itinerary.sides and motion.lin.sizes[0] == 1 and not eq.conditions:
+        # of any number of periods it is the answer of one, which touches once in that
+        orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
+    found = solution(eq, orbit, conditions, contacts, X)
     before, after = (eq.motion(end).turn.signals[0, 1, why.impact] for end in (step.here, step.there))
     share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
     if (
