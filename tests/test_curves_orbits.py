@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.handmade import TWO_MASS
+from tests.test_hybrid_branches import machine
 from workers import solve_tile
 from workers.continuation import Itinerary, Orbit, family_of, orbit_from_state
 from workers.continuation.orbits import attract, many_of, moved, refined
@@ -62,6 +63,27 @@ def test_many_orbits_are_moved_as_each_one_is(orbit: Orbit) -> None:
         assert found.orbit(k).times == pytest.approx(alone.times, abs=1e-12)
         assert found.orbit(k).speeds == pytest.approx(alone.speeds, abs=1e-12)
     assert attract(family, found).all()
+
+
+@pytest.mark.parametrize("name", ["R", "load"])
+def test_an_orbit_is_moved_though_one_moved_with_it_is_none(orbit: Orbit, name: str) -> None:
+    """To a machine without rebound, or a symmetric orbit to one that is not its own mirror image: neither holds there.
+
+    The others are found as they are alone.
+    """
+    if name == "R":
+        family, start = family_of(TWO_MASS, ASYMMETRIC, ("omega", "R")), np.array([[ASYMMETRIC["omega"], 0.8]])
+        values = np.array([[2.321, 0.8], [2.32, 0.0]])
+    else:
+        stops = {"name": "stop", "gap": [1.0], "upper": 1.0, "lower": -1.0, "stiffness": 10.0}
+        system = machine(contacts=[stops], load=["p"], parameters={"p": {"default": 0.0}})
+        orbit = Orbit(Itinerary((), 1, True), np.zeros(0), np.zeros(0))
+        family, start = family_of(system, {"A": 0.1}, ("omega", "p")), np.array([[1.2, 0.0]])
+        values = np.array([[1.201, 0.0], [1.2, 0.01]])
+    both = moved(family, many_of([orbit] * 2, np.repeat(start, 2, axis=0)), values)
+    alone = moved(family, many_of([orbit], start), values[:1])
+    assert both.found.tolist() == [True, False]
+    assert np.array_equal(both.orbit(0).times, alone.orbit(0).times)
 
 
 def test_an_orbit_that_lost_its_stability_does_not_attract() -> None:

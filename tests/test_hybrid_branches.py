@@ -155,3 +155,13 @@ def test_a_cell_that_sticks_is_followed() -> None:
     found = atlas.branch({"omega": 0.4}, along="omega", window=(0.35, 0.45), system="friction-oscillator")
     assert found.branches.symmetric.tolist() == [True]
     assert (found.points.unstable == 0).all()
+
+
+def test_an_orbit_of_two_periods_loses_its_only_impact_where_the_linear_answer_grazes() -> None:
+    """That answer has one period, and touches twice in two."""
+    found = atlas.branch({"omega": 2.4, "b2": 0.0}, along="b2", window=(0.0, 0.1), system="two-stops")
+    assert (found.branches.period[0], found.branches.last_end[0]) == (2, "impact_lost")
+    w, zeta = 2.4, 0.05
+    K = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    answer = np.linalg.solve((1.0 + 2j * zeta * w) * K - w**2 * np.eye(2), [0.5, 0.5])
+    assert found.events.b2.iloc[-1] == pytest.approx(abs(answer[1]), abs=1e-12)

@@ -17,6 +17,7 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on
 from workers.continuation.legs import ACT, EVENT, SLOWS
+from workers.continuation.onward import asks_multipliers, is_smooth
 from workers.continuation.switching import SwitchingMotion
 from workers.continuation.walk import Step
 from workers.model.hybrid_modes import SIGNALS
@@ -97,7 +98,11 @@ def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: fl
     if own is None:
         return None
     conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
-    found = solution(eq, orbit, conditions, np.append(eq.contacts(X), time), X)
+    contacts = np.append(eq.contacts(X), time)
+    if not orbit.itinerary.sides and motion.lin.sizes[0] == 1 and not eq.conditions:
+        # of any number of periods it is the answer of one, which touches once in that
+        orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
+    found = solution(eq, orbit, conditions, contacts, X)
     before, after = (eq.motion(end).turn.signals[0, 1, why.impact] for end in (step.here, step.there))
     share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
     if (
@@ -110,6 +115,8 @@ def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: fl
     if event.last == GRAZING:
         lost = CONTACT_LOST if motion.lin.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
         event = event._replace(last=lost, kind=event.kind if own else lost)
+    if asks_multipliers(eq) and not is_smooth(motion.lin, event):
+        return None  # those of the orbit with the event are others
     return LocatedEvent(share, event)
 
 

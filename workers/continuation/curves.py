@@ -27,9 +27,10 @@ def curve(
     Where an impact is lost, the orbit without it grazes; that orbit is followed, since its multipliers stay finite. The
     orbit whose friction begins to stick at no rate is followed itself.
     Its events are its points of codimension two: cusp, fold_flip, resonance_1_1 to resonance_1_4,
-    graze_fold and the like, double_graze. It continues through points where the event itself continues; it ends at the
-    window's edge, where it closes, where its orbits cease to be admissible (at another graze), at kappa = 1 or -1, or
-    after ``budget`` points per direction, and the result says which. Raises as ``branch``.
+    graze_fold and the like, double_graze. It continues through points where the event itself continues, and where the
+    contacts or slides of its orbit change though neither the motion nor, if it asks for multipliers, its derivative
+    jumps. It ends at the window's edge, where it closes, where its orbits cease to be admissible (at another graze), at
+    kappa = 1 or -1, or after ``budget`` points per direction, and the result says which. Raises as ``branch``.
     """
     if len(family.free) != 2 or len(event.conditions) != 1:
         raise ValueError(f"a curve needs two free parameters and one condition, found {family.free}, {event.kind}")

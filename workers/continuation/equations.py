@@ -6,6 +6,7 @@ Unknown are the block state h (2n) just before the first impact and the times t_
 y(t + L/2) = -y(t), only the impacts of one half are unknown: a turn is half the orbit, and sign is -1.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,33 +18,43 @@ from workers.continuation.shooting import between, turns
 from workers.continuation.switching import SwitchingMotion
 from workers.continuation.turn import Turn, TurnMotion
 from workers.model.modes import stacked
-from workers.model.oscillator import Array
+from workers.model.oscillator import Array, Mask
 
 
 def check_orbits(lin: Machine, itinerary: Itinerary) -> None:
-    """ValueError, in one line, where these equations do not hold: false symmetry; for machines with one rigid contact
-    R = 0, missing stops, and two rigid modes, lam = 0, since one gap coordinate sees only one.
+    """ValueError, in one line, where these equations hold for no machine: see ``admit``."""
+    for wrong, why in _faults(lin, itinerary):
+        if np.all(wrong):
+            raise ValueError(why)
+
+
+def admit(lin: Machine, itinerary: Itinerary) -> Mask:
+    """For which machines (N,) these equations hold: not for false symmetry; for machines with one rigid contact neither
+    for R = 0, missing stops, nor two rigid modes, lam = 0, since one gap coordinate sees only one.
     """
+    return ~np.any([np.broadcast_to(wrong, lin.omega.shape) for wrong, _ in _faults(lin, itinerary)], axis=0)
+
+
+def _faults(lin: Machine, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
+    """For which machines (N,) the equations do not hold, and why."""
     if isinstance(lin, ModalOscillator):
-        _check_impacts(lin, itinerary)
-    if itinerary.symmetric and itinerary.periods % 2 == 0:
-        raise ValueError(f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}")
-    if itinerary.symmetric and not lin.mirrored:
-        raise ValueError("a symmetric orbit needs equal stops, odd harmonics only, no constant load and no moving belt")
+        yield from _impact_faults(lin, itinerary)
+    even = itinerary.symmetric and itinerary.periods % 2 == 0
+    yield np.array(even), f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}"
+    uneven = ~lin.mirrored & itinerary.symmetric
+    yield uneven, "a symmetric orbit needs equal stops, odd harmonics only, no constant load and no moving belt"
 
 
-def _check_impacts(lin: ModalOscillator, itinerary: Itinerary) -> None:
-    if (rigid := np.count_nonzero(lin.gap.lam[0] == 0.0)) > 1:
-        raise ValueError(f"{rigid} rigid modes; one gap coordinate sees only one: leave out what it does not see")
-    if np.any(lin.R <= 0.0):
-        raise ValueError(
-            "R = 0: an impact without rebound may rest on its stop, which these orbits exclude; take R > 0"
-        )
+def _impact_faults(lin: ModalOscillator, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
+    rigid = np.count_nonzero(lin.gap.lam == 0.0, axis=1)
+    yield rigid > 1, f"{rigid[0]} rigid modes; one gap coordinate sees only one: leave out what it does not see"
+    rests = "an impact without rebound may rest on its stop, which these orbits exclude"
+    yield lin.R <= 0.0, f"R = 0: {rests}; take R > 0"
     for side, name, stop in ((1, "upper", lin.upper), (-1, "lower", lin.lower)):
-        if side in itinerary.sides and not np.all(np.isfinite(stop)):
-            raise ValueError(f"an impact at the {name} stop, which is not there: b_{name} = {stop[0]}")
-    if itinerary.periods < 1 or any(side not in (1, -1) for side in itinerary.sides):
-        raise ValueError(f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1")
+        absent = ~np.isfinite(stop) & (side in itinerary.sides)
+        yield absent, f"an impact at the {name} stop, which is not there: b_{name} = {stop[0]}"
+    unknown = itinerary.periods < 1 or any(side not in (1, -1) for side in itinerary.sides)
+    yield np.array(unknown), f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1"
 
 
 @dataclass(frozen=True)

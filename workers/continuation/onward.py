@@ -55,21 +55,37 @@ def is_continuous(equations: Extended, event: Event) -> bool:
 
     A soft contact without preload is touched and lifted from so, damped or not. Of friction, and of lift-off, it
     depends on what the motion does next: ``branches`` follows it back to see. A rigid contact or a preload is touched
-    with a square root. A curve of folds, doublings or pairs ends where the derivative of the motion jumps too: where
-    friction begins to stick at no rate, and where a damped contact is touched that its force releases. Its damper,
-    S = I - (c / m) k r, then acts at its beginning and not at its end.
+    with a square root. A curve of folds, doublings or pairs ends where the derivative jumps too: see ``is_smooth``.
     """
     lin, contact = equations.model(event.point.values), event.conditions[-1].signal // SIGNALS
     if not isinstance(lin, HybridMachines) or event.last not in CHANGES:
         return False
-    smooth = any(condition.kind in OF_MULTIPLIERS for condition in equations.conditions)
+    if asks_multipliers(equations):
+        return is_smooth(lin, event)
     if event.last not in OF_CONTACTS:
-        return not (smooth and event.last == GRAZING_SLIDING)
-    if event.last == LIFT_OFF and not lin.soft[0, contact]:
         return True
-    _, damping, preload = np.max(lin.pad[0, :, contact], axis=0)
-    jumps = bool(damping > 0.0 and lin.by_force[0, contact] and event.last != LIFT_OFF)
-    return bool(lin.soft[0, contact]) and preload == 0.0 and not (smooth and jumps)
+    preloaded = bool(np.any(lin.pad[0, :, contact, 2] > 0.0))
+    return not preloaded and (bool(lin.soft[0, contact]) or event.last == LIFT_OFF)
+
+
+def asks_multipliers(equations: Extended) -> bool:
+    """Whether a condition of a curve is on multipliers."""
+    return any(condition.kind in OF_MULTIPLIERS for condition in equations.conditions)
+
+
+def is_smooth(machine: HybridMachines, event: Event) -> bool:
+    """Whether multipliers are continuous through a change of one machine: not where friction begins to stick at no
+    rate, nor at the graze of a contact, but for a soft one without preload.
+
+    Nor at that of a damped one that its force releases: its damper, S = I - c M^-1 r r, acts when the contact begins
+    and not when it ends.
+    """
+    if event.last not in OF_CONTACTS:
+        return event.last != GRAZING_SLIDING
+    contact = event.conditions[-1].signal // SIGNALS
+    _, damping, preload = np.max(machine.pad[0, :, contact], axis=0)
+    jumps = machine.soft[0, contact] == 0.0 or (machine.by_force[0, contact] > 0.0 and damping > 0.0)
+    return bool(preload == 0.0 and (event.last == LIFT_OFF or not jumps))
 
 
 class _Beside(NamedTuple):

@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
 from workers.continuation.departure import first_departure
-from workers.continuation.equations import ImpactMotion, Motion, check_orbits, motion_at, motion_of, motion_of_unknowns
+from workers.continuation.equations import (
+    ImpactMotion,
+    Motion,
+    admit,
+    check_orbits,
+    motion_at,
+    motion_of,
+    motion_of_unknowns,
+)
 from workers.continuation.itinerary import Itinerary, Orbit, in_one_turn, many_orbits
 from workers.continuation.newton import newton
 from workers.continuation.oscillator import Family, Machine, ModalOscillator, family_of, modal
@@ -64,9 +72,10 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
     """
     lin, itinerary = family.model(values), orbits.orbits.itinerary
     check_orbits(lin, itinerary)
-    if not itinerary.sides or not orbits.found.any():
-        return orbits._replace(values=values)
-    known = np.flatnonzero(orbits.found)
+    may_be = orbits.found & admit(lin, itinerary)
+    if not itinerary.sides or not may_be.any():
+        return orbits._replace(values=values, found=may_be)
+    known = np.flatnonzero(may_be)
     own, here = taken(lin, known), orbits.orbits.taken(known)
     phases = here.times * family.model(orbits.values[known]).omega[:, None]
     start = motion_of(own, here._replace(times=phases / own.omega[:, None]))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workers.model.family import FreeMotions
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults
-from workers.model.oscillator import NUMBER, Array, Mode, Oscillator
+from workers.model.oscillator import NUMBER, Array, Mask, Mode, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
 
@@ -40,10 +40,11 @@ class ModalOscillator(NamedTuple):
         return 2 * self.gap.blocks.shape[1]
 
     @property
-    def mirrored(self) -> bool:
-        """Whether all are their own mirror images half a period later."""
-        even = np.any(self.gap.sin_part[:, 1::2]) or np.any(self.gap.cos_part[:, 1::2])
-        return not even and not np.any(self.gap.load) and np.array_equal(self.upper, self.lower)
+    def mirrored(self) -> Mask:
+        """Which of them (N,) are their own mirror images half a period later."""
+        even = (self.gap.sin_part[:, 1::2], self.gap.cos_part[:, 1::2], self.gap.load)
+        uneven = [np.any(each != 0.0, axis=tuple(range(1, each.ndim))) for each in even]
+        return ~np.any([*uneven, self.upper != self.lower], axis=0)
 
 
 Machine = ModalOscillator | HybridMachines
@@ -98,7 +99,7 @@ def has_images(system: System, values: Mapping[str, float]) -> bool:
     if not system.has_modes:
         return bool(system.build(values).symmetric)
     given = {p.name: np.array([float(values.get(p.name, p.default))]) for p in system.parameters}
-    return system.definition.hybrid(given).mirrored
+    return bool(system.definition.hybrid(given).mirrored[0])
 
 
 Machines = Callable[[Array], tuple[Machine, NDArray[np.int8]]]

@@ -70,7 +70,7 @@ def halved(machines: HybridMachines, orbit: Orbit, alike: float = ALIKE) -> Orbi
     span = float(orbit.itinerary.span(machines)[0])
     if symmetric or not sides:
         return orbit
-    if len(sides) % 2 or periods % 2 == 0 or not machines.mirrored or not orbit.itinerary.repeats(half, -1):
+    if len(sides) % 2 or periods % 2 == 0 or not machines.mirrored[0] or not orbit.itinerary.repeats(half, -1):
         return orbit
     if np.max(np.abs(orbit.times[half:] - orbit.times[:half] - 0.5 * span)) > alike * span:
         return orbit

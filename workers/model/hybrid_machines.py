@@ -65,14 +65,9 @@ class HybridMachines(NamedTuple):
         return 2 * self.load.shape[2]
 
     @property
-    def mirrored(self) -> bool:
-        """Whether all are their own mirror images half a period later.
-
-        That takes equal stops, belts at rest, no load, odd harmonics alone, and one phase.
-        """
-        even = (self.force_sin[:, :, 1::2], self.force_cos[:, :, 1::2], self.load, self.belt)
-        equal = np.array_equal(self.stops[..., 0], -self.stops[..., 1])
-        return self.sizes[0] == 1 and equal and not any(np.any(field) for field in even)
+    def mirrored(self) -> Mask:
+        """Which of them (N,) are their own mirror images half a period later, in the same phase: see ``mirrors``."""
+        return mirrors(self) & (self.sizes[0] == 1)
 
     @property
     def sizes(self) -> tuple[int, int, int]:
