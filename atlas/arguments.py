@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from numbers import Integral, Real
 from pathlib import Path
-from types import UnionType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -45,7 +44,7 @@ def checked_pixels(given: object) -> tuple[int, int] | None:
     sizes = _items(given)
     if given is None:
         return None
-    if len(sizes) != 2 or not all(isinstance(n, Integral) and not isinstance(n, bool) and n >= 1 for n in sizes):
+    if len(sizes) != 2 or not all(isinstance(n, Integral) and not isinstance(n, bool) and int(n) >= 1 for n in sizes):
         raise InputError(f"pixels: found {shown(given)}, must be two whole numbers, (x, y), 1 or more")
     x, y = (int(size) for size in sizes)
     return x, y
@@ -68,8 +67,8 @@ def checked_flag(name: str, given: object) -> bool:
     return bool(checked_kind(name, given, bool | np.bool_, "True or False"))
 
 
-def checked_kind(name: str, given: T, kind: type | UnionType, right: str) -> T:
-    """What is of a type or a union of types; ``right`` says in words what it must be."""
+def checked_kind(name: str, given: T, kind: Any, right: str) -> T:
+    """What is an instance of a type or a union of types; ``right`` says in words what it must be."""
     if not isinstance(given, kind):
         raise InputError(f"{name}: found {shown(given)}, must be {right}")
     return given

@@ -129,6 +129,7 @@ GROUPS = [
     ("whole", "tiles/records/c.0.0.0", "tiles/records is damaged"),
     ("whole", "tiles/record/zarr.json", "tiles/record/zarr.json is damaged"),
     ("whole", "tiles/records/zarr.json", "tiles/records/zarr.json is damaged"),
+    ("whole", "zoom/zarr.json", "zoom/zarr.json is"),
     ("whole", "zoom/0123456789abcdef/zarr.json", "zoom/0123456789abcdef/zarr.json is"),
     ("whole", "zoom/0123456789abcdef/x0_y0_0_0/largest/c/0/0", "largest/c/0/0 is damaged"),
     ("whole", "zoom/0123456789abcdef/x0_y0_0_0/zarr.json", "x0_y0_0_0"),

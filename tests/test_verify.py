@@ -513,7 +513,7 @@ def test_progress_ends_with_every_cell_read(whole: Path) -> None:
 
 
 def test_a_negative_sample_is_refused(whole: Path) -> None:
-    with pytest.raises(InputError, match="sample: found -1, must be 0 or more"):
+    with pytest.raises(InputError, match="sample: found -1, must be a whole number, 0 or more"):
         verify(whole, sample=-1)
 
 

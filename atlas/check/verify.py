@@ -261,7 +261,9 @@ def _with_zoom(
     mended = list(report.mended)
     if claim is not None and bad:
         drop_zoom(header, bad)
-        mended.append(f"{ZOOM}: {plural(len(set(bad)), 'folder')} dropped: the explorer solves again what it shows")
+        mended += [f"{ZOOM}/{ROOT} written again"] * (() in bad)
+        if dropped := {*bad} - {()}:
+            mended.append(f"{ZOOM}: {plural(len(dropped), 'folder')} dropped: the explorer solves again what it shows")
     return replace(report, sheets=len(found), faults=tuple(faults), doubts=tuple(doubts), mended=tuple(mended))
 
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable
 
 from atlas.store.store import ROOT, ZOOM, Header
-from atlas.store.zoom import ABOUT, drop_sheet
+from atlas.store.zoom import ABOUT, describe_planes, drop_sheet
 
 
 def plane_faults(header: Header) -> dict[str, str]:
@@ -28,13 +28,14 @@ def plane_faults(header: Header) -> dict[str, str]:
 def drop_zoom(header: Header, folders: Iterable[tuple[str, ...]]) -> None:
     """Remove sheets, each given as (plane, sheet), and planes with all their sheets, as (plane,).
 
-    Of the group of all planes, (), the metadata alone go, which the next plane makes anew.
+    Of the group of all planes, (), the metadata are written again.
     """
     for folder in folders:
-        if len(folder) == 2:
+        if not folder:
+            describe_planes(header)
+        elif len(folder) == 2:
             drop_sheet(header, *folder)
-            continue
-        header.place.remove("/".join([ZOOM, *folder, ROOT]))
-        keys = header.place.list_keys(f"{ZOOM}/{folder[0]}/") if folder else ()
-        for sheet in sorted({key.split("/")[2] for key in keys}):
-            drop_sheet(header, folder[0], sheet)
+        else:
+            header.place.remove(f"{ZOOM}/{folder[0]}/{ROOT}")
+            for sheet in sorted({key.split("/")[2] for key in header.place.list_keys(f"{ZOOM}/{folder[0]}/")}):
+                drop_sheet(header, folder[0], sheet)

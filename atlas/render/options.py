@@ -101,7 +101,7 @@ class Wanted:
 
         look: dict[str, Any] = dict(options)
         lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
-        own = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
+        own: dict[str, Any] = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
         for name, given in (("kind", kind), ("variable", own.get("variable"))):
             if given is not None:
                 checked_name(name, given)

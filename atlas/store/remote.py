@@ -80,11 +80,13 @@ class RemoteStore(ObjectStore[Any]):
 
 
 class PackedStore(ZipStore):
-    """Zarr's ZipStore of a place, for reading."""
+    """Zarr's ZipStore of a place, for reading, open: Zarr itself would open it with a group alone."""
 
     def __init__(self, place: ZipPlace) -> None:
         super().__init__(place.path, mode="r")
         self.file = place.path
+        with reading(self.file):
+            self._sync_open()
 
     async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
         with reading(self.file):

@@ -60,12 +60,9 @@ def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
 
 
 def spare_faults(place: Place, spare: Json) -> dict[str, str]:
-    """What of a store's metadata is missing, damaged or not as its spare has it, in words by the keys.
-
-    Of an array that came later, as by a retry, the root's copy is the spare.
-    """
+    """What of a store's metadata is missing, damaged or not as its spare has it, in words by the keys."""
     faults = {}
-    for key, right in {ROOT: spare, **_right_nodes(place, spare)}.items():
+    for key, right in {ROOT: spare, **nodes_of(spare)}.items():
         if fault := next(_faults(place.get(key), right, whole=key != ROOT), ""):
             faults[key] = fault
     return faults
@@ -73,28 +70,18 @@ def spare_faults(place: Place, spare: Json) -> dict[str, str]:
 
 def mend_by_spare(place: Place, spare: Json, keys: Mapping[str, str]) -> None:
     """Write these metadata as the spare has them, and the root's with copies of all that there is."""
-    nodes = _right_nodes(place, spare)
+    nodes = nodes_of(spare)
     for key in keys:
         if key != ROOT:
             place.put(key, json.dumps(alone(nodes[key])).encode())
     copy_metadata(place, spare)
 
 
-def _right_nodes(place: Place, spare: Json) -> dict[str, dict[str, Any]]:
-    """The metadata that the spare has, and those of arrays of the root that came later, by their keys."""
-    try:
-        there = nodes_of(json.loads(place.get(ROOT) or b""))
-        later = {key: node for key, node in there.items() if key.count("/") == 1 and node["node_type"] == "array"}
-    except (ValueError, AttributeError, TypeError, KeyError, RecursionError):
-        later = {}
-    return later | nodes_of(spare)
-
-
 def copy_metadata(place: Place, root: Json) -> None:
     """Write a root's metadata with copies of the metadata of its arrays and groups as these have them now.
 
-    Such are the ones that ``root`` has copies of, and all others that are there now but the zoom levels: what came
-    later, as by a retry or a search, is in no spare.
+    Such are the ones that ``root`` has copies of, and all others that are there now but the zoom levels: what a
+    search or a run has added since is in no spare.
     """
     found = {key for key in place.list_keys() if key.endswith(f"/{ROOT}") and not key.startswith(f"{ZOOM}/")}
     keys = sorted({*nodes_of(root), *(key for key in found if _parents(key) <= found)})

@@ -225,8 +225,10 @@ def _read_header(place: Place) -> Header:
     if attrs.get("format_version") != FORMAT_VERSION:
         found = shown(attrs.get("format_version"))
         raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
+    if regime not in objects:
+        raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
     try:
-        return header_by(place, root, json.loads(objects.get(regime, b"")))
+        return header_by(place, root, json.loads(objects[regime]))
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: its metadata are damaged: {message_of(error)}: {remedy(place)}") from None
 

@@ -28,9 +28,17 @@ def sheet_place(header: Header, plane: str, sheet: str) -> Place:
 def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None:
     """Make the group of a plane, and the group of all planes, where there are none."""
     for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
-        group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
         if not header.place.exists(f"{key}/{ROOT}"):
-            header.place.put_new(f"{key}/{ROOT}", json.dumps(group).encode())
+            header.place.put_new(f"{key}/{ROOT}", _group(attributes))
+
+
+def describe_planes(header: Header) -> None:
+    """Write the metadata of the group of all planes again."""
+    header.place.put(f"{ZOOM}/{ROOT}", _group(ABOUT))
+
+
+def _group(attributes: Mapping[str, Any]) -> bytes:
+    return json.dumps({"zarr_format": 3, "node_type": "group", "attributes": attributes}).encode()
 
 
 def sheets(header: Header) -> list[tuple[str, str]]:
