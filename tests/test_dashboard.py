@@ -137,6 +137,9 @@ def test_a_report_that_nobody_could_write_is_refused_before_anything_is_done(
     for path in (tmp_path, tmp_path / "nowhere" / "report.html"):
         with pytest.raises(InputError, match=r"performance_report .*: cannot be written; give a file in a folder"):
             atlas.RunOptions(performance_report=path)
+    for name, given in (("performance_report", 3), ("dashboard", "no"), ("storage_options", "anon")):
+        with pytest.raises(InputError, match=f"{name}: found {given!r}, must be"):
+            atlas.RunOptions(**{name: given})
     with pytest.raises(InputError, match="performance_report: is of workers"):
         atlas.RunOptions(performance_report=tmp_path / "report.html", tile=(0, 0))
     for module in (cluster, hiring):

@@ -38,9 +38,9 @@ atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
-commands    demo example plan run submit cancel retry extend basins status verify pack cite query regions extremes
-            basin-measures export compare find-curves label-attractors measure-attractors plot figures point stability
-            saddles portrait branch explore systems
+commands    demo example schema plan run submit cancel retry extend basins status verify pack cite query regions
+            extremes basin-measures export compare find-curves label-attractors measure-attractors plot figures point
+            stability saddles portrait branch explore systems
 variables   attractors average error exact impact_energy impacts_lower impacts_per_period impacts_upper kaplan_yorke
             label largest left lumped lumped_distance max_impact_speed mean_impact_speed min_impact_speed mirror own
             peak_to_peak period periods_used reason regime section settled share share_error share_high share_low

@@ -72,7 +72,7 @@ def test_xarray_writes_no_unit_on_the_axis_of_a_pure_number(header: store.Header
     ds = atlas.open(header.path)
     assert label_from_attrs(ds["omega"]) == "forcing frequency"
     assert not [name for name in ds.variables if "[1]" in label_from_attrs(ds[name])]
-    assert label_from_attrs(ds["largest"]) == "largest Lyapunov exponent per forcing period"
+    assert " ".join(label_from_attrs(ds["largest"]).split()) == "largest Lyapunov exponent per forcing period"
 
 
 def rows_of(html: str) -> list[str]:

@@ -189,6 +189,9 @@ def test_an_atlas_is_computed_and_extended_by_storage_options_and_read_as_an_obj
     truth = atlas.open(solved_plane)
     assert same(atlas.open(url, storage_options=words), truth)
     assert atlas.extend(url, finer, refine=2, client=client, storage_options=words).failures == ()
+    again = url.replace("plane", "again")
+    assert atlas.retry(url, again, "chaotic", survival=100_000, client=client, storage_options=words).failures == ()
+    assert atlas.open(again, storage_options=words).atlas.fractions().keys() >= {"periodic"}
     given = obstores.S3Store(BUCKET, prefix="options/plane.zarr", client_options={"allow_http": True}, **server)
     ds = atlas.open(given)
     assert same(ds, truth) and ds.atlas.fractions() == truth.atlas.fractions()

@@ -18,7 +18,7 @@ from atlas.labels.table import Count, Labels, write_labels
 from atlas.measures.table import MEASURES, Stored, write_measures
 from atlas.overview.coarsen import level_variables
 from atlas.store import store
-from atlas.store.schema import ALLOWANCES
+from atlas.store.origin import ALLOWANCES
 from tests.synthetic import complete
 from workers.model.system import find_system, system_names
 from workers.results import result_variables
@@ -55,8 +55,8 @@ def wrong(path: Path) -> list[tuple[str, Mapping[str, Any]]]:
 def header(tmp_path_factory: pytest.TempPathFactory) -> store.Header:
     """A plane with overviews, curves and measures."""
     made = complete(tmp_path_factory.mktemp("units") / "a.zarr")
-    curve = Curve("fold", 1, 1, 0, False, np.zeros((2, 2)), np.zeros(2, dtype=np.int64), ("edge", "edge"),
-                  (Corner("cusp", 0.0, 0.0, 0),))  # fmt: skip
+    counts, ends = np.zeros(2, dtype=np.int64), ("edge", "edge")
+    curve = Curve("fold", 1, counts, counts, False, np.zeros((2, 2)), counts, ends, (Corner("cusp", 0.0, 0.0, 0),))
     write_curves(made, Curves(("omega", "b"), (curve,)))
     write_measures(made, Stored({name: np.zeros(made.spec.shape, each.dtype) for name, each in MEASURES.items()}, {}))
     return made

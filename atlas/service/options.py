@@ -85,11 +85,14 @@ class RunOptions:
             ("scheduler", str, "an address such as tcp://host:8786"),
             ("tls", Tls, "an atlas.service.cluster.Tls"),
             ("on_progress", Callable, "a function of a Progress"),
+            ("performance_report", str | os.PathLike, "the path of a file"),
+            ("storage_options", Mapping, "settings by name, such as {'anon': True}"),
         ):
             if (given := getattr(self, name)) is not None:
                 checked_kind(name, given, kind, right)
         for name in ("patience", "wait"):
             checked_kind(name, getattr(self, name), Real, "a number of seconds")
+        checked_kind("dashboard", self.dashboard, bool, "true or false")
         checked_kind("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
     def updated(self, **changed: Unpack["RunFields"]) -> "RunOptions":
