@@ -25,7 +25,7 @@ from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window, axis_names
 from atlas.render import check_path, figure, portrait
-from atlas.render.options import Look, MapLook, Sheet, split_look, takes
+from atlas.render.options import MapLook, PageOptions, ScaleOptions, split_look, takes
 from atlas.spec.spec import given_values
 from atlas.spec.system import stored_name
 
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 class DrawnComparison(Comparison):
     """A comparison that can draw itself."""
 
-    @takes(Look)
-    def plot(self, path: str | Path | None = None, **look: Unpack[Look]) -> "Figure":
+    @takes(ScaleOptions)
+    def plot(self, path: str | Path | None = None, **look: Unpack[ScaleOptions]) -> "Figure":
         """A matplotlib Figure of both maps: differences of exponents, and where regimes differ.
 
         Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
@@ -53,8 +53,8 @@ class DrawnComparison(Comparison):
 class DrawnBranches(Branches):
     """Branches that can draw themselves."""
 
-    @takes(Sheet)
-    def plot(self, path: str | Path | None = None, **look: Unpack[Sheet]) -> "Figure":
+    @takes(PageOptions)
+    def plot(self, path: str | Path | None = None, **look: Unpack[PageOptions]) -> "Figure":
         """A matplotlib Figure of section values over the parameter, stable parts solid and unstable ones dashed.
 
         Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
@@ -194,9 +194,9 @@ class AtlasAccessor:
         seed = seed_of_cell(self._ds, given_values(given, point))
         return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget))
 
-    @takes(Look)
+    @takes(ScaleOptions)
     def beside(
-        self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Unpack[Look]
+        self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Unpack[ScaleOptions]
     ) -> "Figure":
         """Maps of this atlas and of others side by side on one scale, ``beside(other, width="85mm")``.
 
@@ -252,7 +252,7 @@ class AtlasAccessor:
 
         return write_page(self._whole, path)
 
-    @takes(Sheet, others=True)
+    @takes(PageOptions, others=True)
     def portrait(
         self, given: Mapping[str, float] | None = None, /, *, path: str | Path | None = None, **point: Any
     ) -> "Figure":
@@ -265,7 +265,7 @@ class AtlasAccessor:
         look, named = split_look(point)
         for name in named:
             if name not in self._ds.coords:
-                possible = ", ".join([*axis_names(self._ds), "path", *Sheet.__annotations__])
+                possible = ", ".join([*axis_names(self._ds), "path", *PageOptions.__annotations__])
                 raise InputError(f"unknown option {name!r}; possible: {possible}")
         if path is not None:
             check_path(path)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scripts.measured import parsed, print_table
-from workers.attractors.basins import Table, added
+from workers.attractors.basins import AttractorTable, added
 from workers.attractors.record import STATISTICAL
 from workers.attractors.same import distance, mirrored
 from workers.attractors.starts import Starts, wilson
@@ -90,7 +90,7 @@ def apart(one: Array, other: Array) -> float:
     return distance(first, second)
 
 
-def put_elsewhere(table: Table, states: Array) -> int:
+def put_elsewhere(table: AttractorTable, states: Array) -> int:
     """How many motions from states (N, 2n) are not put to the only attractor of a table."""
     wrong = 0
     for state in states:
@@ -103,7 +103,7 @@ def check(cell: dict[str, float], motions: int, found: Found) -> str:
     """Count what one cell shows; in words."""
     record = find_system(SYSTEM)
     values = {p.name: float(cell.get(p.name, p.default)) for p in record.parameters}
-    table = Table(record, values, SETTINGS, Starts(1))
+    table = AttractorTable(record, values, SETTINGS, Starts(1))
     if not table.attractors or table.attractors[0].regime not in STATISTICAL:
         return ""
     state = np.asarray(table.attractors[0].result["state"])

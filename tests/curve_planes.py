@@ -7,9 +7,9 @@ import numpy as np
 
 import atlas
 from atlas.curves.finish import finished
-from atlas.curves.plane import Plane
+from atlas.curves.plane import CurvePlane
 from atlas.curves.record import curve_from_json
-from atlas.curves.search import Search
+from atlas.curves.search import CurveSearch
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curve, Curves
 from atlas.curves.tasks import do
@@ -35,9 +35,9 @@ def pair() -> atlas.Spec:
     return atlas.Spec("impact-pair", axes, solve=QUICK)
 
 
-def found_serially(plane: Plane, settings: CurveSettings | None = None) -> Curves:
+def found_serially(plane: CurvePlane, settings: CurveSettings | None = None) -> Curves:
     """The naive twin of ``find_curves``: every task at once, in order, in this process."""
-    search = Search(plane, settings or CurveSettings())
+    search = CurveSearch(plane, settings or CurveSettings())
     parts: dict[str, dict[str, Any]] = {}
     while tasks := search.tasks():
         for name, task in tasks.items():

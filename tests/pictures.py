@@ -47,11 +47,11 @@ def atlas(axes: dict[str, Any], scales: dict[str, str] | None = None, **variable
     )
 
 
-def painted(kind: str, *scale: Any, **variables: np.ndarray) -> maps.Painted:
+def painted(kind: str, *scale: Any, **variables: np.ndarray) -> maps.PaintedView:
     """A kind of map of variables (y, x), on the scale of others where that is given."""
     rows, columns = variables["regime"].shape
     ds = atlas({"omega": 1.0 + np.arange(columns), "b": 0.1 + 0.1 * np.arange(rows)}, **variables)
-    found: maps.Painted = TABLE[kind].painter(maps.read(TABLE[kind], ds, Wanted(STANDARD)), *scale)
+    found: maps.PaintedView = TABLE[kind].painter(maps.read(TABLE[kind], ds, Wanted(STANDARD)), *scale)
     return found
 
 

@@ -16,7 +16,7 @@ from atlas import Spec
 from atlas.errors import RunError
 from atlas.store.location import LocalPlace
 from atlas.store.schema import extra_sizes
-from atlas.store.sidecar import Attempt, notes_of, put_attempt
+from atlas.store.sidecar import TileAttempt, notes_of, put_attempt
 from atlas.store.store import Header, chunk_key, create, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
@@ -149,7 +149,7 @@ def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """From now on attempts at tiles do not live to remove their notes; the runs of those that solved one."""
     solved: list[str] = []
     monkeypatch.setattr(attempt, "solve_and_write", lambda job: solved.append(job.site.claim))
-    monkeypatch.setattr(Attempt, "remove", lambda *_: None)
+    monkeypatch.setattr(TileAttempt, "remove", lambda *_: None)
     return solved
 
 

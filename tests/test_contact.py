@@ -7,7 +7,7 @@ from atlas.cell.orbit import cell_orbit
 from tests import naive
 from tests.oscillators import mass_spring
 from workers import Settings, solve_tile
-from workers.attractors.basins import Table, section_points
+from workers.attractors.basins import AttractorTable, section_points
 from workers.attractors.same import mirrored
 from workers.attractors.starts import Starts
 from workers.cell.cells import Cells
@@ -193,7 +193,7 @@ def test_section_points_of_an_attractor_that_rests_at_the_section_stay_there() -
     for k in range(5):
         cell = {name: values[k] for name, values in HELD_AT_THE_SECTION.items()}
         values = {p.name: p.default for p in system.parameters} | cell
-        table = Table(system, values, Settings(max_periods=500, survival=0), Starts(1))
+        table = AttractorTable(system, values, Settings(max_periods=500, survival=0), Starts(1))
         (only,) = table.attractors
         assert (abs(only.contact), only.period) == (HELD, 1)
         only.period = 0

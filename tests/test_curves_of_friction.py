@@ -12,8 +12,8 @@ from atlas.curves import following
 from atlas.curves.cells import PERSISTS
 from atlas.curves.finish import finished
 from atlas.curves.following import Located, follow_event
-from atlas.curves.plane import Plane
-from atlas.curves.search import Search
+from atlas.curves.plane import CurvePlane
+from atlas.curves.search import CurveSearch
 from atlas.curves.settings import CurveSettings
 from atlas.curves.tasks import Persist
 from atlas.service.curves import CurvesSummary
@@ -62,19 +62,19 @@ def test_an_event_whose_curve_has_one_point_alone_is_told_in_words(monkeypatch: 
     assert found == "the grazing sliding is alone: no step along its curve converges"
 
 
-def plane_of_two_regions() -> Plane:
+def plane_of_two_regions() -> CurvePlane:
     """Six by six cells, of period 1 at the left and 2 at the right: six edges between them."""
     x, y, cells = np.linspace(1.0, 2.0, 6), np.linspace(0.4, 0.9, 6), 36
     period, none = np.where(np.arange(cells) % 6 < 3, 1, 2), np.zeros(cells, dtype=np.int64)
     kinds = (np.full(cells, PERIODIC), period, none, none, np.zeros(cells, dtype=np.bool_))
-    return Plane(
+    return CurvePlane(
         STICK_SLIP, ("omega", "u"), x, y, (False, False), {}, *kinds, np.full(cells, np.nan), np.zeros((cells, 2))
     )
 
 
 @pytest.mark.parametrize("found", [{"events": [], "why": "no orbit is found"}, {"trouble": "no orbit is found"}])
 def test_each_border_that_stays_unexplained_says_why(found: dict[str, Any]) -> None:
-    search = Search(plane_of_two_regions(), CurveSettings())
+    search = CurveSearch(plane_of_two_regions(), CurveSettings())
     while tasks := search.tasks():
         search.take([{} if isinstance(task, Persist) else found for task in tasks.values()])
     report = finished(search).report
@@ -87,7 +87,7 @@ def test_each_border_that_stays_unexplained_says_why(found: dict[str, Any]) -> N
 
 
 def test_an_orbit_that_goes_on_beyond_a_border_makes_it_one_of_basins() -> None:
-    search = Search(plane_of_two_regions(), CurveSettings())
+    search = CurveSearch(plane_of_two_regions(), CurveSettings())
     while tasks := search.tasks():
         search.take([{} if isinstance(task, Persist) else {"events": [], "there": PERSISTS} for task in tasks.values()])
     assert finished(search).report["edges"]["regions"] == {

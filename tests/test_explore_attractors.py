@@ -14,7 +14,7 @@ from distributed import Client
 
 import atlas
 from atlas.explore.actions import new_atlas
-from atlas.explore.attractors import Attractors, known_attractors, search_job
+from atlas.explore.attractors import KeptAttractors, known_attractors, search_job
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import beginning
 from atlas.explore.details import Details
@@ -36,9 +36,9 @@ CELL = {"omega": 4.1234567, "b": 0.1}
 """Between the cells of the plane: an orbit of period 1 there, with others beside it."""
 
 
-def asked(explorer: Explorer, cell: Cell) -> Attractors:
+def asked(explorer: Explorer, cell: Cell) -> KeptAttractors:
     """The attractors that the explorer finds of a cell."""
-    answers: SimpleQueue[Attractors] = SimpleQueue()
+    answers: SimpleQueue[KeptAttractors] = SimpleQueue()
     explorer.patches.want("test", [search_job(explorer.subject, cell, answers.put)])
     return answers.get(timeout=120.0)
 
@@ -76,7 +76,7 @@ def test_an_answer_about_a_cell_that_was_clicked_before_another_is_not_shown(fin
     for x in (2.5, 3.5):
         details.show(replace(store.now.chosen, cell=(subject.plane, x, 0.2)))
     assert len(works) == 2
-    found = Attractors(trouble="of the first", starts=1), Attractors(trouble="of the second", starts=1)
+    found = KeptAttractors(trouble="of the first", starts=1), KeptAttractors(trouble="of the second", starts=1)
     for click, answer in ((2, found[1]), (1, found[0])):
         details._answer(CELL, click, answer)
     assert "of the second" in details._attractors.text
@@ -133,7 +133,7 @@ def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finishe
 
 
 def test_a_cell_without_a_motion_has_no_attractors(finished: Path) -> None:
-    assert "none of 0 initial states is decided" in attractors_table(Attractors(), subject_of(str(finished)))
+    assert "none of 0 initial states is decided" in attractors_table(KeptAttractors(), subject_of(str(finished)))
 
 
 def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finished: Path) -> None:
@@ -141,7 +141,7 @@ def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finish
     orbit = {"regime": "periodic", "period": 3, "impacts_upper": 2, "impacts_lower": 1, "largest": -0.25}
     chaos = {"regime": "chaotic", "period": 0, "impacts_upper": 0, "impacts_lower": 0, "largest": 0.5}
     shares = {"share": 0.75, "share_low": 0.58, "share_high": 0.87}, {"share": 0.2, "share_low": 0.1, "share_high": 0.4}
-    text = attractors_table(Attractors((orbit | shares[0], chaos | shares[1]), 3, 32, 1, 0.09, 1), subject)
+    text = attractors_table(KeptAttractors((orbit | shares[0], chaos | shares[1]), 3, 32, 1, 0.09, 1), subject)
     rows = text.split("<tr>")
     assert "<td></td><td>periodic</td><td>3-2-1</td><td>−0.25</td><td>75 % (58–87)</td>" in rows[2]
     assert "<td>►</td><td>chaotic</td><td></td><td>0.5</td><td>20 % (10–40)</td>" in rows[3]

@@ -11,7 +11,7 @@ from atlas.explore.cut import (
     LONGEST,
     SAMPLES,
     STEPS,
-    Cells,
+    CutCells,
     Line,
     branch_job,
     cut_job,
@@ -30,9 +30,9 @@ def subject() -> Subject:
     return subject_of("omega-b")
 
 
-def solved(line: Line, parts: list[tuple[int, ...]]) -> Cells:
+def solved(line: Line, parts: list[tuple[int, ...]]) -> CutCells:
     """Cells of a line, solved here."""
-    came: list[Cells] = []
+    came: list[CutCells] = []
     for part in parts:
         job = cut_job(line, part, lambda _, cells: came.append(cells), pytest.fail)
         (function, argument), held = job.make()
@@ -80,8 +80,8 @@ def test_an_orbit_of_period_one_is_one_point_of_the_section(subject: Subject) ->
 
 def test_cells_that_come_twice_are_drawn_once(subject: Subject) -> None:
     index = np.array([0, 128, 256])
-    cells = Cells(index, {"gap": index[:, None] / 10.0})
-    both = Cells(np.array([64, 128]), {"gap": np.array([[6.4], [12.8]])}).joined(cells)
+    cells = CutCells(index, {"gap": index[:, None] / 10.0})
+    both = CutCells(np.array([64, 128]), {"gap": np.array([[6.4], [12.8]])}).joined(cells)
     assert both.index.tolist() == [0, 64, 128, 256]
     assert both.results["gap"].ravel().tolist() == [0.0, 6.4, 12.8, 25.6]
 
@@ -131,4 +131,4 @@ def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject
 def test_periodic_cells_whose_orbits_are_too_long_to_be_followed_are_counted() -> None:
     regime, impacts = np.array([PERIODIC, PERIODIC, CHAOTIC]), np.array([LONGEST // 2, LONGEST // 2 + 1, LONGEST])
     results = {"regime": regime, "impacts_upper": impacts, "impacts_lower": impacts}
-    assert too_long(Cells(np.arange(3), results)) == 1
+    assert too_long(CutCells(np.arange(3), results)) == 1

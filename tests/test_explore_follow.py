@@ -11,8 +11,8 @@ from bokeh.plotting import figure
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.branches import Arrow, Followed, Here, arrows, beginning, distance, follow_job, follow_orbit
-from atlas.explore.chosen import Chosen, Follow, Point, followable, from_address, to_address
+from atlas.explore.branches import Arrow, FollowedBranch, Here, arrows, beginning, distance, follow_job, follow_orbit
+from atlas.explore.chosen import Chosen, FollowedOrbit, Point, followable, from_address, to_address
 from atlas.explore.followpanel import FollowPanel, label_of
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
@@ -38,9 +38,9 @@ def cell_of(subject: Subject) -> Point:
     return subject.plane, CELL["omega"], CELL["b"]
 
 
-def followed(subject: Subject, chosen: Chosen, along: str) -> Followed:
+def followed(subject: Subject, chosen: Chosen, along: str) -> FollowedBranch:
     """The branch of the cell that is chosen, found here."""
-    came: list[Followed] = []
+    came: list[FollowedBranch] = []
     assert chosen.cell is not None
     follow = beginning(subject, chosen, chosen.cell, along)
     job = follow_job(subject, chosen.cell, follow, came.append, pytest.fail)
@@ -50,12 +50,12 @@ def followed(subject: Subject, chosen: Chosen, along: str) -> Followed:
 
 
 @pytest.fixture(scope="module")
-def found(subject: Subject) -> Followed:
+def found(subject: Subject) -> FollowedBranch:
     return followed(subject, at_cell(subject), "omega")
 
 
 @pytest.fixture(scope="module")
-def own(found: Followed) -> Here:
+def own(found: FollowedBranch) -> Here:
     return found.here(found.own, CELL["omega"])
 
 
@@ -66,7 +66,7 @@ def alone(subject: Subject) -> Any:
 
 
 def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
-    own: Here, found: Followed, alone: Any
+    own: Here, found: FollowedBranch, alone: Any
 ) -> None:
     events = alone.events.set_index("kind")["omega"]
     before, after = found.beside(own)
@@ -76,7 +76,7 @@ def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
     assert distance(before, own).startswith("−0.148") and distance(after, own).startswith("+0.008")
 
 
-def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: Followed, alone: Any) -> None:
+def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: FollowedBranch, alone: Any) -> None:
     """In the order of the branch the parameter falls after the fold, and the impact is lost on the way down."""
     fold = next(mark for mark in found.events if mark.kind == "fold")
     here = found.here(fold.place + 3, found.values[fold.place + 3])
@@ -86,7 +86,9 @@ def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: Follo
     assert here.point.unstable == 1
 
 
-def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(found: Followed, subject: Subject) -> None:
+def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(
+    found: FollowedBranch, subject: Subject
+) -> None:
     """The view ends between the symmetry breaking at 1.60 and the fold at 1.758, which the branch passes twice."""
     near = followed(subject, at_cell(subject, x=(1.74, 1.79)), "omega")
     assert near.values[near.own] == CELL["omega"]
@@ -99,7 +101,7 @@ def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(foun
     assert steps.max() < 0.004  # no jump where the parts meet
 
 
-def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found: Followed) -> None:
+def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found: FollowedBranch) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
     here = found.here(fold.place, fold.value)
     before, after = found.beside(here)
@@ -107,21 +109,21 @@ def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found
     assert before is not None and after is not None and fold not in (before, after)
 
 
-def test_a_closed_branch_has_the_events_beside_it_all_around(found: Followed) -> None:
+def test_a_closed_branch_has_the_events_beside_it_all_around(found: FollowedBranch) -> None:
     branch = found.branch
     run = branch.run._replace(ends=("closed", "closed"))
-    ring = Followed(replace(found.table, traced=(replace(branch, run=run),)), found.own)
+    ring = FollowedBranch(replace(found.table, traced=(replace(branch, run=run),)), found.own)
     assert ring.beside(ring.here(0, ring.values[0]))[0] == ring.events[-1]
 
 
-def test_the_cells_own_orbit_is_a_point_of_the_branch(own: Here, found: Followed, subject: Subject) -> None:
+def test_the_cells_own_orbit_is_a_point_of_the_branch(own: Here, found: FollowedBranch, subject: Subject) -> None:
     cell = atlas.point(CELL, settings=subject.spec.settings)
     assert own.value == CELL["omega"] and own.name == "1-2-2 symmetric"
     motion = found.motion(own)
     assert motion.moving[0][0] == pytest.approx(cell["state"][0], abs=1e-9)
 
 
-def test_a_value_that_is_typed_is_solved_exactly(found: Followed, own: Here, subject: Subject) -> None:
+def test_a_value_that_is_typed_is_solved_exactly(found: FollowedBranch, own: Here, subject: Subject) -> None:
     value = 1.7312345
     place = found.passing(value, own)
     assert place is not None
@@ -133,7 +135,7 @@ def test_a_value_that_is_typed_is_solved_exactly(found: Followed, own: Here, sub
     assert found.beside(here) == found.beside(own)
 
 
-def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: Followed, own: Here) -> None:
+def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: FollowedBranch, own: Here) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
     there = found.here(fold.place + 5, found.values[fold.place + 5])
     value = 0.5 * (there.value + found.values[fold.place + 6])
@@ -144,7 +146,9 @@ def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: Followed,
 
 
 @pytest.mark.parametrize("beyond", [0, 7])
-def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(found: Followed, beyond: int) -> None:
+def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(
+    found: FollowedBranch, beyond: int
+) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
     place = fold.place + beyond - 1
     here = found.here(place, found.values[place])
@@ -157,7 +161,7 @@ def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(
     assert motion.stops == [-CELL["b"], CELL["b"]] and motion.moving.shape == (4, 200)
 
 
-def test_the_drawn_velocity_jumps_at_an_impact_by_the_law_of_restitution(found: Followed, own: Here) -> None:
+def test_the_drawn_velocity_jumps_at_an_impact_by_the_law_of_restitution(found: FollowedBranch, own: Here) -> None:
     motion = found.motion(own)
     at_stop = np.flatnonzero(np.isclose(motion.y, CELL["b"], rtol=0.0, atol=1e-8))
     assert motion.v[at_stop[1]] == pytest.approx(-found.table.parameters["R"] * motion.v[at_stop[0]], rel=1e-6)
@@ -185,7 +189,9 @@ def test_a_motion_closes_also_where_an_impact_has_moved_over_the_section(subject
         assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-9)
 
 
-def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(found: Followed, own: Here, subject: Subject) -> None:
+def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(
+    found: FollowedBranch, own: Here, subject: Subject
+) -> None:
     back, on = arrows(found, own, subject, at_cell(subject, x=(1.7, 1.9)), cell_of(subject))
     before, after = found.beside(own)
     assert before is not None and after is not None
@@ -255,7 +261,7 @@ def arguments(query: str) -> dict[str, list[bytes]]:
 
 
 def test_an_address_has_what_is_followed_and_where(subject: Subject) -> None:
-    chosen = at_cell(subject, follow=Follow("omega", 1.2, 2.0, -7, 1.7312345))
+    chosen = at_cell(subject, follow=FollowedOrbit("omega", 1.2, 2.0, -7, 1.7312345))
     address = to_address(subject, subject, chosen)
     assert "follow.orbit=omega,1.2,2.0,-7,1.7312345" in address
     assert from_address(subject, arguments(address)).follow == chosen.follow
@@ -275,7 +281,7 @@ def test_an_address_that_cannot_be_followed_is_refused(subject: Subject, query: 
 
 
 def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Subject) -> None:
-    follow = Follow("omega", 1.2, 2.0, 0, 1.75)
+    follow = FollowedOrbit("omega", 1.2, 2.0, 0, 1.75)
     store = Store(State(at_cell(subject, follow=follow, cut=(1.2, 0.1, 2.0, 0.1))))
     assert store.now.chosen.picture.follow is None
     store.choose(x=(1.3, 1.9))
@@ -289,7 +295,9 @@ def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Su
     assert store.now.chosen.follow is None
 
 
-def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(subject: Subject, found: Followed) -> None:
+def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
+    subject: Subject, found: FollowedBranch
+) -> None:
     store, jobs = Store(State(at_cell(subject))), list[Any]()
     explorer: Any = SimpleNamespace(
         subject=subject, patches=SimpleNamespace(want=lambda _, wanted: jobs.append(wanted))
@@ -297,13 +305,13 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(subj
     background: Any = SimpleNamespace(later=lambda act: act)
     panel = FollowPanel(explorer, background, store, figure())
     store.listen(lambda _, now: panel.show(now.chosen))
-    store.choose(follow=Follow("omega", *WINDOW, 0, CELL["omega"]))
+    store.choose(follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
     assert len(jobs[-1]) == 1 and "following" in panel.panel.children[1].text
     panel._take(panel._asked, found)
     (slider, typed), text = (each.children if hasattr(each, "children") else each for each in panel._body.children[:2])
     assert slider.end == len(found.values) - 1 and "1-2-2 symmetric" in text.text
     slider.value = found.own + 4
-    assert store.now.chosen.follow == Follow("omega", *WINDOW, 4, found.values[found.own + 4])
+    assert store.now.chosen.follow == FollowedOrbit("omega", *WINDOW, 4, found.values[found.own + 4])
     assert typed.value == found.values[found.own + 4]
     typed.value = 1.7312345
     assert store.now.chosen.follow is not None and store.now.chosen.follow.value == 1.7312345

@@ -21,9 +21,9 @@ from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Errand, Job, Patches, Task
+from atlas.explore.patches import Errand, Patches, PatchJob, Task
 from atlas.explore.sheets import SheetKey
-from atlas.explore.subject import Plane, Subject, subject_of
+from atlas.explore.subject import Subject, SubjectPlane, subject_of
 from atlas.explore.tiles import Memory, Tiles
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.lease import claimed
@@ -65,7 +65,7 @@ def exploring(store: Path | str, client: Client, **options: object) -> Iterator[
         made.stop()
 
 
-def solved(explorer: Explorer, sight: Sight, plane: Plane | None = None) -> list[TileKey]:
+def solved(explorer: Explorer, sight: Sight, plane: SubjectPlane | None = None) -> list[TileKey]:
     """Have a view solved, and return the tiles in the order in which they came."""
     came: list[TileKey] = []
     plane = plane or explorer.subject.plane
@@ -363,7 +363,7 @@ def _shouted(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Mistaken(Job):
+class Mistaken(PatchJob):
     """A job with a mistake in one of its methods, or in none."""
 
     wrong: str

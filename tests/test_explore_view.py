@@ -16,9 +16,9 @@ from atlas.explore.compose import composed
 from atlas.explore.curvelist import CurveList
 from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
-from atlas.explore.patches import State as Work
+from atlas.explore.patches import WorkState as Work
 from atlas.explore.state import State, Store
-from atlas.explore.subject import Plane, Subject, exploring, subject_of
+from atlas.explore.subject import Subject, SubjectPlane, exploring, subject_of
 from atlas.explore.tiles import Memory, Tiles
 from atlas.explore.view import STAGES, TILE, TileKey
 from atlas.explore.words import plain, progress, progress_bar, refinement, ticks
@@ -346,7 +346,7 @@ def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
 
 
 def test_a_plane_is_told_by_its_parameters_alone() -> None:
-    assert Plane.of({"R": 0.8, "tau": 1.0}) == Plane((("R", 0.8), ("tau", 1.0)))
+    assert SubjectPlane.of({"R": 0.8, "tau": 1.0}) == SubjectPlane((("R", 0.8), ("tau", 1.0)))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,9 @@
 """Claims about what goes with the code: types, the citation, and versions that are said in several places."""
 
+import ast
 import re
 import tomllib
+from collections import defaultdict
 
 import pytest
 
@@ -42,3 +44,13 @@ def test_what_builds_the_pages_is_pinned() -> None:
     names = [re.split(r"[><=\[]", each)[0] for each in PROJECT["project"]["optional-dependencies"]["docs"]]
     pinned = (ROOT / "constraints.txt").read_text().lower()
     assert not [name for name in names if f"\n{name}==" not in pinned]
+
+
+def test_no_class_name_stands_for_two_classes() -> None:
+    found = defaultdict(list)
+    for package in ("atlas", "workers"):
+        for file in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef):
+                    found[node.name].append(str(file.relative_to(ROOT)))
+    assert {name: files for name, files in found.items() if len(files) > 1} == {}

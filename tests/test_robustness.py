@@ -24,7 +24,7 @@ from atlas.robustness.linear import (
 )
 from atlas.robustness.norm import weighted
 from workers import Settings, trace
-from workers.attractors.basins import Table
+from workers.attractors.basins import AttractorTable
 from workers.attractors.starts import Starts
 from workers.model.system import find_system
 
@@ -34,10 +34,10 @@ FREE = {"omega": 1.5, "A": 0.1, "b": 50.0, "zeta": 0.05}
 """One mass that does not reach its stop."""
 
 
-def table_of(system: str, given: dict[str, float], starts: int = 4, settings: Settings | None = None) -> Table:
+def table_of(system: str, given: dict[str, float], starts: int = 4, settings: Settings | None = None) -> AttractorTable:
     record = find_system(system)
     values = {p.name: given.get(p.name, p.default) for p in record.parameters}
-    return Table(record, values, settings or Settings(), Starts(starts))
+    return AttractorTable(record, values, settings or Settings(), Starts(starts))
 
 
 def cycled(matrices: np.ndarray, first: int, count: int) -> np.ndarray:
@@ -119,7 +119,7 @@ def test_jacobians_of_the_phases_are_finite_differences_of_the_simulated_map(
     assert seen > 0
 
 
-def differences(table: Table, state: np.ndarray, step: float = 1e-7) -> np.ndarray:
+def differences(table: AttractorTable, state: np.ndarray, step: float = 1e-7) -> np.ndarray:
     """Central differences (2n, 2n) of the map of one period, simulated from physical states."""
     fixed = {name: float(values[0]) for name, values in table.params.items()}
 

@@ -14,7 +14,7 @@ from distributed import Client
 
 import atlas
 from atlas.check import reproduce as recheck
-from atlas.check.report import Fault, Report
+from atlas.check.report import Report, StoreFault
 from atlas.check.rules import broken_rules, law_of
 from atlas.check.verify import draw_cells, verify
 from atlas.cli.main import main
@@ -535,7 +535,7 @@ def test_the_command_reports_by_its_exit_code(whole: Path, tmp_path: Path) -> No
 
 
 def test_the_report_shows_so_many_faults_and_counts_the_rest() -> None:
-    faults = tuple(Fault((i,), "is damaged") for i in range(60))
+    faults = tuple(StoreFault((i,), "is damaged") for i in range(60))
     report = Report("x", 60, 60, 0, 0, 0, "none asked for", 0, faults=faults, doubts=())
     assert "and 10 more found: --json lists them" in str(report)
     assert len(replace(report).as_dict()["faults"]) == 60

@@ -43,7 +43,7 @@ class OverviewReport:
 
 
 @dataclass(frozen=True)
-class _Checked:
+class _CheckedChunk:
     """A chunk of a level that was read: its arrays that are whole, what is wrong with it, and whether it may stay."""
 
     index: Index
@@ -100,7 +100,7 @@ def _form_faults(header: Header) -> list[str]:
     return faults
 
 
-def _checked(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, _Checked]]:
+def _checked(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, _CheckedChunk]]:
     pyramid = Pyramid(header)
     if not pyramid.made:
         return
@@ -124,7 +124,7 @@ def _checked(header: Header, bad: set[Index], on_level: Callable[[int], None]) -
                 yield level, checked
 
 
-def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> _Checked:
+def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> _CheckedChunk:
     levels = part.pyramid.levels
     place = levels.block(level, index)
     variables = part.pyramid.variables
@@ -149,7 +149,7 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
             if wrong:
                 key = level_key(level, variable, index)
                 faults.append(f"{key} is not what the cells below it give: {plural(wrong, 'number')}")
-    return _Checked(index, len(stored), tuple(faults), sound=not faults and not over_unsound)
+    return _CheckedChunk(index, len(stored), tuple(faults), sound=not faults and not over_unsound)
 
 
 def _same(one: NDArray[Any], two: NDArray[Any]) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ Index = tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Fault:
+class StoreFault:
     """Something wrong: the tile it is in, None where it is the store as a whole, and what, in a line."""
 
     tile: Index | None
@@ -49,8 +49,8 @@ class Report:
     cells_solved: int
     comparison: str
     seed: int
-    faults: tuple[Fault, ...]
-    doubts: tuple[Fault, ...]
+    faults: tuple[StoreFault, ...]
+    doubts: tuple[StoreFault, ...]
     overview_chunks: int = 0
     repaired: tuple[Index, ...] | None = None
     dropped: int = 0

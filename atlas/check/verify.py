@@ -20,7 +20,7 @@ from atlas.check.groups import check_groups, mend_groups
 from atlas.check.metadata import coordinate_faults, metadata_faults, restore_coordinates
 from atlas.check.overviews import check_overviews, drop_unsound
 from atlas.check.records import record_faults, tile_faults
-from atlas.check.report import Fault, Report
+from atlas.check.report import Report, StoreFault
 from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.check.rules import broken_rules
 from atlas.check.zoom import drop_zoom, plane_faults
@@ -115,7 +115,7 @@ def verify(
         claim = stack.enter_context(claimed(notes_of(place), str(place))) if repair else None
         place = place if claim is None else claim.guard(place)
         lost = _unlike_spare(place, spare)
-        told = tuple(Fault(None, f"{key} {what}: {remedy(place)}") for key, what in lost.items())
+        told = tuple(StoreFault(None, f"{key} {what}: {remedy(place)}") for key, what in lost.items())
         if spare is not None and lost and claim is None:  # whatever is read through wrong metadata means nothing
             header = header_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
             return replace(_begun(header, seed), comparison="the metadata are damaged", faults=told)
@@ -149,29 +149,29 @@ def _verified(
     notify(Progress("listing the tiles"))
     done = sorted(done_tiles(header))
     report = _begun(header, seed)
-    faults = [Fault(None, what) for what in metadata_faults(header)]
+    faults = [StoreFault(None, what) for what in metadata_faults(header)]
     if faults:  # whatever is read through wrong metadata means nothing
         report = replace(report, comparison="the metadata are damaged", faults=tuple(faults))
         return report if claim is None else _with_metadata(header, report)
     records = Records(header, done)
     worn = coordinate_faults(header)
-    faults += [Fault(None, what) for what in worn]
+    faults += [StoreFault(None, what) for what in worn]
     foreign = tuple(foreign_keys(header))
-    faults += [Fault(None, f"{key} is not a chunk of this atlas") for key in foreign]
+    faults += [StoreFault(None, f"{key} is not a chunk of this atlas") for key in foreign]
 
     chunks = cells = 0
     samples: list[Sample] = []
     counted: dict[Index, Rows] = {}
     for tile in _read_all(header, records, done, draw_cells(tiling, done, sample, seed), notify):
-        faults += [Fault(tile.index, what) for what in tile.faults]
+        faults += [StoreFault(tile.index, what) for what in tile.faults]
         chunks, cells = chunks + tile.chunks, cells + tile.cells
         samples += tile.samples
         counted |= {tile.index: tile.row} if tile.row is not None else {}
-    faults += [Fault(index, f"{chunk_key(header.regime, index)} is missing") for index in records.lost]
+    faults += [StoreFault(index, f"{chunk_key(header.regime, index)} is missing") for index in records.lost]
 
     comparison = _comparison(header, sample, bool(done))
     report = replace(report, chunks=chunks, cells_checked=cells, comparison=comparison)
-    doubts: list[Fault] = []
+    doubts: list[StoreFault] = []
     if report.comparison in ("bits", "error"):
         exact = report.comparison == "bits"
         notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
@@ -180,16 +180,16 @@ def _verified(
             again = solve_again(header.spec, one)
             different = unequal(one.stored, again) if exact else beyond_error(header.spec, one.stored, again)
             if different:
-                found = Fault(one.tile, f"cell {place_in(header.spec, one.cell)}: {different}")
+                found = StoreFault(one.tile, f"cell {place_in(header.spec, one.cell)}: {different}")
                 (faults if exact else doubts).append(found)
         report = replace(report, cells_solved=len(samples))
     bad = sorted({fault.tile for fault in faults if fault.tile is not None})
     overviews = check_overviews(header, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
-    faults += [Fault(None, what) for what in overviews.faults]
+    faults += [StoreFault(None, what) for what in overviews.faults]
     notify(Progress("checking tables and records"))
     groups = check_groups(header)
     wrong = record_faults(header, records, counted)
-    faults += [Fault(None, what) for what in (*groups.faults, *wrong)]
+    faults += [StoreFault(None, what) for what in (*groups.faults, *wrong)]
     report = replace(report, overview_chunks=overviews.chunks)
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
     if claim is None:
@@ -242,7 +242,7 @@ def _with_zoom(
     planes = {} if header.place.only_read else plane_faults(header)
     solved = set(random.Random(report.seed).sample(found, min(sample, len(found))))
     faults, doubts = list(report.faults), list(report.doubts)
-    faults += [Fault(None, f"{key} {what}") for key, what in planes.items()]
+    faults += [StoreFault(None, f"{key} {what}") for key, what in planes.items()]
     bad: list[tuple[str, ...]] = [tuple(key.split("/")[1:-1]) for key in planes]
     for k, (plane, sheet) in enumerate(found, 1):
         notify(Progress(f"reading the zoom levels: sheet {k} of {len(found)}", passing=True))
@@ -250,14 +250,14 @@ def _with_zoom(
             inner = read_header(sheet_place(header, plane, sheet))
             lost = _unlike_spare(inner.place, read_spare(inner.place))
         except InputError as error:
-            faults.append(Fault(None, str(error)))
+            faults.append(StoreFault(None, str(error)))
             bad.append((plane, sheet))
             continue
         own = _verified(inner, int((plane, sheet) in solved), None, report.seed, lambda _: None)
-        own = replace(own, faults=(*(Fault(None, f"{key} {fault}") for key, fault in lost.items()), *own.faults))
+        own = replace(own, faults=(*(StoreFault(None, f"{key} {fault}") for key, fault in lost.items()), *own.faults))
         bad += [(plane, sheet)] if own.faults else []
         for all_of, some in ((faults, own.faults), (doubts, own.doubts)):
-            all_of += [Fault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
+            all_of += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
     mended = list(report.mended)
     if claim is not None and bad:
         drop_zoom(header, bad)

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.curves.plane import Cells, Plane
+from atlas.curves.plane import Cells, CurvePlane
 from workers.continuation import Family, Orbit, family_of
 from workers.continuation.equations import check_orbits
 from workers.continuation.itinerary import Itinerary
@@ -23,7 +23,7 @@ CEASES, PERSISTS, IS = range(3)
 class CellOrbits:
     """The orbits of a plane's cells, each found once; of a cell without one, None."""
 
-    def __init__(self, plane: Plane) -> None:
+    def __init__(self, plane: CurvePlane) -> None:
         self.plane = plane
         self.family: Family = family_of(plane.system, plane.fixed, plane.axes)
         self._known: dict[int, Orbit | None] = {}

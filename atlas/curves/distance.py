@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from atlas.curves.asking import header_of
 from atlas.curves.cells import CellOrbits
 from atlas.curves.following import Located, bounds_stability, events_towards
-from atlas.curves.plane import Plane, plane_of
+from atlas.curves.plane import CurvePlane, plane_of
 from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
 from atlas.query.queries import at
@@ -49,7 +49,7 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
     return sorted(entries, key=lambda entry: float(entry["share"]))
 
 
-def _orbit_at(orbits: CellOrbits, plane: Plane, cell: Mapping[str, Any], here: NDArray[np.float64]) -> Orbit:
+def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], here: NDArray[np.float64]) -> Orbit:
     """The orbit of a cell, taken to a point near it."""
     x, y = (int(np.argmin(np.abs(v - cell[name]))) for v, name in zip((plane.x, plane.y), plane.axes, strict=True))
     number = y * len(plane.x) + x
@@ -77,7 +77,7 @@ def _first(
     yield from [event for event in events if kind in (None, event.kind)][:1]
 
 
-def _entry(plane: Plane, axis: int, here: NDArray[np.float64], event: Located) -> dict[str, Any]:
+def _entry(plane: CurvePlane, axis: int, here: NDArray[np.float64], event: Located) -> dict[str, Any]:
     distance = float(event.values[axis] - here[axis])
     return {
         "axis": plane.axes[axis],

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.following import Followed, lies_on
-from atlas.curves.search import BASIN, CURVE, NONE, OPEN, TRIED, Search
+from atlas.curves.search import BASIN, CURVE, NONE, OPEN, TRIED, CurveSearch
 from atlas.curves.table import KINDS, Corner, Curve, Curves
 
 
-def finished(search: Search) -> Curves:
+def finished(search: CurveSearch) -> Curves:
     """The curves of a search that has ended, and its report."""
     kept = [curve for k, curve in enumerate(search.curves) if not _goes_on(search, k)]
     curves = sorted((as_curve(curve) for curve in kept), key=_order)
     return Curves(search.plane.axes, tuple(curves), report_of(search, len(search.curves) - len(kept)))
 
 
-def report_of(search: Search, duplicates: int) -> dict[str, Any]:
+def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
     """What was found and what was not tried.
 
     digest, settings           what the curves are of
@@ -78,7 +78,7 @@ def edge_share(counts: dict[str, int]) -> float:
     return (counts["curve"] + counts["basins"]) / counts["all"] if counts["all"] else float("nan")
 
 
-def _unexplained(search: Search) -> list[dict[str, Any]]:
+def _unexplained(search: CurveSearch) -> list[dict[str, Any]]:
     plane, found = search.plane, list[dict[str, Any]]()
     for edges in search.groups.edges:
         reasons = dict[str, list[int]]()
@@ -91,7 +91,7 @@ def _unexplained(search: Search) -> list[dict[str, Any]]:
     return found
 
 
-def _goes_on(search: Search, k: int) -> bool:
+def _goes_on(search: CurveSearch, k: int) -> bool:
     """Whether a later curve goes through both ends of this one: it ended early, and was found again beyond."""
     curve = search.curves[k]
     ends = [

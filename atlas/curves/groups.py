@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.curves.plane import Cells, Plane
+from atlas.curves.plane import Cells, CurvePlane
 from workers.results import PENDING
 
 TOGETHER = 48
@@ -28,7 +28,7 @@ class Groups:
     Regions below ``least`` cells count as none. Edges between two cells of none are on no border.
     """
 
-    def __init__(self, plane: Plane, least: int) -> None:
+    def __init__(self, plane: CurvePlane, least: int) -> None:
         self.plane = plane
         self.inside: NDArray[np.bool_] = plane.region_sizes[plane.regions] >= least
         numbers = np.where(self.inside, plane.regions, PENDING - plane.regime - 1)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.following import Followed
-from atlas.curves.plane import Cells, Plane
+from atlas.curves.plane import Cells, CurvePlane
 from workers.continuation import Orbit
 
 Array = NDArray[np.float64]
@@ -26,13 +26,13 @@ class Passing(NamedTuple):
     share: float
 
 
-def middles(plane: Plane, edges: Cells) -> Array:
+def middles(plane: CurvePlane, edges: Cells) -> Array:
     """The middles (E, 2) of edges between cells, in units of cells."""
     along = len(plane.x)
     return np.stack([(edges % along).mean(axis=1), (edges // along).mean(axis=1)], axis=1)
 
 
-def passed(plane: Plane, values: Array, at: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+def passed(plane: CurvePlane, values: Array, at: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Which of the middles ``at`` (E, 2) a curve through points (N, 2) passes within one cell: their numbers, the chord
     that comes nearest, and the share of it.
     """

@@ -35,7 +35,7 @@ NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", 
 
 
 @dataclass(frozen=True, eq=False)
-class Plane:
+class CurvePlane:
     """A finished plane. Cells are numbered row by row, x fastest.
 
     axes, x, y      the names of its axes, x first, and the values of both
@@ -170,7 +170,7 @@ class Plane:
         return found.hexdigest()
 
 
-def plane_of(header: Header) -> Plane:
+def plane_of(header: Header) -> CurvePlane:
     """The plane of a store; InputError unless it is a finished one over two parameters that orbits depend on.
 
     ChunkError where a chunk is missing or damaged.
@@ -200,7 +200,7 @@ def plane_of(header: Header) -> Plane:
         values = ds[name].transpose(y.name, x.name, ...).values
         return values.reshape(len(x) * len(y), *values.shape[2:]).astype(kind)
 
-    return Plane(
+    return CurvePlane(
         system=system,
         axes=(x.name, y.name),
         x=np.array(x.values),

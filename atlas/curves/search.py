@@ -19,7 +19,7 @@ from atlas.curves.cells import CEASES, IS, PERSISTS, CellOrbits
 from atlas.curves.following import Followed, Located, lies_on
 from atlas.curves.groups import Groups
 from atlas.curves.near import ONE_CELL, middles, passed
-from atlas.curves.plane import Plane
+from atlas.curves.plane import CurvePlane
 from atlas.curves.record import curve_from_json, event_from_json
 from atlas.curves.settings import CurveSettings
 from atlas.curves.tasks import Follow, Look, Match, Persist, Task
@@ -55,13 +55,13 @@ class _Event:
 
 
 @dataclass
-class Search:
+class CurveSearch:
     """The state of a search. ``tasks`` gives the next ones by the names of their parts, ``take`` their results.
 
     ``why`` says of edges that were looked beside, in words, what keeps them unexplained, unless a curve explains them.
     """
 
-    plane: Plane
+    plane: CurvePlane
     settings: CurveSettings
     orbits: CellOrbits = field(init=False)
     curves: list[Followed] = field(default_factory=list)

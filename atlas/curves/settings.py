@@ -3,7 +3,7 @@
 import hashlib
 from dataclasses import asdict, dataclass, fields
 
-from atlas.curves.plane import SMALL, Plane
+from atlas.curves.plane import SMALL, CurvePlane
 from atlas.errors import InputError, shown
 from workers import SOLVER_VERSION
 
@@ -36,7 +36,7 @@ class CurveSettings:
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise InputError(f"{each.name}: found {shown(value)}, must be a whole number, 1 or more")
 
-    def digest(self, plane: Plane) -> str:
+    def digest(self, plane: CurvePlane) -> str:
         """Of all that the curves of a plane depend on."""
         return hashlib.sha256(
             repr((plane.digest, sorted(asdict(self).items()), SOLVER_VERSION, VERSION)).encode()

@@ -17,7 +17,7 @@ from workers.results import ATTRACTOR
 
 
 @dataclass(frozen=True)
-class Attractors:
+class KeptAttractors:
     """The attractors of a cell that are kept, the largest share first, each by its numbers in words.
 
     found       how many there are, also beyond those kept
@@ -38,17 +38,17 @@ class Attractors:
     trouble: str = ""
 
 
-def known_attractors(subject: Subject, cell: Cell) -> Attractors | None:
+def known_attractors(subject: Subject, cell: Cell) -> KeptAttractors | None:
     """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
     if not subject.searched:
-        return Attractors(trouble='all attractors are found by the method "adaptive" only')
+        return KeptAttractors(trouble='all attractors are found by the method "adaptive" only')
     if subject.every is None or not cell.of_atlas:
         return None
     found = at(subject.every, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
     return _answer(found["coexisting"], found, stored=True)
 
 
-def search_job(subject: Subject, cell: Cell, take: Callable[[Attractors], None]) -> Errand:
+def search_job(subject: Subject, cell: Cell, take: Callable[[KeptAttractors], None]) -> Errand:
     """All attractors of a cell to be found; ``take`` gets them, or why there are none."""
     plane, x, y = subject.point(cell.parameters)
     patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
@@ -56,10 +56,10 @@ def search_job(subject: Subject, cell: Cell, take: Callable[[Attractors], None])
     def taken(arrays: Arrays) -> None:
         take(_found(subject, arrays))
 
-    return Errand((solve_patch, patch), taken, lambda why: take(Attractors(trouble=why)), cells=1)
+    return Errand((solve_patch, patch), taken, lambda why: take(KeptAttractors(trouble=why)), cells=1)
 
 
-def _found(subject: Subject, arrays: Arrays) -> Attractors:
+def _found(subject: Subject, arrays: Arrays) -> KeptAttractors:
     """The attractors of the one cell of these results."""
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
@@ -69,8 +69,8 @@ def _found(subject: Subject, arrays: Arrays) -> Attractors:
     return _answer(listed, {name: cell[name] for name in cell.keys() - set(many)}, stored=False)
 
 
-def _answer(each: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> Attractors:
-    return Attractors(
+def _answer(each: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> KeptAttractors:
+    return KeptAttractors(
         tuple(each), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
         float(numbers["unseen_share"]), int(numbers["own"]), stored,
     )  # fmt: skip

@@ -13,9 +13,9 @@ from atlas.branches.branch import tree_from
 from atlas.branches.seed import seed_of_point
 from atlas.branches.table import Branches, modulus, orbit_name, pattern
 from atlas.errors import InputError
-from atlas.explore.chosen import Chosen, Follow, Range
+from atlas.explore.chosen import Chosen, FollowedOrbit, Range
 from atlas.explore.chosen import Point as Where
-from atlas.explore.motion import POINTS, Motion, motion_through
+from atlas.explore.motion import POINTS, MotionPicture, motion_through
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, slider_range
 from atlas.explore.words import number
@@ -88,7 +88,7 @@ class Here(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedBranch:
     """The branch of an orbit, which a table has alone, and the number of the point that is the cell's own orbit."""
 
     table: Branches
@@ -157,7 +157,7 @@ class Followed:
             before, after = before or after, after or before[:1]
         return (before[-1] if before else None), (after[0] if after else None)
 
-    def motion(self, here: Here) -> Motion:
+    def motion(self, here: Here) -> MotionPicture:
         """The motion of an orbit over all its periods, in closed form from event to event, so that unstable ones close.
 
         Its even steps begin at the sections t = k T.
@@ -207,7 +207,7 @@ def distance(mark: Mark, here: Here) -> str:
     return f"{'+' if away > 0 else ''}{number(away, 5)}"
 
 
-def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen, cell: Where) -> list[Arrow]:
+def arrows(found: FollowedBranch, here: Here, subject: Subject, chosen: Chosen, cell: Where) -> list[Arrow]:
     """From an orbit that is followed from a cell to the events beside it; none along a parameter that is no axis."""
     if found.table.along not in subject.axes:
         return []
@@ -222,21 +222,25 @@ def arrows(found: Followed, here: Here, subject: Subject, chosen: Chosen, cell: 
     return made
 
 
-def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> Follow:
+def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> FollowedOrbit:
     """A cell's own orbit, to be followed in smaller steps over what is in view of an axis, or over another's slider."""
     value, parameter = subject.values(*cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
     seen = dict(zip(subject.axes, (chosen.x, chosen.y), strict=True)).get(along, limits)
     low, high = (end if parameter.admits(end) else limit for end, limit in zip(seen, limits, strict=True))
-    return Follow(along, min(low, value), max(high, value), 0, value)
+    return FollowedOrbit(along, min(low, value), max(high, value), 0, value)
 
 
 def follow_job(
-    subject: Subject, cell: Where, follow: Follow, take: Callable[[Followed], None], refuse: Callable[[str], None]
+    subject: Subject,
+    cell: Where,
+    follow: FollowedOrbit,
+    take: Callable[[FollowedBranch], None],
+    refuse: Callable[[str], None],
 ) -> Errand:
     """The branch of a cell's orbit to be found."""
 
-    def taken(found: Followed) -> None:
+    def taken(found: FollowedBranch) -> None:
         found.motion(found.here(found.own, follow.value))  # loads the kernels here, not in the page's thread
         take(found)
 
@@ -247,7 +251,7 @@ def follow_job(
     return Errand((follow_orbit, asked), taken, refuse)
 
 
-def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> Followed:
+def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> FollowedBranch:
     """The branch of the orbit of a cell along a parameter over a window, in smaller steps over a part of that.
 
     InputError, in one line, where there is none.
@@ -271,7 +275,7 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
         tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
     if np.ptp(tree.branches[0].values) == 0.0:
         raise InputError(f"the branch of this orbit along {along} has one point alone, at {value:g}")
-    return Followed(Branches.of(tree), own)
+    return FollowedBranch(Branches.of(tree), own)
 
 
 def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":

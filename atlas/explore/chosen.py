@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 
 from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, has_scale, needs
 from atlas.render.kinds import CURVES as CURVE_KINDS
 from atlas.render.options import MapLook
@@ -21,12 +21,12 @@ Ends = tuple[float | None, float | None]
 CURVES, CHART = "curves", "regions"
 """The overlay and the kind of map that draw what a store keeps."""
 
-Point = tuple[Plane, float, float]
+Point = tuple[SubjectPlane, float, float]
 Cut = tuple[float, float, float, float]
 """A line over the plane, from (x, y) to (x, y)."""
 
 
-class Follow(NamedTuple):
+class FollowedOrbit(NamedTuple):
     """The orbit of the cell clicked, followed along a parameter, in smaller steps between two values of it.
 
     step    points of the branch from the cell's own orbit on
@@ -59,7 +59,7 @@ class Chosen:
 
     x: Range
     y: Range
-    plane: Plane
+    plane: SubjectPlane
     kind: str
     variable: str = ""
     log: bool = False
@@ -68,7 +68,7 @@ class Chosen:
     vmax: float | None = None
     cell: Point | None = None
     cut: Cut | None = None
-    follow: Follow | None = None
+    follow: FollowedOrbit | None = None
     hidden: tuple[str, ...] = ()
 
     @property
@@ -160,7 +160,7 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
     begun, parameter = beginning(subject), subject.system.parameter
     return replace(
         begun,
-        plane=Plane(
+        plane=SubjectPlane(
             tuple(
                 (name, values[name] if parameter(name).admits(values[name]) else own)
                 for name, own in begun.plane.parameters
@@ -240,7 +240,7 @@ def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str
         along, _, numbers = value.partition(",")
         check_names("parameter in follow", [along], followable(subject))
         low, high, step, at = _numbers(name, numbers, 4)
-        return {"follow": Follow(along, low, high, round(step), at)}
+        return {"follow": FollowedOrbit(along, low, high, round(step), at)}
     if name == "cut":
         ends = _numbers(name, value, 4)
         if ends[:2] == ends[2:]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import Sight, TileKey
 from atlas.query.resample import view as read_view
@@ -23,7 +23,7 @@ Index = NDArray[np.int64]
 
 def composed(
     subject: Subject,
-    plane: Plane,
+    plane: SubjectPlane,
     sight: Sight,
     tiles: Sequence[tuple[TileKey, Arrays]],
     names: Iterable[str],
@@ -47,7 +47,7 @@ def composed(
 
 
 def dataset(
-    subject: Subject, plane: Plane, x: NDArray[np.float64], y: NDArray[np.float64], canvas: Arrays
+    subject: Subject, plane: SubjectPlane, x: NDArray[np.float64], y: NDArray[np.float64], canvas: Arrays
 ) -> "xr.Dataset":
     """Cells of the plane as the dataset of an atlas."""
     import xarray
@@ -102,7 +102,7 @@ def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: In
     return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 
-def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: Plane, key: TileKey) -> bool:
+def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: SubjectPlane, key: TileKey) -> bool:
     """Whether the atlas itself has all cells of a tile that is not finer than it.
 
     ``done`` says of each cell of the atlas (y, x) whether it is solved.

@@ -14,7 +14,7 @@ from atlas.explore.branches import Drawn
 from atlas.explore.chosen import Cut
 from atlas.explore.patch import packed, solve_patch
 from atlas.explore.patches import Errand
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.query.machine import gap_rows
 from workers.results import ERROR, LARGEST, PERIODIC, REGIME, SECTION
 
@@ -40,7 +40,7 @@ class Line:
     """A line over a plane of a subject, straight on the scales of its axes; points count from 0 to STEPS."""
 
     subject: Subject
-    plane: Plane
+    plane: SubjectPlane
     ends: Cut
 
     @cached_property
@@ -83,23 +83,23 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Cells:
+class CutCells:
     """Solved points of a line: their numbers (N,), and their results by name, with ``gap`` (N, SAMPLES)."""
 
     index: NDArray[np.int64]
     results: dict[str, NDArray[Any]]
 
-    def joined(self, other: "Cells | None") -> "Cells":
+    def joined(self, other: "CutCells | None") -> "CutCells":
         """These and others, each once, in the order of the line."""
         if other is None:
             return self
         index, order = np.unique(np.concatenate([self.index, other.index]), return_index=True)
         results = {name: np.concatenate([values, other.results[name]])[order] for name, values in self.results.items()}
-        return Cells(index, results)
+        return CutCells(index, results)
 
 
 def cut_job(
-    line: Line, part: tuple[int, ...], take: Callable[[Line, Cells], None], refuse: Callable[[str], None]
+    line: Line, part: tuple[int, ...], take: Callable[[Line, CutCells], None], refuse: Callable[[str], None]
 ) -> Errand:
     """Points of a line to be solved: the diagonal of a grid of their values."""
     subject, index = line.subject, np.array(part)
@@ -115,7 +115,7 @@ def cut_job(
         gap = np.einsum("ni,nki->nk", rows, section[..., : rows.shape[1]])
         period = found["period"][:, None]
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
-        take(line, Cells(index, found | {"gap": gap}))
+        take(line, CutCells(index, found | {"gap": gap}))
 
     key = line, part, take
     return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), len(part), key)
@@ -136,7 +136,7 @@ def follow(sweep: "xr.Dataset") -> Drawn:
     return Drawn.of(Branches.of(tree_through([sweep], LONGEST)))
 
 
-def sweep_of(line: Line, cells: Cells) -> "xr.Dataset":
+def sweep_of(line: Line, cells: CutCells) -> "xr.Dataset":
     """The cells of a line along one axis as a sweep of that parameter.
 
     InputError for a line of which both parameters change.
@@ -160,13 +160,13 @@ def sweep_of(line: Line, cells: Cells) -> "xr.Dataset":
     return found.sortby(line.name)
 
 
-def too_long(cells: Cells) -> int:
+def too_long(cells: CutCells) -> int:
     """How many periodic cells have orbits of more than LONGEST impacts, whose branches are not followed."""
     impacts = cells.results["impacts_upper"] + cells.results["impacts_lower"]
     return int(np.count_nonzero((cells.results[REGIME.name] == PERIODIC) & (impacts > LONGEST)))
 
 
-def exponents(line: Line, cells: Cells) -> dict[str, Array]:
+def exponents(line: Line, cells: CutCells) -> dict[str, Array]:
     """The largest exponent and its error along a line, by the parameter ``x``, as columns; empty without exponents."""
     if LARGEST.name not in cells.results:
         return {"x": np.zeros(0), "largest": np.zeros(0), "low": np.zeros(0), "high": np.zeros(0)}
@@ -174,7 +174,7 @@ def exponents(line: Line, cells: Cells) -> dict[str, Array]:
     return {"x": x, "largest": largest, "low": largest - error, "high": largest + error}
 
 
-def section(line: Line, cells: Cells) -> dict[str, NDArray[np.floating]]:
+def section(line: Line, cells: CutCells) -> dict[str, NDArray[np.floating]]:
     """The gap coordinate of section states along a line, by the parameter ``x``, as columns."""
     x, gap = line.points(cells.index)[line.along], cells.results["gap"]
     known = np.isfinite(gap)

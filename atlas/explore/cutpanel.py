@@ -27,7 +27,7 @@ from atlas.explore.background import Background
 from atlas.explore.branches import Drawn
 from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Cut
-from atlas.explore.cut import LONGEST, Cells, Line, branch_job, cut_job, exponents, section, sweep_of, too_long
+from atlas.explore.cut import LONGEST, CutCells, Line, branch_job, cut_job, exponents, section, sweep_of, too_long
 from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Errand
 from atlas.explore.plot import quiet
@@ -74,7 +74,7 @@ class CutPanel:
         self._told, self._refuse = background.later(self._take), background.later(lambda why: store.set(trouble=why))
         self._branched, self._unbranched = background.later(self._take_branches), background.later(self._ended)
         self._shown: Line | None = None
-        self._cells: Cells | None = None
+        self._cells: CutCells | None = None
         self._note = ""
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
         self._sources = {
@@ -146,7 +146,7 @@ class CutPanel:
         known = set() if self._cells is None else {*self._cells.index.tolist()}
         return [cut_job(line, part, self._told, self._refuse) for part in line.parts() if not known.issuperset(part)]
 
-    def _take(self, line: Line, cells: Cells) -> None:
+    def _take(self, line: Line, cells: CutCells) -> None:
         """Show more cells of the line."""
         if line != self._shown:
             return

@@ -12,18 +12,18 @@ from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
-from atlas.explore.attractors import Attractors, known_attractors, search_job
+from atlas.explore.attractors import KeptAttractors, known_attractors, search_job
 from atlas.explore.background import Background, Latest, Show
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
 from atlas.explore.followpanel import FollowPanel
 from atlas.explore.known import Cell
-from atlas.explore.motion import Motion, motion_of, motions
+from atlas.explore.motion import MotionPicture, motion_of, motions
 from atlas.explore.motionpanel import MotionPanel
 from atlas.explore.state import Store
 from atlas.explore.style import POINTER, TEXT
-from atlas.explore.subject import Plane
+from atlas.explore.subject import SubjectPlane
 from atlas.explore.view import Sight
 from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
 
@@ -130,7 +130,7 @@ class Details:
             self._follow.offer(None)
             self._background.run(partial(self._detail, cell, self._clicks))
 
-    def _cell(self, plane: Plane, point: tuple[float, float]) -> Cell | None:
+    def _cell(self, plane: SubjectPlane, point: tuple[float, float]) -> Cell | None:
         sight = self._sight()
         return None if sight is None else self._explorer.known.cell(plane, sight, *point)
 
@@ -177,7 +177,7 @@ class Details:
         self._basins.offer(cell)
         self._follow.offer(cell)
 
-    def _answer(self, parameters: Mapping[str, float], click: int, found: Attractors | None) -> None:
+    def _answer(self, parameters: Mapping[str, float], click: int, found: KeptAttractors | None) -> None:
         """Show attractors, or that they are sought."""
         if click != self._clicks:
             return
@@ -189,11 +189,11 @@ class Details:
             if len(found.each) > 1:
                 self._background.run(partial(self._portraits, found, parameters, click))
 
-    def _move(self, motion: Motion, click: int) -> None:
+    def _move(self, motion: MotionPicture, click: int) -> None:
         if click == self._clicks:
             self._motion.show(motion)
 
-    def _portraits(self, found: Attractors, parameters: Mapping[str, float], click: int) -> Show:
+    def _portraits(self, found: KeptAttractors, parameters: Mapping[str, float], click: int) -> Show:
         """Draw the portraits of all attractors in one phase plane."""
         states = [each["state"] for each in found.each if "state" in each]
         drawn = motions(self._subject, parameters, states)

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.explore.kept import MOST_BYTES, Keeper
-from atlas.explore.known import Known
+from atlas.explore.known import KnownTiles
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Job, Patches, Task
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.patches import Patches, PatchJob, Task
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.explore.tiles import Arrays, Memory
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.timing import TIMING, Timing
@@ -48,10 +48,10 @@ class Explorer:
         most_bytes: int = MOST_BYTES,
         timing: Timing = TIMING,
     ) -> None:
-        self.subject, self.failures = subject, dict[tuple[Plane, TileKey], float]()
+        self.subject, self.failures = subject, dict[tuple[SubjectPlane, TileKey], float]()
         self._keeping = keep, most_bytes
         self._kept_planes = {subject.plane}
-        self._listeners: dict[Hashable, Callable[[Plane, TileKey], None]] = {}
+        self._listeners: dict[Hashable, Callable[[SubjectPlane, TileKey], None]] = {}
         self._lock = threading.Lock()
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
         self._ending: list[Keeper] = []
@@ -62,7 +62,7 @@ class Explorer:
             self.patches, memory = connect.patches, connect.known.tiles.memory
         else:
             self.patches, memory = Patches(connect, timing), Memory()
-        self.known: Known = Known(subject, self.keeper, memory)
+        self.known: KnownTiles = KnownTiles(subject, self.keeper, memory)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
@@ -90,7 +90,7 @@ class Explorer:
                 self._ending.append(gone.keeper)
             return found
 
-    def listen(self, who: Hashable, told: Callable[[Plane, TileKey], None] | None) -> None:
+    def listen(self, who: Hashable, told: Callable[[SubjectPlane, TileKey], None] | None) -> None:
         """Have a page told, in another thread, of every tile that is solved; None for a page that is gone."""
         with self._lock:
             if told is None:
@@ -106,12 +106,12 @@ class Explorer:
         with self._lock:
             return list(self._listeners)
 
-    def keeps(self, plane: Plane) -> bool:
+    def keeps(self, plane: SubjectPlane) -> bool:
         """Whether tiles of this plane are kept as they are solved, where anything is."""
         with self._lock:
             return plane in self._kept_planes
 
-    def keep_plane(self, plane: Plane, on: bool = True) -> None:
+    def keep_plane(self, plane: SubjectPlane, on: bool = True) -> None:
         """Keep this plane too, with what is known of it; or nothing more of it."""
         with self._lock:
             if on == (plane in self._kept_planes):
@@ -123,7 +123,7 @@ class Explorer:
             if arrays.keys() >= self.subject.variables.keys():
                 self.keeper.offer(plane, key, arrays)
 
-    def want(self, who: Hashable, plane: Plane, sight: Sight, stages: range) -> int:
+    def want(self, who: Hashable, plane: SubjectPlane, sight: Sight, stages: range) -> int:
         """Have what is not known of the view solved, at these stages in this order, and return how many tiles.
 
         A tile that failed is tried again by whoever looks at it AGAIN seconds later.
@@ -138,7 +138,7 @@ class Explorer:
         self.patches.want(who, wanted)
         return len(wanted)
 
-    def note_failure(self, plane: Plane, key: TileKey) -> None:
+    def note_failure(self, plane: SubjectPlane, key: TileKey) -> None:
         """Note that a tile could not be solved; of too many the oldest notes go."""
         with self._lock:
             self.failures.pop((plane, key), None)
@@ -146,7 +146,7 @@ class Explorer:
             while len(self.failures) > MOST_FAILURES:
                 self.failures.pop(next(iter(self.failures)))
 
-    def take(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+    def take(self, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         """Keep a solved tile, and tell the pages."""
         with self._lock:
             wanted, listeners = plane in self._kept_planes, list(self._listeners.values())
@@ -160,11 +160,11 @@ class Explorer:
 
 
 @dataclass(frozen=True)
-class TileJob(Job):
+class TileJob(PatchJob):
     """A tile of a plane to be solved for an explorer."""
 
     explorer: Explorer
-    plane: Plane
+    plane: SubjectPlane
     key: TileKey
 
     def ready(self) -> bool:
@@ -193,5 +193,5 @@ class TileJob(Job):
         return int(mask.sum())
 
     def failed(self, why: str) -> None:
-        """See ``Job``."""
+        """See ``PatchJob``."""
         self.explorer.note_failure(self.plane, self.key)

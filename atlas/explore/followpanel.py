@@ -10,9 +10,9 @@ from bokeh.plotting import figure
 
 from atlas.explore.background import Background
 from atlas.explore.branches import Arrow as Reach
-from atlas.explore.branches import Drawn, Followed, Here, arrows, beginning, distance, follow_job
+from atlas.explore.branches import Drawn, FollowedBranch, Here, arrows, beginning, distance, follow_job
 from atlas.explore.branchlines import BranchLines
-from atlas.explore.chosen import Chosen, Follow, Point, Range, followable
+from atlas.explore.chosen import Chosen, FollowedOrbit, Point, Range, followable
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.motionpanel import MotionPanel
@@ -99,7 +99,7 @@ class FollowPanel:
         elif chosen.cell is not None:
             self._store.choose(follow=beginning(self._subject, chosen, chosen.cell, str(self._along.value)))
 
-    def _take(self, asked: object, found: Followed) -> None:
+    def _take(self, asked: object, found: FollowedBranch) -> None:
         if asked == self._asked:
             self._say("")
             self._shown = _Shown(self._explorer, self._store, found)
@@ -137,7 +137,7 @@ class FollowPanel:
         look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
         plane.text(background_fill_alpha=0.85, **at, **look)
 
-    def _mark(self, chosen: Chosen, cell: Point, found: Followed, here: Here) -> None:
+    def _mark(self, chosen: Chosen, cell: Point, found: FollowedBranch, here: Here) -> None:
         """Mark an orbit over the plane where it lies in that."""
         values = self._subject.values(*cell) | {found.table.along: here.value}
         inside = all(values[name] == value for name, value in chosen.plane.parameters)
@@ -177,10 +177,10 @@ _COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down"
 class _Shown:
     """The widgets of a branch that is followed: they show where on it the state is, and change that."""
 
-    def __init__(self, explorer: Explorer, store: Store, found: Followed) -> None:
+    def __init__(self, explorer: Explorer, store: Store, found: FollowedBranch) -> None:
         self.found, self._subject, self._store = found, explorer.subject, store
         self._symbol = symbol_of(self._subject.system, found.table.along)
-        self._at: Follow | None = None
+        self._at: FollowedOrbit | None = None
         self._here = found.here(found.own, found.values[found.own])
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         last = len(found.values) - 1
@@ -210,7 +210,7 @@ class _Shown:
         self.motion = MotionPanel(self._subject)
         self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]
 
-    def move(self, follow: Follow) -> Here:
+    def move(self, follow: FollowedOrbit) -> Here:
         """Show the orbit that is chosen, and return it."""
         if follow == self._at:
             return self._here

@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from atlas.errors import InputError, RunError
 from atlas.explore.sheets import SheetKey, Sheets, depth
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.explore.threads import steady, why
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
@@ -50,7 +50,7 @@ class Keeper:
     ) -> None:
         self._most, self._recent = most_bytes, recent
         self._lock, self._stopped = threading.RLock(), threading.Event()
-        self._waiting: OrderedDict[tuple[Plane, TileKey], Arrays] = OrderedDict()
+        self._waiting: OrderedDict[tuple[SubjectPlane, TileKey], Arrays] = OrderedDict()
         self._seen: dict[tuple[str, str], float] = {}
         self._sizes: dict[tuple[str, str], int] = {}
         self.header = subject.header if wanted else None
@@ -84,7 +84,7 @@ class Keeper:
         """Whether it has ended."""
         return not self._thread.is_alive()
 
-    def offer(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+    def offer(self, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         """Keep a tile, soon."""
         with self._lock:
             if self.header is None:
@@ -94,7 +94,7 @@ class Keeper:
                 self._waiting.popitem(last=False)
                 self._lose(f"more than {MOST_WAITING} were waiting")
 
-    def has(self, plane: Plane, key: TileKey) -> bool:
+    def has(self, plane: SubjectPlane, key: TileKey) -> bool:
         """Whether a tile is kept, or waits to be."""
         with self._lock:
             if (plane, key) in self._waiting:
@@ -105,7 +105,7 @@ class Keeper:
         """Whether a tile can be kept at all: not one with cells out of the valid ranges."""
         return self.sheets is not None and self.sheets.span_with(key) is not None
 
-    def load(self, plane: Plane, keys: Sequence[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
+    def load(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
         """These variables of those of the tiles that are kept and can be read; all variables of those that wait."""
         if self.sheets is None:
             return {}
@@ -131,7 +131,7 @@ class Keeper:
         self.end()
         self._thread.join()
 
-    def _see(self, plane: Plane, of: SheetKey) -> None:
+    def _see(self, plane: SubjectPlane, of: SheetKey) -> None:
         """Note that a sheet was looked at."""
         assert self.sheets is not None
         with self._lock:
@@ -166,7 +166,7 @@ class Keeper:
                         logging.getLogger(__name__).warning("%s not kept: %s", left, self._trouble)
                     return
 
-    def _turn(self, header: Header, batch: list[tuple[tuple[Plane, TileKey], Arrays]]) -> None:
+    def _turn(self, header: Header, batch: list[tuple[tuple[SubjectPlane, TileKey], Arrays]]) -> None:
         """Write some tiles under the store's claim; those that cannot be written now wait for another turn."""
         notes = notes_of(header.place)
         try:
@@ -186,7 +186,7 @@ class Keeper:
                 busy = notes.read(CLAIM) is not None
             self._say(f"kept later: {'a run is at work on the store' if busy else error}")
 
-    def _keep(self, header: Header, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+    def _keep(self, header: Header, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         """Write a tile; one that cannot be kept for a reason of its own does not hold up the others."""
         try:
             self._write(header, plane, key, arrays)
@@ -196,7 +196,7 @@ class Keeper:
             logging.getLogger(__name__).exception("a tile could not be kept")
             self._lose(why(error))
 
-    def _write(self, header: Header, plane: Plane, key: TileKey, arrays: Arrays) -> None:
+    def _write(self, header: Header, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None
         of = SheetKey.of(key)
         span = self.sheets.span_with(key)

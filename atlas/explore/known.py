@@ -15,7 +15,7 @@ from atlas.explore.compose import atlas_cells, atlas_covers, composed, seen_atla
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
 from atlas.explore.sheets import LOOK
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.explore.tiles import Arrays, Memory, Tiles
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
@@ -49,7 +49,7 @@ class Cell:
     of_atlas: bool
 
 
-class Known:
+class KnownTiles:
     """Finds what is known. ``tiles`` are those in memory; ``keeper`` has those of the store."""
 
     def __init__(self, subject: Subject, keeper: Keeper, memory: Memory | None = None) -> None:
@@ -62,7 +62,7 @@ class Known:
         self._done: NDArray[np.bool_] | None = None
         self._looked = float("-inf")
 
-    def look(self, plane: Plane, sight: Sight, names: Iterable[str]) -> None:
+    def look(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> None:
         """Read what is kept of the cells in view: finest first, and coarser ones only where these leave gaps."""
         wanted = {*names, REGIME.name}
         hidden: set[TileKey] = set()
@@ -74,12 +74,12 @@ class Known:
             shown = {key for key in tiles if key in hidden or self.tiles.has(plane, key, wanted)}
             hidden = {above for above in {key.above for key in tiles} if all(b in shown for b in below(above))}
 
-    def has(self, plane: Plane, key: TileKey) -> bool:
+    def has(self, plane: SubjectPlane, key: TileKey) -> bool:
         """Whether a tile need not be solved."""
         known = self.tiles.has(plane, key, {REGIME.name}) or self.outside(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
-    def shares(self, plane: Plane, sight: Sight) -> tuple[float, ...]:
+    def shares(self, plane: SubjectPlane, sight: Sight) -> tuple[float, ...]:
         """Of each stage, the coarsest first, the share of the view that is known as densely or more so."""
         known, found = np.zeros(sight.shape, dtype=bool), []
         for stage in range(STAGES + 1):
@@ -92,7 +92,7 @@ class Known:
             found.append(float(known.mean()))
         return tuple(found[::-1])
 
-    def _in_atlas(self, plane: Plane, sight: Sight) -> NDArray[np.bool_]:
+    def _in_atlas(self, plane: SubjectPlane, sight: Sight) -> NDArray[np.bool_]:
         """Which cells in view lie in a cell of the atlas itself that is solved."""
         done = self.atlas_done() if plane == self.subject.plane else None
         if done is None:
@@ -109,7 +109,7 @@ class Known:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
         return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
-    def whole(self, plane: Plane, key: TileKey) -> Arrays | None:
+    def whole(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
         """All variables of a tile, from memory or from the store; None where it is not known."""
         names = self.subject.variables.keys()
         arrays = self.tiles.get(plane, key)
@@ -123,7 +123,7 @@ class Known:
             return kept
         return None
 
-    def parent(self, plane: Plane, key: TileKey) -> Arrays | None:
+    def parent(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
         """What is known of every fourth cell of a tile, by the tile above or by the atlas where it is solved alike."""
         above = key.above
         whole = self.whole(plane, above)
@@ -139,14 +139,14 @@ class Known:
             return atlas_cells(subject, names, rows, columns)
         return None
 
-    def seen(self, plane: Plane, sight: Sight, names: Iterable[str]) -> "xr.Dataset":
+    def seen(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> "xr.Dataset":
         """The cells in view as far as they are known."""
         wanted = list(names)
         base = seen_atlas(self.subject, sight, wanted) if plane == self.subject.plane else None
         tiles = self.tiles.shown(plane, sight) + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
         return composed(self.subject, plane, sight, tiles, wanted, base)
 
-    def cell(self, plane: Plane, sight: Sight, x: float, y: float) -> Cell | None:
+    def cell(self, plane: SubjectPlane, sight: Sight, x: float, y: float) -> Cell | None:
         """The finest cell that is known at a point in view; None where none is."""
         for stage in range(max(STAGES, sight.x.level, sight.y.level) + 1):
             level_x, level_y = sight.x.level - stage, sight.y.level - stage
@@ -161,7 +161,7 @@ class Known:
                 return self._cell_of(plane, arrays, (i % TILE, j % TILE), self._at(level_x, level_y, j, i), (x, y))
         return self._atlas_cell(plane, x, y)
 
-    def point(self, plane: Plane, sight: Sight, x: float, y: float) -> tuple[float, float]:
+    def point(self, plane: SubjectPlane, sight: Sight, x: float, y: float) -> tuple[float, float]:
         """The cell of a view nearest to a point: one of the atlas itself where its cells lie closer than the view's."""
         if min(sight.x.level, sight.y.level) < 0:
             found = self._atlas_cell(plane, x, y)
@@ -170,7 +170,7 @@ class Known:
         j, i = self.subject.x.nearest(sight.x.level, x), self.subject.y.nearest(sight.y.level, y)
         return self._at(sight.x.level, sight.y.level, j, i)
 
-    def solved(self, plane: Plane, x: float, y: float) -> Cell:
+    def solved(self, plane: SubjectPlane, x: float, y: float) -> Cell:
         """The cell at exactly this point, solved here and now."""
         found = solve_patch(self.subject.grid(plane, (x,), (y,)))
         return self._cell_of(plane, found, (0,), (x, y), (x, y))
@@ -198,7 +198,7 @@ class Known:
         across, up = self.subject.points(Stretch(level_x, j, 1), Stretch(level_y, i, 1))
         return float(across[0]), float(up[0])
 
-    def _atlas_cell(self, plane: Plane, x: float, y: float) -> Cell | None:
+    def _atlas_cell(self, plane: SubjectPlane, x: float, y: float) -> Cell | None:
         subject = self.subject
         if subject.ds is None or plane != subject.plane:
             return None
@@ -211,7 +211,12 @@ class Known:
         return Cell(subject.values(plane, *(found[name] for name in subject.axes)), found, of_atlas=True)
 
     def _cell_of(
-        self, plane: Plane, arrays: Arrays, place: tuple[int, ...], at: tuple[float, float], point: tuple[float, float]
+        self,
+        plane: SubjectPlane,
+        arrays: Arrays,
+        place: tuple[int, ...],
+        at: tuple[float, float],
+        point: tuple[float, float],
     ) -> Cell:
         """The cell at a place of arrays, which lies at ``at``, as the one nearest to a point."""
         subject, (x, y) = self.subject, at

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionPicture:
     """What is drawn of a motion.
 
     y, v         gap coordinate and its velocity (N,) along the path, before and after every impact too
@@ -37,7 +37,7 @@ class Motion:
     per_period: float
 
 
-def motion_of(orbit: CellOrbit) -> Motion:
+def motion_of(orbit: CellOrbit) -> MotionPicture:
     """A path as it is drawn, of at most POINTS even steps."""
     piece = orbit.period / SAMPLES
     step = np.rint(orbit.times / piece)
@@ -48,17 +48,19 @@ def motion_of(orbit: CellOrbit) -> Motion:
     return motion_through(orbit.system.build(orbit.parameters), orbit.states[drawn], kept[drawn], SAMPLES / stride)
 
 
-def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> Motion:
+def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> MotionPicture:
     """The motion of a machine through states (N, 2n), some of which are ``even`` steps of time."""
     row = np.array(osc.gap_row)
     n, limited = row.size, np.flatnonzero(row).tolist()
     lane = limited[0] if len(limited) == 1 else None
     stops = [] if lane is None else [stop / row[lane] for stop in (osc.lower, osc.upper) if np.isfinite(stop)]
     y, v = states[:, :n] @ row, states[:, n:] @ row
-    return Motion(y, v, np.column_stack([y, v, states[:, :n]])[even].T, stops, lane, per_period)
+    return MotionPicture(y, v, np.column_stack([y, v, states[:, :n]])[even].T, stops, lane, per_period)
 
 
-def motions(subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]) -> dict[int, Motion]:
+def motions(
+    subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]
+) -> dict[int, MotionPicture]:
     """The motions from these states of a cell, by their places, as far as they can be shown."""
     found = {}
     for place, state in enumerate(states[:MOST]):

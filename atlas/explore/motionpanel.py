@@ -7,7 +7,7 @@ from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, CustomJS, Toggle
 from bokeh.plotting import figure
 
-from atlas.explore.motion import Motion
+from atlas.explore.motion import MotionPicture
 from atlas.explore.plot import quiet
 from atlas.explore.subject import Subject
 from atlas.render.classes import PALETTE
@@ -68,13 +68,13 @@ class MotionPanel:
         self.panel.visible = self._play.active = False
         self.portray({})
 
-    def portray(self, each: Mapping[int, Motion]) -> None:
+    def portray(self, each: Mapping[int, MotionPicture]) -> None:
         """Show the portraits of attractors in the colours of their places."""
         colors = [PALETTE[place % len(PALETTE)] for place in each]
         paths = each.values()
         self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
 
-    def show(self, own: Motion) -> None:
+    def show(self, own: MotionPicture) -> None:
         """Show the cell's own motion, which a button sets in motion."""
         if len(self._paths.data["xs"]) < 2:  # else the portraits of all came first
             self.portray({0: own})

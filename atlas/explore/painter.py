@@ -16,7 +16,7 @@ from atlas.errors import InputError, RunError
 from atlas.explore.chosen import CHART, Chosen, Ends, Range, beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.style import KEY_WIDTH
-from atlas.explore.subject import Plane
+from atlas.explore.subject import SubjectPlane
 from atlas.explore.threads import steady
 from atlas.explore.view import STAGES, Sight, TileKey
 from atlas.platform import give_back_memory
@@ -117,13 +117,13 @@ class Painter:
         """Wait until a painter that is closed has ended."""
         self._thread.join()
 
-    def _told(self, plane: Plane, key: TileKey) -> None:
+    def _told(self, plane: SubjectPlane, key: TileKey) -> None:
         if self._asked and self._concerns(self._asked[0], plane, key):
             with self._changed:
                 self._plan.setdefault(None, self._rested)
                 self._changed.notify()
 
-    def _concerns(self, chosen: Chosen, plane: Plane, key: TileKey) -> bool:
+    def _concerns(self, chosen: Chosen, plane: SubjectPlane, key: TileKey) -> bool:
         """Whether a tile is seen in a picture."""
         return plane == chosen.plane and self.sight is not None and self.sight.shows(key)
 

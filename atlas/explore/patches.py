@@ -37,7 +37,7 @@ Task = tuple[Callable[[Any], Any], Any]
 
 
 @dataclass(frozen=True)
-class State:
+class WorkState:
     """How the work is going.
 
     trouble   why nothing is solved, empty if nothing is wrong
@@ -50,7 +50,7 @@ class State:
     rate: float = 0.0
 
 
-class Job(Protocol):
+class PatchJob(Protocol):
     """Something that a worker does for those who want it; its methods are called from a thread of this service."""
 
     def ready(self) -> bool:
@@ -68,7 +68,7 @@ class Job(Protocol):
 
 
 @dataclass(frozen=True)
-class Errand(Job):
+class Errand(PatchJob):
     """A job for one who waits: ``take`` gets what the worker found, so many ``cells``, ``refuse`` why the job is given
     up, both in a thread of this service. Errands of one key are one job.
     """
@@ -80,16 +80,16 @@ class Errand(Job):
     key: Hashable = field(default_factory=object)
 
     def make(self) -> tuple[Task, Any]:
-        """See ``Job``."""
+        """See ``PatchJob``."""
         return self.task, None
 
     def solved(self, held: Any, found: Any) -> int:
-        """See ``Job``."""
+        """See ``PatchJob``."""
         self.take(found)
         return self.cells
 
     def failed(self, why: str) -> None:
-        """See ``Job``."""
+        """See ``PatchJob``."""
         self.refuse(why)
 
 
@@ -99,16 +99,16 @@ class Patches:
     def __init__(self, connect: Callable[[], "AbstractContextManager[Client]"], timing: Timing = TIMING) -> None:
         self._connect, self._timing = connect, timing
         self._lock, self._stopped = threading.Lock(), threading.Event()
-        self._wanted: dict[Hashable, deque[Job]] = {}
+        self._wanted: dict[Hashable, deque[PatchJob]] = {}
         self._turn: deque[Hashable] = deque()
         self._ended: SimpleQueue[Future[Any] | None] = SimpleQueue()
-        self._running: dict[Future[Any], tuple[Job, Any]] = {}  # for this service's own thread alone
-        self._tries: dict[Job, int] = {}
+        self._running: dict[Future[Any], tuple[PatchJob, Any]] = {}  # for this service's own thread alone
+        self._tries: dict[PatchJob, int] = {}
         self._solved: deque[tuple[float, int]] = deque()
-        self._state = State()
+        self._state = WorkState()
         self._thread = steady("atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again"))
 
-    def want(self, who: Hashable, jobs: Iterable[Job]) -> None:
+    def want(self, who: Hashable, jobs: Iterable[PatchJob]) -> None:
         """From now on these jobs are wanted, in this order; an empty list cancels all."""
         wanted = deque(jobs)
         with self._lock:
@@ -128,14 +128,14 @@ class Patches:
             return len(self._wanted.get(who, ()))
 
     @property
-    def state(self) -> State:
+    def state(self) -> WorkState:
         """How the work is going."""
         since = time.monotonic() - RATE_SECONDS
         with self._lock:
             while self._solved and self._solved[0][0] < since:
                 self._solved.popleft()
             cells = sum(count for _, count in self._solved)
-            return State(self._state.trouble, self._state.workers, cells / RATE_SECONDS)
+            return WorkState(self._state.trouble, self._state.workers, cells / RATE_SECONDS)
 
     def stop(self) -> None:
         """End the work, and the cluster where it is a local one."""
@@ -183,7 +183,7 @@ class Patches:
 
     def _say(self, trouble: str, workers: int = 0) -> None:
         with self._lock:
-            self._state = State(trouble, workers)
+            self._state = WorkState(trouble, workers)
 
     def _drop(self, client: "Client") -> None:
         """Cancel what nobody wants any more and no worker has."""
@@ -199,7 +199,7 @@ class Patches:
             for future in idle:
                 self._forget(future)
 
-    def _next(self) -> Job | None:
+    def _next(self) -> PatchJob | None:
         """The next job to send: of all who want some in turn, the first that is not under way."""
         under_way = {job for job, _ in self._running.values()}
         with self._lock:
@@ -253,7 +253,7 @@ class Patches:
         self._running.pop(future)
         future.release()
 
-    def _tried(self, job: Job, step: Callable[[], Any]) -> Any:
+    def _tried(self, job: PatchJob, step: Callable[[], Any]) -> Any:
         """What a step of a job returns; None after a mistake of ours, which ends that job and not the work for all."""
         try:
             return step()
@@ -264,14 +264,14 @@ class Patches:
             self._give_up(job, error)
             return None
 
-    def _give_up(self, job: Job, error: BaseException | None) -> None:
+    def _give_up(self, job: PatchJob, error: BaseException | None) -> None:
         """Have a job told that it is given up; a mistake in that is its own."""
         try:
             job.failed(str(error) if isinstance(error, InputError) else why(error))
         except Exception:
             logging.getLogger(__name__).exception("a job could not be told that it is given up")
 
-    def _done_with(self, job: Job) -> None:
+    def _done_with(self, job: PatchJob) -> None:
         """Nobody has to wait for a job any more."""
         self._tries.pop(job, None)
         with self._lock:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.location import Place
@@ -77,8 +77,8 @@ class Sheets:
 
     def __init__(self, subject: Subject, header: Header) -> None:
         self._subject, self._header, self._lock = subject, header, threading.RLock()
-        self._open: OrderedDict[tuple[Plane, SheetKey], Sheet] = OrderedDict()
-        self._absent: OrderedDict[tuple[Plane, SheetKey], float] = OrderedDict()
+        self._open: OrderedDict[tuple[SubjectPlane, SheetKey], Sheet] = OrderedDict()
+        self._absent: OrderedDict[tuple[SubjectPlane, SheetKey], float] = OrderedDict()
         self.digest = lru_cache(MOST_PLANES)(lambda plane: subject.digest(plane)[:16])
 
     @property
@@ -87,7 +87,7 @@ class Sheets:
         with self._lock:
             return {"open": len(self._open), "absent": len(self._absent)}
 
-    def find(self, plane: Plane, key: SheetKey) -> Sheet | None:
+    def find(self, plane: SubjectPlane, key: SheetKey) -> Sheet | None:
         """A sheet, open; None where there is none yet. Tiles that others write are looked for now and then."""
         at, now = (plane, key), time.monotonic()
         with self._lock:
@@ -111,7 +111,7 @@ class Sheets:
                 self._absent.popitem(last=False)
             return None
 
-    def made(self, header: Header, plane: Plane, key: SheetKey, span: Span) -> Sheet:
+    def made(self, header: Header, plane: SubjectPlane, key: SheetKey, span: Span) -> Sheet:
         """A sheet that ``find`` found none of, open, by the header of the store as its claim's holder has it.
 
         Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew; OSError
@@ -147,7 +147,7 @@ class Sheets:
             for plane, key in [at for at in self._open if (self.digest(at[0]), at[1].name) == (digest, name)]:
                 del self._open[plane, key]
 
-    def has(self, plane: Plane, key: TileKey) -> bool:
+    def has(self, plane: SubjectPlane, key: TileKey) -> bool:
         """Whether a tile is kept."""
         with self._lock:
             sheet = self.find(plane, SheetKey.of(key))
@@ -194,10 +194,10 @@ class Sheets:
         span = self.span(SheetKey.of(key))
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
-    def _place(self, plane: Plane, key: SheetKey) -> Place:
+    def _place(self, plane: SubjectPlane, key: SheetKey) -> Place:
         return sheet_place(self._header, self.digest(plane), key.name)
 
-    def _opened(self, at: tuple[Plane, SheetKey], place: Place, span: Span) -> Sheet:
+    def _opened(self, at: tuple[SubjectPlane, SheetKey], place: Place, span: Span) -> Sheet:
         """Open a sheet, and keep it open; those not used for longest are closed."""
         header, first = read_header(place), (span[0].start, span[1].start)
         self._open[at] = sheet = Sheet(header, first, open_arrays(header), done_tiles(header), looked=time.monotonic())

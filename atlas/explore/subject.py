@@ -56,19 +56,19 @@ def exploring(settings: Settings, tolerance: float = TOLERANCE, survival: int = 
 
 
 @dataclass(frozen=True)
-class Plane:
+class SubjectPlane:
     """One plane of a system: the parameters that are no axes, as pairs in the system's order."""
 
     parameters: tuple[tuple[str, float], ...]
 
     @classmethod
-    def of(cls, parameters: Mapping[str, float]) -> "Plane":
+    def of(cls, parameters: Mapping[str, float]) -> "SubjectPlane":
         """The plane of these parameters."""
         return cls(tuple(parameters.items()))
 
-    def moved(self, name: str, value: float) -> "Plane":
+    def moved(self, name: str, value: float) -> "SubjectPlane":
         """The plane with another value of one parameter."""
-        return Plane(tuple((each, value if each == name else old) for each, old in self.parameters))
+        return SubjectPlane(tuple((each, value if each == name else old) for each, old in self.parameters))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +159,9 @@ class Subject:
         return replace(self, spec=spec, stored=None, ds=None, every=None)
 
     @cached_property
-    def plane(self) -> Plane:
+    def plane(self) -> SubjectPlane:
         """The plane of the spec itself."""
-        return Plane.of(self.spec.parameters)
+        return SubjectPlane.of(self.spec.parameters)
 
     @property
     def name(self) -> str:
@@ -174,23 +174,23 @@ class Subject:
         asked = replace(self.spec.settings, section_samples=0)
         return self.header is not None and self.every is None and asked == self.settings
 
-    def digest(self, plane: Plane) -> str:
+    def digest(self, plane: SubjectPlane) -> str:
         """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
         axes = [[axis.name, axis.values] for axis in self.spec.axes]
         solve = dict(vars(self.settings))
         rest = {"parameters": dict(plane.parameters), "axes": axes, "solve": solve, "solver": SOLVER_VERSION}
         return digest_of(identity(self.system.resolved()) | rest)
 
-    def moved(self, plane: Plane, name: str, value: float) -> Plane:
+    def moved(self, plane: SubjectPlane, name: str, value: float) -> SubjectPlane:
         """The plane with another value of a parameter; InputError for what is no parameter or out of its range."""
         if name not in dict(plane.parameters):
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
         return plane.moved(name, admitted(self.system.parameter(name), value))
 
-    def point(self, values: Mapping[str, float]) -> tuple[Plane, float, float]:
+    def point(self, values: Mapping[str, float]) -> tuple[SubjectPlane, float, float]:
         """Where a cell with these parameters lies: the inverse of ``values``."""
         x, y = (values[name] for name in self.axes)
-        return Plane(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
+        return SubjectPlane(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
@@ -207,7 +207,7 @@ class Subject:
         """Arrays of cells that have no results yet."""
         return empty_results(tuple(self.variables[name] for name in names), shape, extra_sizes(self.spec))
 
-    def values(self, plane: Plane, x: float, y: float) -> dict[str, float]:
+    def values(self, plane: SubjectPlane, x: float, y: float) -> dict[str, float]:
         """All parameters of a cell of a plane."""
         return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
 
@@ -230,16 +230,16 @@ class Subject:
         x, y = sight
         return self.x.edges(x.level, x.first, x.last), self.y.edges(y.level, y.first, y.last)
 
-    def grid(self, plane: Plane, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> Patch:
+    def grid(self, plane: SubjectPlane, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> Patch:
         """What it takes to solve cells of a plane at these values of the axes."""
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
         return Patch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
 
-    def patch(self, plane: Plane, key: TileKey, known: np.ndarray | None = None) -> Patch:
+    def patch(self, plane: SubjectPlane, key: TileKey, known: np.ndarray | None = None) -> Patch:
         """What it takes to solve a tile, less the cells that are known."""
         return self.grid(plane, *self.points(key.columns, key.rows), b"" if known is None else packed(~known))
 
-    def spec_of(self, plane: Plane, x: Any, y: Any) -> Spec:
+    def spec_of(self, plane: SubjectPlane, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""
         axes = {
             axis.name: {"values": np.asarray(values), "scale": axis.scale}

@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from atlas.explore.subject import Plane
+from atlas.explore.subject import SubjectPlane
 from atlas.explore.view import Sight, TileKey
 
 MOST_BYTES = 384 * 2**20
@@ -22,7 +22,7 @@ class Memory:
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self.most, self.bytes, self.lock = most_bytes, 0, threading.Lock()
-        self.tiles: OrderedDict[tuple[Tiles, Plane, TileKey], tuple[Arrays, bool]] = OrderedDict()
+        self.tiles: OrderedDict[tuple[Tiles, SubjectPlane, TileKey], tuple[Arrays, bool]] = OrderedDict()
 
 
 class Tiles:
@@ -34,7 +34,7 @@ class Tiles:
     def __init__(self, memory: Memory | None = None) -> None:
         self.memory = memory or Memory()
 
-    def put(self, plane: Plane, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
+    def put(self, plane: SubjectPlane, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
         """Keep arrays of a tile, beside those that it has.
 
         The tiles not seen for longest go where there is no room; those that are ``only_here`` after all others.
@@ -48,7 +48,7 @@ class Tiles:
                 others = (each for each, (_, alone) in memory.tiles.items() if not alone and each != at)
                 memory.bytes -= _size(memory.tiles.pop(next(others, next(iter(memory.tiles))))[0])
 
-    def get(self, plane: Plane, key: TileKey) -> Arrays | None:
+    def get(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
         """The arrays of a tile, which now counts as seen; None where it is not in memory."""
         at, memory = (self, plane, key), self.memory
         with memory.lock:
@@ -57,12 +57,12 @@ class Tiles:
             memory.tiles.move_to_end(at)
             return memory.tiles[at][0]
 
-    def has(self, plane: Plane, key: TileKey, names: set[str]) -> bool:
+    def has(self, plane: SubjectPlane, key: TileKey, names: set[str]) -> bool:
         """Whether a tile is in memory with these variables."""
         with self.memory.lock:
             return names <= self.memory.tiles.get((self, plane, key), ({}, False))[0].keys()
 
-    def of(self, plane: Plane) -> list[tuple[TileKey, Arrays]]:
+    def of(self, plane: SubjectPlane) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane."""
         with self.memory.lock:
             found = self.memory.tiles.items()
@@ -75,7 +75,7 @@ class Tiles:
             for at in [each for each in memory.tiles if each[0] is self]:
                 memory.bytes -= _size(memory.tiles.pop(at)[0])
 
-    def shown(self, plane: Plane, sight: Sight) -> list[tuple[TileKey, Arrays]]:
+    def shown(self, plane: SubjectPlane, sight: Sight) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane in view that are as dense as the view or less, coarse ones first."""
         found = [(key, arrays) for key, arrays in self.of(plane) if sight.shows(key)]
         return sorted(found, key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))

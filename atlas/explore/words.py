@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from atlas.cell.command import point_words
-from atlas.explore.attractors import Attractors
+from atlas.explore.attractors import KeptAttractors
 from atlas.explore.known import Cell
-from atlas.explore.patches import State
-from atlas.explore.subject import Plane, Subject
+from atlas.explore.patches import WorkState
+from atlas.explore.subject import Subject, SubjectPlane
 from atlas.query.extremes import regimes_with
 from atlas.render.classes import PALETTE
 from atlas.render.screen import Screen
@@ -36,7 +36,7 @@ def symbol_of(system: System, name: str) -> str:
     return plain(system.parameter(name).symbol or name)
 
 
-def title(subject: Subject, plane: Plane) -> str:
+def title(subject: Subject, plane: SubjectPlane) -> str:
     """The system and the fixed parameters that matter, as HTML: all but an initial state of zero."""
     states, values = subject.system.states, dict(plane.parameters)
     shown = [
@@ -153,7 +153,7 @@ def with_error(value: float, error: float) -> str:
     return f"{number(value, min(max(digits, 4), 6))} ± {number(error, 2)}"
 
 
-def attractors_table(found: Attractors, subject: Subject) -> str:
+def attractors_table(found: KeptAttractors, subject: Subject) -> str:
     """The attractors of a cell as an HTML table, and how sure it is that these are all."""
     if found.trouble:
         return f'<span class="trouble">{html.escape(found.trouble)}</span>'
@@ -227,7 +227,7 @@ def refinement(shares: Sequence[float]) -> str:
     return f"drawn at {names[whole - 1]}, {begun}" if whole else f"drawn: {begun}"
 
 
-def progress(state: State, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:
+def progress(state: WorkState, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:
     """The line under the plane, as HTML; ``left`` are tiles still to be solved, ``shares`` as in ``refinement``."""
     parts = [refinement(shares)]
     if left:

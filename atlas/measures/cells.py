@@ -10,7 +10,7 @@ from atlas.measures.table import LINEAR, SHOCKS, Arrays, empty, of_family
 from atlas.robustness.linear import NO_ORBIT, UNMEASURED, measures_of
 from atlas.robustness.norm import weights_of
 from atlas.robustness.shock import shock_of
-from workers.attractors.basins import Table
+from workers.attractors.basins import AttractorTable
 from workers.attractors.record import ON_ATTRACTOR, STABLE, Attractor
 from workers.attractors.starts import Starts
 from workers.cell.stretch import begin
@@ -69,7 +69,7 @@ def shock_measures(
     """
     found = empty(of_family(SHOCKS), cells["regime"].shape)
     for n in np.flatnonzero(np.isin(cells["regime"], ON_ATTRACTOR).any(axis=1)).tolist():
-        table = Table(record, {name: float(values[n]) for name, values in params.items()}, settings, starts)
+        table = AttractorTable(record, {name: float(values[n]) for name, values in params.items()}, settings, starts)
         if len(table.attractors) < 2:
             continue
         weights = weights_of(norm, record, float(table.oscillators.period[0]))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.arguments import checked_kind
-from atlas.curves.plane import Plane, plane_of
+from atlas.curves.plane import CurvePlane, plane_of
 from atlas.curves.table import KINDS, Curves, read_curves
 from atlas.errors import ChunkError, InputError, check_names
 from atlas.measures.margin import chords_of, margins
@@ -76,7 +76,7 @@ def _curves(header: Header) -> Curves:
     return curves
 
 
-def _placed(plane: Plane, values: NDArray[np.float64], scale: Mapping[str, float]) -> NDArray[np.float64]:
+def _placed(plane: CurvePlane, values: NDArray[np.float64], scale: Mapping[str, float]) -> NDArray[np.float64]:
     """Points (N, 2) of the plane in units of the scale."""
     columns = [
         (np.log(column) if log else column) / scale[name]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from atlas.arguments import checked_name
 from atlas.errors import InputError, check_names, shown
-from atlas.query.walk import Block
+from atlas.query.walk import CellBlock
 from workers.results import PENDING, PERIODIC, REGIME, REGIMES
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Classes:
         else:
             self.codes = tuple(code for code in _NAMES if code != PENDING) if self._only is None else self._only
 
-    def number(self, block: Block) -> NDArray[np.int32]:
+    def number(self, block: CellBlock) -> NDArray[np.int32]:
         """The number of the class of every cell, 0 where it has none or another than the one that is meant."""
         counted = np.isin(block.regime, self.codes)
         numbers = np.zeros(block.regime.shape, np.int32)
@@ -77,7 +77,7 @@ class Classes:
         """The classes met, by their numbers, with what they are called, in order of code, period or pattern."""
         return [(number, self._value(key)) for key, number in sorted(self._numbers.items())]
 
-    def _keys(self, block: Block, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def _keys(self, block: CellBlock, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
         if self.by == REGIME.name:
             return block.regime[counted].astype(np.int64)[:, None]
         if not counted.any():

@@ -28,7 +28,7 @@ _NAMES = [regime.name for regime in sorted(REGIMES, key=lambda regime: regime.co
 
 
 @dataclass(frozen=True)
-class Numbers:
+class ComparedNumbers:
     """A comparison in numbers.
 
     cells         of each pair of regimes (here, there), by ``_FIRST + index``
@@ -115,7 +115,7 @@ class Comparison:
         return xarray.DataArray(cells[np.ix_(kept, kept)], coords, ("here", "there"), "regimes", attrs)
 
     @cached_property
-    def numbers(self) -> Numbers:
+    def numbers(self) -> ComparedNumbers:
         """The table and the differences in numbers, from one reading of both atlases."""
         count = len(_NAMES)
         cells = np.zeros((count, count), np.int64)
@@ -141,7 +141,7 @@ class Comparison:
                     at = np.argwhere(known)[k]
                     most = float(difference[known][k]), self._place(first, at.tolist())
         solved = area[1:, 1:]  # pending comes first
-        return Numbers(
+        return ComparedNumbers(
             cells,
             float(np.trace(solved) / solved.sum()) if solved.sum() else float("nan"),
             compared,

@@ -8,7 +8,7 @@ from atlas.arguments import checked_name
 from atlas.errors import InputError
 from atlas.query.classes import Classes
 from atlas.query.resample import view
-from atlas.query.walk import Block, walk
+from atlas.query.walk import CellBlock, walk
 from atlas.query.window import Window, axis_names, axis_values, columns, within
 from workers.results import CHAOTIC, ERROR, LARGEST, LOCKING, NO_IMPACT, PENDING, PERIODIC, REASON, REGIME, REGIMES
 
@@ -76,7 +76,7 @@ class _Best:
         self.low: tuple[Any, tuple[int, ...]] | None = None
         self.high: tuple[Any, tuple[int, ...]] | None = None
 
-    def add(self, block: Block, values: Any, cells: Any) -> None:
+    def add(self, block: CellBlock, values: Any, cells: Any) -> None:
         """Compare the marked cells of a block."""
         at = np.argwhere(cells)
         self.cells += len(at)

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.query import machine
-from atlas.query.plane import Axis
+from atlas.query.plane import PlaneAxis
 from workers.model.elements import STOP, Contact
 from workers.model.expression import Expression
 from workers.model.oscillator import Mode, Oscillator
@@ -34,7 +34,7 @@ _NEGLIGIBLE = 1e-15
 """Share of all harmonics below which one moves no extreme."""
 
 
-def grazing_lines(ds: "xr.Dataset", x: Axis, y: Axis) -> list[Array]:
+def grazing_lines(ds: "xr.Dataset", x: PlaneAxis, y: PlaneAxis) -> list[Array]:
     """The lines (N, 2) of a plane along which the impact-free motion would just touch a stop, x first.
 
     InputError where the system is unknown or its impact-free motion is no linear one, and where a mode has no stiffness
@@ -142,7 +142,7 @@ def _roots(ascending: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def grazing_grid(
-    system: System, fixed: dict[str, float], x: Axis, y: Axis, points: int = POINTS
+    system: System, fixed: dict[str, float], x: PlaneAxis, y: PlaneAxis, points: int = POINTS
 ) -> tuple[Array, Array, Array]:
     """Points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
 
@@ -199,7 +199,7 @@ def _near_zero(ratio: Array) -> NDArray[np.bool_]:
     return np.asarray(ndimage.binary_dilation(crosses, np.ones((3, 3)))[:-1, :-1])
 
 
-def _points(system: System, axis: Axis, count: int) -> Array:
+def _points(system: System, axis: PlaneAxis, count: int) -> Array:
     # From edge to edge, or from the outermost cell's centre where its edge lies outside the parameter's range.
     admits = system.parameter(axis.name).admits
     first, last = axis.edges[0], axis.edges[-1]

@@ -19,7 +19,7 @@ OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "no impact", LOCKI
 """The names of regions of other motions."""
 
 
-class Motion(NamedTuple):
+class MotionName(NamedTuple):
     """What names a periodic motion: n forcing periods, p impacts at the upper stop and q at the lower.
 
     Where it rests on a stop, which makes its impacts infinitely many, n is 0, and p and q are -1.
@@ -37,7 +37,7 @@ class Motion(NamedTuple):
 
 def motions(
     regime: NDArray[np.int8], period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]
-) -> tuple[list[Motion], NDArray[np.intp]]:
+) -> tuple[list[MotionName], NDArray[np.intp]]:
     """The motions of periodic cells in rising order, and the number of each cell's motion; -1 where it has none."""
     counted = (regime == PERIODIC) & (period >= 1)
     rests = counted & (upper < 0)
@@ -45,7 +45,7 @@ def motions(
     kinds, which = np.unique(counts[counted], axis=0, return_inverse=True)
     number = np.full(regime.shape, -1)
     number[counted] = which.ravel()
-    return [Motion(*map(int, kind)) for kind in kinds], number
+    return [MotionName(*map(int, kind)) for kind in kinds], number
 
 
 def regions(plane: Plane, twins: bool) -> Iterator[tuple[str, Cells]]:

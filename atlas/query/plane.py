@@ -36,7 +36,7 @@ class Meaning(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Axis:
+class PlaneAxis:
     """One axis: its points in rising order, their cells' edges, whether it is drawn in the logarithm, its meaning."""
 
     name: str
@@ -50,7 +50,7 @@ class Axis:
         """Whether all cells are drawn equally wide on a linear scale."""
         return not self.log and is_uniform(self.values)
 
-    def finer(self, times: int) -> "Axis":
+    def finer(self, times: int) -> "PlaneAxis":
         """The axis with each cell cut into ``times`` that are drawn equally wide."""
         scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
         at = np.arange(2 * times * self.values.size + 1) / (2 * times)
@@ -58,7 +58,7 @@ class Axis:
         return replace(self, values=every[1::2], edges=every[::2])
 
 
-def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[Axis, ...]]":
+def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
     """The dataset with every axis in rising order, and its axes, x first."""
     names, axes = axis_names(ds), []
     for name in names:
@@ -67,7 +67,7 @@ def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[Axis, ...]]":
     for name in names:
         values = np.asarray(ds[name].values, dtype=np.float64)
         log = is_log(ds, name) and values[-1] / values[0] >= LOG_SPAN
-        axes.append(Axis(name, values, cell_edges(ds, name), log, Meaning.of(ds, name)))
+        axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, Meaning.of(ds, name)))
     return ds, tuple(axes)
 
 
@@ -80,8 +80,8 @@ def determined(regime: NDArray[np.int8]) -> Cells:
 class Plane:
     """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
 
-    x: Axis
-    y: Axis
+    x: PlaneAxis
+    y: PlaneAxis
     regime: NDArray[np.int8]
     values: Mapping[str, NDArray[Any]]
 

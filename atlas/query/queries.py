@@ -15,7 +15,7 @@ from atlas.query.attractors import leading, listed, of_all
 from atlas.query.reads import count_reads
 from atlas.query.resample import view
 from atlas.query.source import find_part
-from atlas.query.totals import Totals
+from atlas.query.totals import StoreTotals
 from atlas.query.window import (
     Window,
     axis_names,
@@ -124,7 +124,7 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     if part is None:
         areas = _areas_of_cells(shown, ds, inside(ds, window))
     else:
-        areas = Totals(part).areas()
+        areas = StoreTotals(part).areas()
         count_reads(part.pyramid.chunks_read)
     total = sum(areas.values())
     return {name: area / total for code, name in sorted(_NAMES.items()) if (area := areas[code])}
@@ -142,7 +142,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     part = find_part(ds, [REGIME.name, REASON.name])
     if part is None:
         return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
-    counts = Totals(part).reasons().tolist()
+    counts = StoreTotals(part).reasons().tolist()
     count_reads(part.pyramid.chunks_read)
     return {each.text: n for each, n in zip(REASONS, counts, strict=True) if n and each.code != NO_REASON}
 

@@ -22,7 +22,7 @@ _SHORTEST = 21
 """Such points over which the majority decides: dashes begin anew with each part, and lines that cross stay whole."""
 
 
-class Place(NamedTuple):
+class NamePlace(NamedTuple):
     """Where a name stands: its number among those given, the cell (row, column) under its middle, its size of type, its
     angle in degrees, and for a name beside its region the cell of the region that it points to.
     """
@@ -40,7 +40,7 @@ def places(
     type_sizes: Sequence[float],
     most: int = 2,
     free: Cells | None = None,
-) -> Iterator[Place]:
+) -> Iterator[NamePlace]:
     """Where names stand in the largest connected regions, at most ``most``, of sets of cells (y, x), where they fit.
 
     ``named``: cells and name; ``step``: height and width of a cell. A name takes the first of ``type_sizes`` that fits.
@@ -63,7 +63,7 @@ def places(
                 if spot is None:
                     continue
                 cell = spot[0] + boxes[number][0].start, spot[1] + boxes[number][1].start
-                yield Place(k, cell, size, spot[2])
+                yield NamePlace(k, cell, size, spot[2])
                 if free is not None:
                     free = free & (_distance(free.shape, cell, step) > np.hypot(*half))
                 placed = True
@@ -82,7 +82,7 @@ def places(
         cell = _unravelled(np.argmin(far), far.shape)
         if far[cell] <= _FARTHEST:
             free = free & (_distance(free.shape, cell, step) > np.hypot(tall, wide))
-            yield Place(k, cell, size, region=region)
+            yield NamePlace(k, cell, size, region=region)
 
 
 def _distance(shape: tuple[int, ...], cell: tuple[int, int], step: Array) -> Array:

@@ -17,7 +17,7 @@ from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 
 @dataclass(frozen=True)
-class Totals:
+class StoreTotals:
     """The totals of a part of a store, exact, from as few chunks as they take.
 
     The inside of the part is taken from the coarsest level that fits, its border from ever finer ones; where there are

@@ -23,7 +23,7 @@ _NOTHING = _MIXED + 1
 
 
 @dataclass(frozen=True)
-class Block:
+class CellBlock:
     """Some cells of a dataset: where they lie along its dimensions, their regimes, and named variables of them."""
 
     cells: Slices
@@ -31,7 +31,7 @@ class Block:
     values: dict[str, NDArray[Any]]
 
 
-def walk(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iterator[Block]:
+def walk(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iterator[CellBlock]:
     """Blocks that together hold every cell of these regimes, with the named variables; other cells may come along.
 
     Of a store, a block is a run of tiles along its last dimension. A tile that has no such cell by its record is
@@ -44,7 +44,7 @@ def walk(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iter
         dims = ds[REGIME.name].dims
         arrays = {name: ds[name].transpose(*dims).values for name in (REGIME.name, *wanted)}
         codes_of_cells = arrays.pop(REGIME.name)
-        yield Block(tuple(slice(0, n) for n in codes_of_cells.shape), codes_of_cells, arrays)
+        yield CellBlock(tuple(slice(0, n) for n in codes_of_cells.shape), codes_of_cells, arrays)
         return
     try:
         yield from _walk_part(part, wanted, codes)
@@ -52,7 +52,7 @@ def walk(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iter
         count_reads(part.pyramid.chunks_read)
 
 
-def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator[Block]:
+def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator[CellBlock]:
     states, levels = _states(part, codes), part.pyramid.levels
     tiles = levels.tiles_below(0, part.cells)
     for row in itertools.product(*(range(s.start, s.stop) for s in tiles[:-1])):
@@ -71,7 +71,7 @@ def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator
                 regime = part.pyramid.read(0, REGIME.name, piece)
             else:
                 regime = np.full(tuple(p.stop - p.start for p in piece), state, np.int8)
-            yield Block(cells[1:] if part.plane else cells, part.as_given(regime), values)
+            yield CellBlock(cells[1:] if part.plane else cells, part.as_given(regime), values)
 
 
 def _states(part: Part, codes: Collection[int]) -> NDArray[np.int64]:

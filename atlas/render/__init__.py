@@ -6,10 +6,10 @@ from there; ``python -m tests.reference`` draws the reference picture that they 
 
 from atlas.render.drawing import figure, portrait, render
 from atlas.render.kinds import BASINS, CURVES, KINDS, MAP_OVERLAYS, MAPS, OVERLAYS, SCALAR, has_scale, needs
-from atlas.render.options import Look
+from atlas.render.options import ScaleOptions
 from atlas.render.provenance import FORMATS, check_path
 
-LOOK = tuple(Look.__annotations__)
+LOOK = tuple(ScaleOptions.__annotations__)
 """The options of every picture that has a scale."""
 
 __all__ = [

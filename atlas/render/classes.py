@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from atlas.query import basins as reached
 from atlas.query.attractors import branches
-from atlas.query.motions import VARIABLES, Motion, broken_cells
+from atlas.query.motions import VARIABLES, MotionName, broken_cells
 from atlas.query.motions import motions as motions_of
 from atlas.query.plane import Cells, Plane
 from atlas.render import maps, style, words
-from atlas.render.maps import Colors, Painted, View
+from atlas.render.maps import Colors, PaintedView, View
 from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, SETTLED
 
 Class: TypeAlias = tuple[Cells, str, str]
@@ -96,7 +96,7 @@ def colored(
     beside: str | None = None,
     rgba: Colors | None = None,
     known: Cells | None = None,
-) -> Painted:
+) -> PaintedView:
     """Cells in the colours of their classes, and those of no class in the colours of their regimes.
 
     ``known`` ones keep the colour that they have in ``rgba`` (y, x, 4).
@@ -108,7 +108,7 @@ def colored(
         if cells.any():
             rgba[cells] = style.rgb(color)
             legend.append(style.swatch(color, name))
-    return Painted(rgba, legend + maps.paint_regimes(rgba, regime, others), beside=beside)
+    return PaintedView(rgba, legend + maps.paint_regimes(rgba, regime, others), beside=beside)
 
 
 def by_number(number: NDArray[np.int64], colors: Sequence[str]) -> Colors:
@@ -116,7 +116,7 @@ def by_number(number: NDArray[np.int64], colors: Sequence[str]) -> Colors:
     return np.array([style.rgb(color) for color in [*colors, "white"]], np.uint8)[number]
 
 
-def period(view: View) -> Painted:
+def period(view: View) -> PaintedView:
     """The forcing periods of each cell's orbit, and the regime where it never closes."""
     regime, period = view.plane.regime, view.plane["period"]
     classes = []
@@ -127,7 +127,7 @@ def period(view: View) -> Painted:
     return colored(regime, classes, beside="")
 
 
-def motions(view: View) -> Painted:
+def motions(view: View) -> PaintedView:
     """The periodic motions n-p-q of a plane, the large ones with their names on them."""
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
     found, number = motions_of(regime, *counts)
@@ -147,7 +147,7 @@ def motions(view: View) -> Painted:
     return replace(painted, legend=[*legend, *painted.legend], textures=[rests], names=named)
 
 
-def color_of(motion: Motion) -> str:
+def color_of(motion: MotionName) -> str:
     """The colour of a motion, the same in every picture; mirror images have one hue."""
     if motion.p < 0:
         return STICKS
@@ -157,7 +157,7 @@ def color_of(motion: Motion) -> str:
     return UNLISTED[crc32(repr(group).encode()) % len(UNLISTED)]
 
 
-def symmetry(view: View) -> Painted:
+def symmetry(view: View) -> PaintedView:
     """Which periodic motions are their own mirror image, x(t) = -x(t + T/2), and of the others which of two it is.
 
     A broken one has a twin, which another start reaches. Impact counts tell the two apart unless they are equal, or
@@ -177,7 +177,7 @@ def symmetry(view: View) -> Painted:
     return colored(regime, classes)
 
 
-def attractors(view: View) -> Painted:
+def attractors(view: View) -> PaintedView:
     """How many attractors the initial states of each cell have reached.
 
     A cell of which some initial states are undecided may have more: it is counted by those that are known.
@@ -189,7 +189,7 @@ def attractors(view: View) -> Painted:
     return colored(view.plane.regime, classes, beside="")
 
 
-def labels(view: View) -> Painted:
+def labels(view: View) -> PaintedView:
     """Which branch the attractor of each cell is on, that with the largest share unless another one was selected.
 
     A mirror image has a darker tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
@@ -243,11 +243,11 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
     one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
         return words.name_of(NO_IMPACT)
-    name = Motion(*(int(one[each]) for each in VARIABLES)).label
+    name = MotionName(*(int(one[each]) for each in VARIABLES)).label
     return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
 
 
-def basins(view: View) -> Painted:
+def basins(view: View) -> PaintedView:
     """Which attractor each initial state of a plane reaches, darker where motion takes longer to settle.
 
     A mirror image has a paler tone of its twin's hue; the section points of the attractors lie on top.
@@ -266,7 +266,7 @@ def basins(view: View) -> Painted:
             meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} periods"
             at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
             legend.insert(at, style.Gradient("#c8c8c8", SLOW, meaning))
-    return Painted(rgba, legend, over=partial(_draw_points, known=known, plane=plane, colors=colors))
+    return PaintedView(rgba, legend, over=partial(_draw_points, known=known, plane=plane, colors=colors))
 
 
 def _name_of_attractor(known: xr.Dataset, label: int) -> str:

@@ -19,7 +19,7 @@ from atlas.query.plane import Plane
 from atlas.query.window import axis_names
 from atlas.render import maps, scales, style, words
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
-from atlas.render.maps import Bar, Painted, View
+from atlas.render.maps import PaintedView, ScaleBar, View
 from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
 from atlas.text import plain
@@ -89,7 +89,7 @@ def curves_over(ds: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _line_look(look: style.Look) -> dict[str, Any]:
+def _line_look(look: style.EventLook) -> dict[str, Any]:
     return {"label": look.label, "color": look.color, "dashes": [] if look.dashes == "solid" else [*look.dashes[1]]}
 
 
@@ -102,7 +102,7 @@ def _mark_look(kind: str) -> dict[str, Any]:
 
 
 def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> CodedMap:
-    painted: Painted = view.kind.painter(view)
+    painted: PaintedView = view.kind.painter(view)
     sources, looks = _sources(view, painted)
     textures, patterns = _textures(view, painted)
     keys, codes = np.unique(sources * (len(patterns) + 1) + textures, return_inverse=True)
@@ -125,7 +125,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
 
 
-def _sources(view: View, painted: Painted) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
+def _sources(view: View, painted: PaintedView) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     """Where each cell has its colour from (y, x), and what that is: the number of a scale, or a colour."""
     found = np.full(view.plane.regime.shape, -1, np.int64)
     for number, bar in enumerate(painted.bars):
@@ -141,7 +141,7 @@ def _sources(view: View, painted: Painted) -> tuple[NDArray[np.int64], list[dict
     return found, [{"bar": number} for number in range(len(painted.bars))] + [{"color": color} for color in named]
 
 
-def _textures(view: View, painted: Painted) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
+def _textures(view: View, painted: PaintedView) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     """The texture of each cell (y, x), 0 for none, else its place in the list, from 1."""
     found, patterns = np.zeros(view.plane.regime.shape, np.int64), []
     for code, pattern in style.HATCH.items():
@@ -160,7 +160,7 @@ def _textures(view: View, painted: Painted) -> tuple[NDArray[np.int64], list[dic
     return found, patterns
 
 
-def _bar(bar: Bar, stored: NDArray[Any], variable: str) -> dict[str, Any]:
+def _bar(bar: ScaleBar, stored: NDArray[Any], variable: str) -> dict[str, Any]:
     colors = np.asarray(bar.colormap(np.arange(bar.colormap.N), bytes=True))[:, :3]
     zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
     return {

@@ -14,7 +14,7 @@ from atlas.query.queries import PER_TIME, fractions, rate_of
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE, check_overlays, chosen_kind
-from atlas.render.options import MapLook, Sheet, Wanted, names_in, split_look, takes
+from atlas.render.options import MapLook, PageOptions, Wanted, names_in, split_look, takes
 from atlas.render.provenance import check_path, provenance_of, save
 from atlas.spec.spec import MOST_AXES, given_values
 from atlas.spec.system import checked_system
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from atlas.branches.table import Branches
-    from atlas.render.page import Page
+    from atlas.render.page import DrawnPage
 
     Subject: TypeAlias = xr.Dataset | Sequence[xr.Dataset] | Comparison | CellOrbit | Branches
 
@@ -80,7 +80,7 @@ def render(
     return target
 
 
-@takes(Sheet, others=True)
+@takes(PageOptions, others=True)
 def portrait(
     given: Mapping[str, Any] | None = None,
     /,
@@ -107,7 +107,9 @@ def portrait(
     if path is not None:
         check_path(path)
     record = checked_system(system)
-    check_names("parameter or option", named, [*(each.name for each in record.parameters), *Sheet.__annotations__])
+    check_names(
+        "parameter or option", named, [*(each.name for each in record.parameters), *PageOptions.__annotations__]
+    )
     look, values = split_look(named)
     page(**look).refuse_ends("a portrait")  # before the cell is solved
     drawn: Figure = figure(cell_orbit(given_values(given, values), record, settings), path=path, **look)
@@ -211,7 +213,7 @@ def check_units(*atlases: "xr.Dataset") -> None:
             raise InputError(f"pictures draw exponents {PER_PERIOD}, found {PER_TIME}; draw it as stored")
 
 
-def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "Page") -> None:
+def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "DrawnPage") -> None:
     """Note above a map that it is coarser than its atlas, and the exact shares of doubtful cells."""
     shares = fractions(ds)
     names = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]

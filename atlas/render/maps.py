@@ -18,14 +18,14 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from atlas.query.plane import Axis, Cells, Plane
+from atlas.query.plane import Cells, Plane, PlaneAxis
 from atlas.query.resample import view as in_view
 from atlas.query.room import places
 from atlas.query.tidy import borders, runs, specks
 from atlas.render import style, words
 from atlas.render.kinds import Kind
 from atlas.render.options import Wanted
-from atlas.render.page import Page
+from atlas.render.page import DrawnPage
 from workers.results import ATTRACTOR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, REGIMES, UNDETERMINED
 
 Colors = NDArray[np.uint8]
@@ -55,7 +55,7 @@ class View:
     wanted: Wanted
 
     @property
-    def page(self) -> Page:
+    def page(self) -> DrawnPage:
         """What it is drawn on."""
         return self.wanted.page
 
@@ -80,7 +80,7 @@ class Texture(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Bar:
+class ScaleBar:
     """A scale beside a map: the values that it was made for, its label, and a title where there are several."""
 
     colormap: Colormap
@@ -91,7 +91,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Painted:
+class PaintedView:
     """A view in colours.
 
     rgba       (y, x, 4) in bytes
@@ -104,7 +104,7 @@ class Painted:
 
     rgba: Colors
     legend: Sequence[Artist]
-    bars: Sequence[Bar] = ()
+    bars: Sequence[ScaleBar] = ()
     textures: Sequence[Texture] = ()
     beside: str | None = None
     over: Callable[[Axes], list[Artist]] | None = None
@@ -122,7 +122,7 @@ def draw_map(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
     return draw_painted(view, kind.painter(view))
 
 
-def draw_painted(view: View, painted: Painted) -> Figure:
+def draw_painted(view: View, painted: PaintedView) -> Figure:
     """The map of a view in its colours as a figure, with its overlays."""
     from atlas.render import overlays, scales
 
@@ -151,7 +151,7 @@ def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
     return View(kind, ds, plane, wanted)
 
 
-def lay(ax: Axes, plane: Plane, painted: Painted, page: Page) -> list[Artist]:
+def lay(ax: Axes, plane: Plane, painted: PaintedView, page: DrawnPage) -> list[Artist]:
     """Draw what was painted into a plot, and return its legend entries."""
     enlarged = draw_cells(ax, plane, painted.rgba, page)
     for entry in painted.legend:
@@ -192,7 +192,7 @@ def regime_entry(code: int, label: str) -> Patch:
     return style.swatch(style.COLORS[code], label, pattern, style.HATCH_INK.get(code, style.TEXTURE))
 
 
-def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: Page) -> set[str]:
+def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: DrawnPage) -> set[str]:
     """Draw cells in colours (y, x, 4) from edge to edge, as pixels in vector files too; the names of enlarged regimes.
 
     An image where all cells are equal; quadrilaterals otherwise. Colours are never blended between cells. A cell
@@ -253,7 +253,7 @@ def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> N
     return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
 
 
-def scale_axes(ax: Axes, labels: bool = True, **axes: Axis) -> None:
+def scale_axes(ax: Axes, labels: bool = True, **axes: PlaneAxis) -> None:
     """Give the axes ``x`` and ``y`` of a plot their scales, limits and ticks, and their labels if asked."""
     for each, axis in axes.items():
         if axis.log:

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from atlas.render.kinds import Kind
-from atlas.render.maps import Bar, Colors, Painted
+from atlas.render.maps import Colors, PaintedView, ScaleBar
 from atlas.render.scales import FORMS, both_signs
 
 LINEAR, LOG, TWO_SIDED, SIGNED = *FORMS.values(), "signed"
@@ -35,7 +35,7 @@ class PixelScale:
 
 
 def numbered(
-    pixels: Colors, numbers: NDArray[np.int64], painted: Painted, kind: Kind
+    pixels: Colors, numbers: NDArray[np.int64], painted: PaintedView, kind: Kind
 ) -> tuple[Colors, PixelScale | None]:
     """A picture (rows, columns, 4) whose pixels have codes of three bytes and no alpha where a number coloured them.
 
@@ -55,7 +55,7 @@ def numbered(
     return np.where(shown[..., None], codes[numbers], pixels), scale
 
 
-def scale_of(kind: Kind, bar: Bar) -> PixelScale | None:
+def scale_of(kind: Kind, bar: ScaleBar) -> PixelScale | None:
     """The scale of a bar; None where its numbers do not differ, or are placed in no way that has a name."""
     form = FORMS.get(type(bar.norm))
     ends, colormap = (float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 0.0)), bar.colormap

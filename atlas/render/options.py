@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from atlas.render.page import Page
+    from atlas.render.page import DrawnPage
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Sheet(TypedDict, total=False):
+class PageOptions(TypedDict, total=False):
     """The options of every picture, each with its meaning."""
 
     width: Annotated[
@@ -35,7 +35,7 @@ class Sheet(TypedDict, total=False):
     style: Annotated[str | Path | None, "a matplotlib style: a file, or the name of one of matplotlib's own"]
 
 
-class Look(Sheet, total=False):
+class ScaleOptions(PageOptions, total=False):
     """The options of every picture that has a scale."""
 
     vmin: Annotated[float | None, "lower end of the scale of numbers, or of the axis of exponents in a sweep"]
@@ -59,13 +59,13 @@ class _OfAtlas(TypedDict, total=False):
     ]
 
 
-class MapLook(_OfAtlas, Look, total=False):
+class MapLook(_OfAtlas, ScaleOptions, total=False):
     """The options of a picture of one atlas."""
 
 
 def split_look(named: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
     """The options of a picture among these arguments, and the others."""
-    look = {name: value for name, value in named.items() if name in Sheet.__annotations__}
+    look = {name: value for name, value in named.items() if name in PageOptions.__annotations__}
     return look, {name: value for name, value in named.items() if name not in look}
 
 
@@ -76,7 +76,7 @@ class Wanted:
     ``curves`` are kinds of exact curves, None for all; ``names``: whether names and levels stand on a map.
     """
 
-    page: "Page"
+    page: "DrawnPage"
     kind: str | None = None
     window: Window | None = None
     overlays: tuple[str, ...] = ()

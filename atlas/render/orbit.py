@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from atlas.cell import shown as selection
 from atlas.cell.orbit import CellOrbit, describe
 from atlas.render import style, words
-from atlas.render.page import STANDARD, Page
+from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.sweep import color_of
 from workers.results import REGIME, UNDETERMINED
 
@@ -43,7 +43,7 @@ class Shown(NamedTuple):
         return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
 
-def figure(orbit: CellOrbit, page: Page = STANDARD, gap_plane: bool = True) -> Figure:
+def figure(orbit: CellOrbit, page: DrawnPage = STANDARD, gap_plane: bool = True) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
 
     Without ``gap_plane`` it lacks the phase plane of the gap coordinate, which stands beside it already.

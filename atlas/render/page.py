@@ -23,7 +23,7 @@ from matplotlib.transforms import ScaledTranslation
 from atlas.arguments import checked_flag
 from atlas.errors import InputError, shown
 from atlas.render.fit import TITLE, fit
-from atlas.render.options import Look
+from atlas.render.options import ScaleOptions
 from atlas.render.style import DPI, drawing, house
 
 WIDTH = 7.0
@@ -44,7 +44,7 @@ _BESIDE = 5.0
 """Least width in inches of a page that has room for a legend beside its plot."""
 
 
-class Picture(Figure):
+class NotebookFigure(Figure):
     """A figure that a notebook shows by itself, with neither pyplot nor a magic line, and that threads draw in turn."""
 
     def savefig(self, *given: Any, **options: Any) -> None:
@@ -61,7 +61,7 @@ class Picture(Figure):
 
 
 @dataclass(frozen=True)
-class Page:
+class DrawnPage:
     """A page, with lengths in inches and type in points; ``given`` are axes to draw into instead of a new figure.
 
     ``explained``: whether it has a legend.
@@ -124,7 +124,7 @@ class Page:
     def figure(self, height: float) -> Figure:
         """An empty figure that leaves room for what stands outside its axes; ``height`` unless another is asked for."""
         size, dpi = (self.width, self.height or height), self.dpi if self.dpi != DPI else None
-        drawn = Picture(figsize=size, layout="constrained", facecolor="white", dpi=dpi)
+        drawn = NotebookFigure(figsize=size, layout="constrained", facecolor="white", dpi=dpi)
         FigureCanvasAgg(drawn)
         return drawn
 
@@ -216,17 +216,19 @@ class Page:
         drawn.draw_without_rendering()
 
 
-STANDARD = Page()
+STANDARD = DrawnPage()
 
 
-def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
-    """The page that these describe, see ``Look``; ``ax``: axes to draw into, one or, for a sweep, one for each plot.
+def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> DrawnPage:
+    """The page that these describe, see ``ScaleOptions``; ``ax``: axes to draw into, for a sweep one for each plot.
 
     Raises InputError for a length, a size or a resolution that is none, and for a style that cannot be read.
     """
-    unknown = set(look) - set(Look.__annotations__)
+    unknown = set(look) - set(ScaleOptions.__annotations__)
     if unknown:
-        raise InputError(f"unknown option {sorted(unknown)[0]!r}; possible: {', '.join([*Look.__annotations__, 'ax'])}")
+        raise InputError(
+            f"unknown option {sorted(unknown)[0]!r}; possible: {', '.join([*ScaleOptions.__annotations__, 'ax'])}"
+        )
     wrong = InputError(
         f"ax: found {shown(ax)}, must be matplotlib axes, one or, for a sweep, one for each of its plots"
     )
@@ -255,7 +257,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
             f"dpi: found {dpi:g}, with type of {font:g} points, makes letters of {font * dpi / 72.0:.2g} dots; must "
             f"make them {_LEAST_DOTS:g} or more"
         )
-    return Page(
+    return DrawnPage(
         width=width,
         height=_length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
         font=font,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
-    from atlas.render.page import Page
+    from atlas.render.page import DrawnPage
 
 FORMATS = ("png", "svg", "pdf")
 """The formats of a picture; the file's suffix chooses one."""
@@ -45,7 +45,7 @@ def check_path(path: str | Path) -> str:
     return suffix.lower().removeprefix(".")
 
 
-def save(drawn: "Figure", target: Path, provenance: Provenance, page: "Page") -> None:
+def save(drawn: "Figure", target: Path, provenance: Provenance, page: "DrawnPage") -> None:
     """Write a figure with its provenance; InputError where that cannot be."""
     suffix = check_path(target)
     try:

@@ -22,8 +22,8 @@ from atlas.query.ends import number_ends, scale_ends
 from atlas.query.extremes import regimes_with
 from atlas.query.tidy import without_dust
 from atlas.render import classes, kinds, maps, style, words
-from atlas.render.maps import Bar, Colors, Painted, Texture, View
-from atlas.render.page import STANDARD, Page
+from atlas.render.maps import Colors, PaintedView, ScaleBar, Texture, View
+from atlas.render.page import STANDARD, DrawnPage
 from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC
 
 Array = NDArray[np.float64]
@@ -63,14 +63,14 @@ ERRORS = {
 """Colours and regimes of each kind of error: they differ by ten decades, and one scale would show none of them."""
 
 
-def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
+def exponent(view: View, norm: TwoSlopeNorm | None = None) -> PaintedView:
     """The chaos map: the largest Lyapunov exponent, blue where motion is stable, orange to dark red in chaos.
 
     ``norm``: a scale that several maps share. Impact-free cells have exponents as others do: they are textured.
     """
     regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
-    painted = _scaled(regime, largest, Bar(EXPONENT, norm, largest, kinds.TABLE["exponent"].scale.label))
+    painted = _scaled(regime, largest, ScaleBar(EXPONENT, norm, largest, kinds.TABLE["exponent"].scale.label))
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
         return painted
@@ -79,7 +79,7 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Painted:
     return replace(painted, textures=[texture, *painted.textures])
 
 
-def two_sided(page: Page, low: float, high: float) -> TwoSlopeNorm:
+def two_sided(page: DrawnPage, low: float, high: float) -> TwoSlopeNorm:
     """The scale between these ends, or those that the page gives; InputError unless zero is between them."""
     low, high = page.ends(low, high)
     if not low < 0.0 < high:
@@ -87,7 +87,7 @@ def two_sided(page: Page, low: float, high: float) -> TwoSlopeNorm:
     return TwoSlopeNorm(0.0, low, high)
 
 
-def combined(view: View) -> Painted:
+def combined(view: View) -> PaintedView:
     """The period where motion is periodic, the largest exponent where it is chaotic."""
     regime = view.plane.regime
     largest = np.where(regime == CHAOTIC, view.plane[LARGEST.name], np.nan)
@@ -97,30 +97,30 @@ def combined(view: View) -> Painted:
     # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.
     named = words.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
     legend = [each for each in painted.legend if each.get_label() != named]
-    return Painted(painted.rgba, legend, [Bar(CHAOS, norm, largest, view.kind.scale.label)])
+    return PaintedView(painted.rgba, legend, [ScaleBar(CHAOS, norm, largest, view.kind.scale.label)])
 
 
-def number(view: View) -> Painted:
+def number(view: View) -> PaintedView:
     """A number of each cell whose class of motion is known, on the scale of its kind."""
     return _numbers(view, view.plane.known(*view.kind.variables))
 
 
-def cost(view: View) -> Painted:
+def cost(view: View) -> PaintedView:
     """The forcing periods simulated; of an undetermined cell too, which cost the most that a cell may."""
     solved = ~np.isin(view.plane.regime, (PENDING, INVALID, FAILED))
     return _numbers(view, np.where(solved, view.plane["periods_used"].astype(float), np.nan))
 
 
-def _numbers(view: View, values: Array) -> Painted:
+def _numbers(view: View, values: Array) -> PaintedView:
     """Numbers (y, x) on the scale of their kind; where all are 0, with a name of its own, there is no bar."""
     scale = view.kind.scale
-    bar = Bar(colormap_of(scale.colors), color_norm(values, scale.log, view.page), values, scale.label)
+    bar = ScaleBar(colormap_of(scale.colors), color_norm(values, scale.log, view.page), values, scale.label)
     others = [] if scale.zero is None else [(values == 0.0, *scale.zero)]
     painted = _scaled(view.plane.regime, values, bar, others)
     return replace(painted, bars=[bar] if scale.zero is None or np.any(values > 0.0) else [])
 
 
-def scalar(view: View) -> Painted:
+def scalar(view: View) -> PaintedView:
     """Any number of each cell, the one that is named or that of the kind, from pale to dark, on two scales around zero.
 
     Cells whose motion has no such number are NEUTRAL, and textured where it is -inf. InputError for a logarithmic scale
@@ -138,12 +138,14 @@ def scalar(view: View) -> Painted:
     zero = known & (values == 0.0) & log
     none = ~known & plane.determined & (regime != NO_IMPACT)
     meaning = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
-    bar = Bar(signed_colormap(norm, scale.colors), norm, values, label)
+    bar = ScaleBar(signed_colormap(norm, scale.colors), norm, values, label)
     painted = _scaled(regime, values, bar, [(zero | none, NEUTRAL, meaning)])
     return replace(painted, bars=[bar] if np.isfinite(values).any() else [])
 
 
-def _scaled(regime: NDArray[np.int8], values: Array, bar: Bar, others: Sequence[classes.Class] = ()) -> Painted:
+def _scaled(
+    regime: NDArray[np.int8], values: Array, bar: ScaleBar, others: Sequence[classes.Class] = ()
+) -> PaintedView:
     """Values (y, x) in the colours of a scale, and other cells in theirs; those that are NaN show their regime.
 
     Exponents of -inf, which are off any scale, have a texture over its lowest colour.
@@ -160,7 +162,7 @@ def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> Colors:
     return np.asarray(colormap(norm(np.where(np.isnan(values), least, np.maximum(values, least))), bytes=True))
 
 
-def color_norm(values: Array, log: bool, page: Page = STANDARD) -> Normalize:
+def color_norm(values: Array, log: bool, page: DrawnPage = STANDARD) -> Normalize:
     """The scale of finite values, see ``number_ends``; ends that the page gives are kept."""
     low, high = page.ends(*number_ends(values, log))
     if log and low <= 0.0:
@@ -182,7 +184,7 @@ def both_signs(above: tuple[str, ...]) -> Colormap:
     return colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)
 
 
-def error(view: View) -> Painted:
+def error(view: View) -> PaintedView:
     """How well the largest exponent of every cell is known, on a scale for each kind of error.
 
     Numerical where the motion is periodic or without impact, a standard error where it is chaotic, the difference
@@ -200,12 +202,12 @@ def error(view: View) -> Painted:
         if cells.any():
             norm = color_norm(values, log=True, page=view.page if CHAOTIC in codes else STANDARD)
             rgba[cells] = on_scale(values, norm, colormap)[cells]
-            bars.append(Bar(colormap, norm, values, view.kind.scale.label, name))
-    return Painted(rgba, maps.paint_regimes(rgba, regime, np.isnan(known)), bars)
+            bars.append(ScaleBar(colormap, norm, values, view.kind.scale.label, name))
+    return PaintedView(rgba, maps.paint_regimes(rgba, regime, np.isnan(known)), bars)
 
 
 def draw_bars(
-    drawn: Figure, panels: Sequence[Axes], bars: Sequence[Bar], page: Page = STANDARD, below: bool = False
+    drawn: Figure, panels: Sequence[Axes], bars: Sequence[ScaleBar], page: DrawnPage = STANDARD, below: bool = False
 ) -> None:
     """Draw the scales of plots to the right of them, or below: one along all plots, several stacked beside the first.
 

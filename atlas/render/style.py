@@ -131,7 +131,7 @@ def ink_on(color: ColorType) -> str:
     return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
 
 
-class Look(NamedTuple):
+class EventLook(NamedTuple):
     """The look of a kind of event: its name in a legend, its colour, the dashes of curves, the marker of points.
 
     Colours are told apart without red or green receptors, dashes and markers without any colour.
@@ -144,18 +144,18 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "fold": Look("fold", "#000000", "solid", "D"),
-    "symmetry_breaking": Look("symmetry breaking", "#0060a8", (0, (7, 2, 1.5, 2)), "s"),
-    "period_doubling": Look("period doubling", "#c44601", (0, (5, 1.8)), "^"),
-    "neimark_sacker": Look("Neimark–Sacker", "#00785a", (0, (4, 1.5, 1.2, 1.5, 1.2, 1.5)), "o"),
-    "graze": Look("graze", "#8a1c7c", (0, (1.3, 1.5)), "v"),
-    "impact_lost": Look("impact lost", "#e09000", (0, (1.3, 3.0)), "<"),
-    "contact_lost": Look("contact lost", "#e09000", (0, (1.3, 4.5)), "p"),
-    "lift_off": Look("lift-off", "#e09000", (0, (3.0, 1.3)), ">"),
-    "stick_onset": Look("onset of stick", "#642810", (0, (5, 1.5, 1.2, 1.5)), "P"),
-    "stick_end": Look("end of stick", "#642810", (0, (2.5, 2.5)), "X"),
-    "grazing_sliding": Look("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
-    "adding_sliding": Look("adding–sliding", "#642810", (0, (6, 4)), "h"),
+    "fold": EventLook("fold", "#000000", "solid", "D"),
+    "symmetry_breaking": EventLook("symmetry breaking", "#0060a8", (0, (7, 2, 1.5, 2)), "s"),
+    "period_doubling": EventLook("period doubling", "#c44601", (0, (5, 1.8)), "^"),
+    "neimark_sacker": EventLook("Neimark–Sacker", "#00785a", (0, (4, 1.5, 1.2, 1.5, 1.2, 1.5)), "o"),
+    "graze": EventLook("graze", "#8a1c7c", (0, (1.3, 1.5)), "v"),
+    "impact_lost": EventLook("impact lost", "#e09000", (0, (1.3, 3.0)), "<"),
+    "contact_lost": EventLook("contact lost", "#e09000", (0, (1.3, 4.5)), "p"),
+    "lift_off": EventLook("lift-off", "#e09000", (0, (3.0, 1.3)), ">"),
+    "stick_onset": EventLook("onset of stick", "#642810", (0, (5, 1.5, 1.2, 1.5)), "P"),
+    "stick_end": EventLook("end of stick", "#642810", (0, (2.5, 2.5)), "X"),
+    "grazing_sliding": EventLook("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
+    "adding_sliding": EventLook("adding–sliding", "#642810", (0, (6, 4)), "h"),
 }
 """The kinds with one condition, in the order of legends."""
 

@@ -17,13 +17,13 @@ from atlas.errors import InputError
 from atlas.query import hysteresis, machine
 from atlas.query.attractors import branches as branches_of
 from atlas.query.attractors import leading
-from atlas.query.plane import Axis, Meaning, rising
+from atlas.query.plane import Meaning, PlaneAxis, rising
 from atlas.query.tidy import runs, turns
 from atlas.query.window import spec_of_axis
 from atlas.render import classes, maps, style, words
 from atlas.render.kinds import TABLE
 from atlas.render.options import Wanted
-from atlas.render.page import STANDARD, Page
+from atlas.render.page import STANDARD, DrawnPage
 from atlas.spec.system import stored_system
 from workers.results import (
     ATTRACTOR,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from atlas.branches.table import Branches
 
 Array = NDArray[np.float64]
-Panel: TypeAlias = Callable[[Axes, xr.Dataset, Axis, Page], None]
+Panel: TypeAlias = Callable[[Axes, xr.Dataset, PlaneAxis, DrawnPage], None]
 """Draws one panel of a sweep from what was read of it."""
 
 LARGEST_LABEL = f"largest Lyapunov exponent\n$\\lambda_1$ [{PER_PERIOD}]"
@@ -154,7 +154,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     return stack(ds, read, panels, entries, wanted)
 
 
-def figure_of_branches(branches: "Branches", page: Page = STANDARD) -> Figure:
+def figure_of_branches(branches: "Branches", page: DrawnPage = STANDARD) -> Figure:
     """Branches as a figure of their own, under the title line of the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
     meaning = Meaning(parameter.meaning, parameter.symbol, parameter.unit)
@@ -173,7 +173,7 @@ def held(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
     return [name for name in names if all(name in each and each[name].size for each in atlases)]
 
 
-def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, Axis]:
+def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, PlaneAxis]:
     """These variables and the regimes along the axis of a sweep in rising order, and that axis.
 
     The only place where the pictures of sweeps choose what they read.
@@ -183,7 +183,11 @@ def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, Axis]:
 
 
 def stack(
-    ds: xr.Dataset, read: tuple[xr.Dataset, Axis], panels: Mapping[str, Panel], legend: Sequence[Artist], wanted: Wanted
+    ds: xr.Dataset,
+    read: tuple[xr.Dataset, PlaneAxis],
+    panels: Mapping[str, Panel],
+    legend: Sequence[Artist],
+    wanted: Wanted,
 ) -> Figure:
     """Panels over one shared axis, under the title line of the fixed parameters; branches over the section."""
     page, (cells, x), (least, share) = wanted.page, read, _HEIGHT[len(panels)]
@@ -213,14 +217,14 @@ def stack(
     return drawn
 
 
-def _draw_section(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
+def _draw_section(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
     regime, section = ds[REGIME.name].values, _values(ds, x, SECTION.name)
     for code in np.unique(regime[regime != PENDING]):
         least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
         draw_points(ax, x, section, style.INK[int(code)], point_size(x, least, page), cells=regime == code)
 
 
-def _draw_largest(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
+def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
     largest = ds[LARGEST.name].values
     finite = np.where(np.isfinite(largest), largest, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
@@ -233,7 +237,7 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
     _mark_lost(ax, x, np.isneginf(largest), LARGEST_LABEL, r"(▾: $-\infty$)")
 
 
-def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
+def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     finite = np.where(np.isfinite(spectrum), spectrum, np.nan)
@@ -249,7 +253,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
 def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
     """Section values or exponents of every attractor; those of larger share lie on top."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             here = ds.isel({ATTRACTOR: k})
             values, size = _values(here, x, name), point_size(x, (0.6 if name == SECTION.name else 1.0) * _POINT, page)
@@ -263,7 +267,7 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
     """The shares of all attractors on top of each other, parted by white lines; the rest up to 1 is undecided."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: Axis, page: Page) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
         bands: list[tuple[str, Array]] = []
         for k in range(ds.sizes[ATTRACTOR]):
             here = ds.isel({ATTRACTOR: k})
@@ -293,7 +297,7 @@ def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArra
         yield (label >= 0) & (colors[np.maximum(label, 0)] == color), str(color)
 
 
-def _mark_lost(ax: Axes, x: Axis, lost: Any, label: str, note: str) -> None:
+def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None:
     """Mark cells with an exponent of -inf, which has no place on the axis, at its foot, and label the axis."""
     if lost.any():
         foot = np.full(lost.sum(), 0.015)
@@ -301,7 +305,7 @@ def _mark_lost(ax: Axes, x: Axis, lost: Any, label: str, note: str) -> None:
     ax.set_ylabel(f"{label}\n{note}" if lost.any() else label)
 
 
-def draw_branches(ax: Axes, branches: "Branches", page: Page) -> list[Artist]:
+def draw_branches(ax: Axes, branches: "Branches", page: DrawnPage) -> list[Artist]:
     """Draw branches, those of mirror images too, with their events, and return the legend entries of what is there."""
     lines, places, entries = list(branches.lines()), list(branches.places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
@@ -325,13 +329,20 @@ def color_of(i: int) -> str:
     return EXPONENTS[i % len(EXPONENTS)]
 
 
-def point_size(x: Axis, least: float, page: Page) -> float:
+def point_size(x: PlaneAxis, least: float, page: DrawnPage) -> float:
     """The diameter of a point in points: wider than a cell, but within what is seen and what tells points apart."""
     return float(np.clip(1.6 * page.plot_size(1.0)[0] / x.values.size, least, 4.0))
 
 
 def draw_points(
-    ax: Axes, x: Axis, values: Array, color: str, size: float, marker: str = ".", zorder: float = 3, cells: Any = True
+    ax: Axes,
+    x: PlaneAxis,
+    values: Array,
+    color: str,
+    size: float,
+    marker: str = ".",
+    zorder: float = 3,
+    cells: Any = True,
 ) -> None:
     """Draw the finite values (N,) or (N, n) of these cells (N,), by default of all, as points, ``size`` in points."""
     at, shown = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
@@ -339,7 +350,7 @@ def draw_points(
     ax.plot(at[shown], values[shown], marker, **look)
 
 
-def _values(ds: xr.Dataset, x: Axis, name: str) -> Array:
+def _values(ds: xr.Dataset, x: PlaneAxis, name: str) -> Array:
     """The values of a variable along a sweep; of sections those of the gap coordinate."""
     return machine.gap_values(ds, x.name, ds[name]) if name == SECTION.name else np.asarray(ds[name].values)
 

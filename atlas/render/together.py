@@ -22,9 +22,9 @@ from atlas.query.window import axis_names, within
 from atlas.render import maps, scales, style, words
 from atlas.render.fit import OWN_TITLE
 from atlas.render.kinds import TABLE, found_axes
-from atlas.render.maps import Painted
+from atlas.render.maps import PaintedView
 from atlas.render.options import Wanted
-from atlas.render.page import STANDARD, Page
+from atlas.render.page import STANDARD, DrawnPage
 from workers.results import LARGEST, PENDING, REGIMES
 
 KINDS = ("exponent", "period")
@@ -37,7 +37,7 @@ _SHARE = 2.0
 """Per cent of the differences that may lie beyond the ends of the scale."""
 
 
-def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
+def difference(compared: Comparison, page: DrawnPage = STANDARD) -> Figure:
     """Two maps: the difference of the exponents, there minus here, and where the regime is another there, which.
 
     Where there are no exponents, the second alone. InputError for atlases with one axis.
@@ -87,7 +87,7 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[
         if chosen.name == "exponent":
             known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
             norm = scales.two_sided(page, *scale_ends(known))
-            bars = [maps.Bar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
+            bars = [maps.ScaleBar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
         entries: dict[str, Artist] = {}
         letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
         for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
@@ -106,7 +106,7 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[
     return drawn
 
 
-def _sheet(page: Page, count: int, most: int) -> tuple[Figure, list[Axes], Page]:
+def _sheet(page: DrawnPage, count: int, most: int) -> tuple[Figure, list[Axes], DrawnPage]:
     """A figure of several plots with axes in common, those plots, and the page of one of them.
 
     They stand in rows of at most ``most`` on a wide page, of one less on a narrow one.
@@ -175,7 +175,7 @@ def _coarseness(block: int) -> str:
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
-def _difference(here: Plane, there: Plane, pending: Cells, page: Page) -> Painted:
+def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> PaintedView:
     """The differences of exponents, with their scale."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
     known = change[~np.isnan(change)]
@@ -189,10 +189,10 @@ def _difference(here: Plane, there: Plane, pending: Cells, page: Page) -> Painte
     rgba[unknown] = style.rgb(WITHOUT)
     rgba[pending] = 0
     legend = [style.swatch(WITHOUT, "without an exponent in one")] if np.any(unknown & ~pending) else []
-    return Painted(rgba, legend, [maps.Bar(DIFFERENCE, norm, change, label)])
+    return PaintedView(rgba, legend, [maps.ScaleBar(DIFFERENCE, norm, change, label)])
 
 
-def _changes(here: Plane, there: Plane, pending: Cells) -> Painted:
+def _changes(here: Plane, there: Plane, pending: Cells) -> PaintedView:
     """The regimes there of cells that have another one here."""
     rgba = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8)
     entries = [style.swatch(SAME, "same regime")]
@@ -204,4 +204,4 @@ def _changes(here: Plane, there: Plane, pending: Cells) -> Painted:
     rgba[pending] = 0
     if pending.any():
         entries.append(maps.regime_entry(PENDING, words.name_of(PENDING)))
-    return Painted(rgba, entries)
+    return PaintedView(rgba, entries)

@@ -17,7 +17,7 @@ from workers.model.system import DEFAULT, System
 from workers.results import REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
-    from workers.attractors.basins import Table
+    from workers.attractors.basins import AttractorTable
     from workers.model.oscillator import Array
 
 _NAMES = {regime.code: regime.name for regime in REGIMES}
@@ -56,7 +56,7 @@ def stability(
     >>> [(each["period"], round(each["return_time"], 3)) for each in found["coexisting"]]
     [(1, 4.245), (3, 4.276)]
     """
-    from workers.attractors.basins import Table
+    from workers.attractors.basins import AttractorTable
 
     record, settings = checked_system(system), given_settings(settings)
     checked_flag("shocks", shocks)
@@ -64,7 +64,7 @@ def stability(
         raise InputError("exponents: found 'none'; stability measures need the largest one")
     parameters, weights = checked_parameters(record, given_values(given, named)), checked_weights(norm, record)
     search = cell_attractors(starts, record, settings)
-    table = Table(record, parameters, settings, search)
+    table = AttractorTable(record, parameters, settings, search)
     w = weights_of(weights, record, float(table.oscillators.period[0]))
     tried = int(table.tried[0])
     found: dict[str, Any] = {
@@ -82,7 +82,7 @@ def stability(
     return resolved_search(record, parameters, settings, search) | found | {"coexisting": each}
 
 
-def _measured(table: "Table", place: int, weights: "Array", shocks: bool) -> dict[str, Any]:
+def _measured(table: "AttractorTable", place: int, weights: "Array", shocks: bool) -> dict[str, Any]:
     """What is known of the attractor in this place of the table."""
     from atlas.robustness.linear import measures_of
 
@@ -107,7 +107,7 @@ def _measured(table: "Table", place: int, weights: "Array", shocks: bool) -> dic
     }
 
 
-def _shocked(table: "Table", place: int, weights: "Array") -> dict[str, Any]:
+def _shocked(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:
     """The minimal fatal shock of the attractor in this place of the table."""
     from atlas.robustness.shock import shock_of
 

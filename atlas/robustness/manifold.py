@@ -45,7 +45,7 @@ LENGTH, OUTSIDE, BUDGET, LOST = "length", "outside", "budget", "lost"
 
 
 @dataclass
-class Branch:
+class ManifoldHalf:
     """One half of a manifold: points (N, 2) in order, from the saddle; ``breaks``: points that begin anew at a stop."""
 
     points: list[Array]
@@ -60,7 +60,7 @@ class Branch:
 
 def grow(
     image: Map, saddle: Array, direction: Array, box: tuple[Array, Array], length: float, across: Across
-) -> Branch:
+) -> ManifoldHalf:
     """The branch of the stable manifold that leaves a fixed point along a direction, both of length-1 coordinates.
 
     image    the map, of a positive multiplier inside: f o f where it is negative
@@ -69,7 +69,7 @@ def grow(
     """
     low, high = box
     extent = float(np.linalg.norm(high - low))
-    branch = Branch([saddle, saddle + FIRST * extent * direction])
+    branch = ManifoldHalf([saddle, saddle + FIRST * extent * direction])
     step, grown, at = FIRST * extent, FIRST * extent, 0
     heading, half = direction, FAN
     while True:
@@ -112,7 +112,7 @@ def grow(
 
 
 def _next(
-    image: Map, branch: Branch, heading: Array, step: float, half: float, at: int, tolerance: float
+    image: Map, branch: ManifoldHalf, heading: Array, step: float, half: float, at: int, tolerance: float
 ) -> tuple[Array, int] | None:
     """The point a step from the last one whose image lies on the branch, and the segment it lies on; None without one.
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from atlas.robustness.linear import not_smooth
 from atlas.robustness.section_map import SectionMap
 from atlas.robustness.shock import CHAOS_STATES, NO_MOTION, reached
-from workers.attractors.basins import Table, section_points
+from workers.attractors.basins import AttractorTable, section_points
 from workers.model.oscillator import Array
 from workers.results import UNKNOWN_LABEL
 
@@ -79,7 +79,7 @@ class Tracked(NamedTuple):
     troubles: list[str]
 
 
-def saddles_of(table: Table, weights: Array) -> Tracked:
+def saddles_of(table: AttractorTable, weights: Array) -> Tracked:
     """The saddles between the basins of the attractors of a table, found from each pair of them, either way."""
     count = max([CHAOS_STATES, *(each.period for each in table.attractors)])
     points = section_points(table, count)
@@ -108,7 +108,7 @@ def _same(one: Saddle, other: Saddle) -> bool:
 class _Tracker:
     """The boundary of one attractor's basin being tracked."""
 
-    def __init__(self, table: Table, own: int, weights: Array) -> None:
+    def __init__(self, table: AttractorTable, own: int, weights: Array) -> None:
         self.table, self.own, self.weights = table, own, weights
         self.map = SectionMap(table.cell.oscillator)
 

@@ -16,9 +16,9 @@ from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
 
 if TYPE_CHECKING:
-    from atlas.robustness.manifold import Across, Branch
+    from atlas.robustness.manifold import Across, ManifoldHalf
     from atlas.robustness.saddle import Saddle
-    from workers.attractors.basins import Table
+    from workers.attractors.basins import AttractorTable
     from workers.model.oscillator import Array
 
 Box = Mapping[str, tuple[float, float]]
@@ -75,12 +75,12 @@ def saddles_between(
 ) -> dict[str, Any]:
     """``saddles`` of checked values."""
     from atlas.robustness.saddle import saddles_of
-    from workers.attractors.basins import Table
+    from workers.attractors.basins import AttractorTable
 
     refuse_drift(record, "saddles")
     if manifolds and len(record.states) != 2:
         raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
-    table = Table(record, parameters, settings, search)
+    table = AttractorTable(record, parameters, settings, search)
     w = weights_of(norm or {}, record, float(table.oscillators.period[0]))
     tracked = saddles_of(table, w)
     each = [_described(saddle) for saddle in tracked.saddles]
@@ -108,7 +108,7 @@ def _described(saddle: "Saddle") -> dict[str, Any]:
     }
 
 
-def _box(table: "Table", given: Box | None) -> tuple["Array", "Array"]:
+def _box(table: "AttractorTable", given: Box | None) -> tuple["Array", "Array"]:
     """The lowest and the highest state; InputError for a bad name or ends that do not rise."""
     from workers.attractors.starts import boxes
 
@@ -122,7 +122,7 @@ def _box(table: "Table", given: Box | None) -> tuple["Array", "Array"]:
     return low, high
 
 
-def manifold_of(table: "Table", saddle: "Saddle", box: tuple["Array", "Array"]) -> "Sequence[Branch]":
+def manifold_of(table: "AttractorTable", saddle: "Saddle", box: tuple["Array", "Array"]) -> "Sequence[ManifoldHalf]":
     """The branches of the stable manifold of a saddle of one mass, two at each of its states, in coordinates w z."""
     from atlas.robustness.manifold import grow
     from atlas.robustness.section_map import SectionMap
@@ -145,7 +145,7 @@ def manifold_of(table: "Table", saddle: "Saddle", box: tuple["Array", "Array"]) 
     ]
 
 
-def _stops(table: "Table") -> list[tuple[float, float]]:
+def _stops(table: "AttractorTable") -> list[tuple[float, float]]:
     """The position x of each rigid stop of one mass, and on which side it is: 1 above, -1 below."""
     return [
         (stop[0] / row[0, 0], side if row[0, 0] > 0.0 else -side)
@@ -155,7 +155,7 @@ def _stops(table: "Table") -> list[tuple[float, float]]:
     ]
 
 
-def _beyond_stops(table: "Table", box: tuple["Array", "Array"], w: "Array") -> tuple["Array", "Array"]:
+def _beyond_stops(table: "AttractorTable", box: tuple["Array", "Array"], w: "Array") -> tuple["Array", "Array"]:
     """The ends of the box in coordinates w z, beyond a stop at its edge: a manifold goes on there."""
     low, high = box[0] * w, box[1] * w
     room = 0.01 * (high[0] - low[0])
@@ -167,7 +167,7 @@ def _beyond_stops(table: "Table", box: tuple["Array", "Array"], w: "Array") -> t
     return low, high
 
 
-def _across(table: "Table", w: "Array") -> "Across":
+def _across(table: "AttractorTable", w: "Array") -> "Across":
     """How a manifold goes on at a rigid stop, in coordinates w z."""
     from workers.model.oscillator import HEAD
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.attractors.basins import Table, section_points
+from workers.attractors.basins import AttractorTable, section_points
 from workers.attractors.cell import attractor_of
 from workers.attractors.record import SHOWN
 from workers.attractors.starts import unseen_share
@@ -88,7 +88,7 @@ def minimal_fatal_shock(
     return search.reported(best, tried)
 
 
-def shock_of(table: Table, own: int, weights: Array) -> Shock | None:
+def shock_of(table: AttractorTable, own: int, weights: Array) -> Shock | None:
     """The minimal fatal shock of the attractor with label ``own``; None if no other attractor is known.
 
     The nearest states known to reach another attractor are the initial states of the table and the section states of
@@ -105,7 +105,7 @@ def shock_of(table: Table, own: int, weights: Array) -> Shock | None:
     return minimal_fatal_shock(lambda states: reached(table, states), own, of_each[own], weights, known)
 
 
-def reached(table: Table, states: Array) -> Labels:
+def reached(table: AttractorTable, states: Array) -> Labels:
     """The label of the attractor that each physical section state (N, 2n) reaches.
 
     BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, UNKNOWN_LABEL if not known.

@@ -9,7 +9,7 @@ from atlas.arguments import checked_kind
 from atlas.curves.finish import edge_share, finished
 from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
 from atlas.curves.plane import plane_of
-from atlas.curves.search import Search
+from atlas.curves.search import CurveSearch
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
@@ -99,7 +99,7 @@ def find_curves(
     with called(store, client, chosen(options, fields)) as (header, options, stack):
         settings = CurveSettings() if settings is None else settings
         checked_kind("settings", settings, CurveSettings, "an atlas.CurveSettings")
-        search = Search(plane_of(header), settings)
+        search = CurveSearch(plane_of(header), settings)
         digest = settings.digest(search.plane)
         stored = _stored(header, digest)
         if stored is not None:
@@ -133,7 +133,7 @@ class _Coordinator:
     """A search at work on a store that is claimed."""
 
     header: Header
-    search: Search
+    search: CurveSearch
     digest: str
     crew: Crew[CurveJob, CurveReceipt]
     tasks: int = 0

@@ -24,7 +24,7 @@ SHOWN = 3
 
 
 @dataclass(frozen=True)
-class Packed:
+class PackSummary:
     """What was packed: the file, its objects and bytes, and how far the atlas in it is."""
 
     file: str
@@ -59,7 +59,7 @@ def pack(
     force: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     timing: Timing = TIMING,
-) -> Packed:
+) -> PackSummary:
     """Pack a store, a folder or a URL, into one zip file; the store stays as it is, and may be incomplete.
 
     The file's name ends in .zip. It appears whole or not at all, and replaces a file of that name only with ``force``.
@@ -89,7 +89,7 @@ def pack(
     _refuse_lost(header, tiles, set(keys))
     with reporting(on_progress) as report:
         size = _pack(header, keys, target, report or (lambda _: None), timing)
-    return Packed(str(file), len(keys), size, header.tiling.count, len(tiles))
+    return PackSummary(str(file), len(keys), size, header.tiling.count, len(tiles))
 
 
 def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:

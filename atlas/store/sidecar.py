@@ -97,7 +97,7 @@ def note_fence(store: Place, name: str, token: str, error: type[RunError], lost:
 
 
 @dataclass(frozen=True)
-class Attempt:
+class TileAttempt:
     """An attempt at a tile, as a note has it: its own token, that of its run, its number there, and its process."""
 
     token: str
@@ -114,7 +114,7 @@ class Attempt:
         notes.remove(name, self.pack())
 
 
-def put_attempt(notes: Notes, name: str, run: str, most: int) -> Attempt:
+def put_attempt(notes: Notes, name: str, run: str, most: int) -> TileAttempt:
     """Note a new attempt of a run, whatever the note holds.
 
     RunError if it holds the ``most``-th of that run: neither this nor any before it lived to remove its note.
@@ -127,7 +127,7 @@ def put_attempt(notes: Notes, name: str, run: str, most: int) -> Attempt:
         if number >= most:
             last = before.get("process", "an unknown one")
             raise RunError(f"the process that solves it has died {number} times, the last was {last}")
-        attempt = Attempt(uuid.uuid4().hex, run, number + 1, process)
+        attempt = TileAttempt(uuid.uuid4().hex, run, number + 1, process)
         if notes.put(name, attempt.pack(), expected=found):
             return attempt
         found = notes.read(name)

@@ -17,7 +17,7 @@ from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME
 
 if TYPE_CHECKING:
-    from workers.attractors.basins import Table
+    from workers.attractors.basins import AttractorTable
 
 POINTS = 256
 """Section states of each attractor in the table."""
@@ -32,7 +32,7 @@ def complete_basins(header: Header) -> None:
     band of tiles, so that the memory does not grow with the plane: see ``labelling_bytes``. Nothing is done while tiles
     are missing, or if all is done.
     """
-    from workers.attractors.basins import Table, fixed_values
+    from workers.attractors.basins import AttractorTable, fixed_values
 
     spec, tiles = header.spec, sorted(done_tiles(header))
     if len(tiles) < header.tiling.count:
@@ -44,7 +44,7 @@ def complete_basins(header: Header) -> None:
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
     defaults = {p.name: p.default for p in spec.record.parameters}
     values = fixed_values(spec.record, defaults | params)
-    table = Table(spec.record, values, spec.settings, spec.attractors)
+    table = AttractorTable(spec.record, values, spec.settings, spec.attractors)
     reference, solved = len(table.attractors), 0
     hits: Counter[int] = Counter()
     for _, band in itertools.groupby(tiles, lambda index: index[: _leading(header.tile)]):
@@ -73,7 +73,7 @@ def _labels(header: Header, index: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 def _label_band(
-    header: Header, table: "Table", reference: int, band: list[tuple[int, ...]]
+    header: Header, table: "AttractorTable", reference: int, band: list[tuple[int, ...]]
 ) -> Iterator[tuple[tuple[int, ...], NDArray[np.int64]]]:
     """The tiles of a band and their last labels, once these are written.
 
@@ -104,7 +104,9 @@ def _places(header: Header, index: tuple[int, ...], mask: NDArray[np.bool_]) -> 
     return np.ravel_multi_index(tuple((np.argwhere(mask) + begins).T), header.spec.shape)
 
 
-def _columns(header: Header, table: "Table", cells: Mapping[int, int], solved: int) -> Mapping[str, StoredArray]:
+def _columns(
+    header: Header, table: "AttractorTable", cells: Mapping[int, int], solved: int
+) -> Mapping[str, StoredArray]:
     """The table's variables, by the cells of each label. Shares are of initial states that are not beyond a stop."""
     from workers.attractors.basins import section_points
 

@@ -26,7 +26,7 @@ class Shared(NamedTuple):
     there: NDArray[np.intp]
 
 
-class Known(NamedTuple):
+class KnownCells(NamedTuple):
     """What is known of a tile before it is solved.
 
     arrays   of all its cells; in a retried atlas the allowances too, which are those of the solution to come
@@ -41,7 +41,7 @@ class Known(NamedTuple):
     source: Header | None = None
 
 
-def known_cells(header: Header, slices: Slices) -> Known:
+def known_cells(header: Header, slices: Slices) -> KnownCells:
     """What is known of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
@@ -52,11 +52,11 @@ def known_cells(header: Header, slices: Slices) -> Known:
     regime = header.leading(arrays)[REGIME.name].copy()
     due = regime == PENDING
     if header.origin is None or header.origin.retry is None:
-        return Known(arrays, regime, due)
+        return KnownCells(arrays, regime, due)
     again = header.origin.retry.selects(arrays)
     for each in header.allowances:
         arrays[each.name][again] = np.maximum(arrays[each.name], header.origin.retry.given(each))[again]
-    return Known(arrays, regime, due | again, origin)
+    return KnownCells(arrays, regime, due | again, origin)
 
 
 def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:

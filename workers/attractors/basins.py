@@ -27,7 +27,7 @@ from workers.settings import Settings
 from workers.tile import initial_state, solve_parts
 
 
-class Table(Coexistence):
+class AttractorTable(Coexistence):
     """The attractors that the reference set of one machine reaches, the largest share first.
 
     A label is a place among these ``attractors``.
@@ -86,12 +86,14 @@ def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
 
 
 @lru_cache(maxsize=4)
-def reference_table(system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: Starts) -> Table:
+def reference_table(
+    system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: Starts
+) -> AttractorTable:
     """The table of a machine, kept for other tiles that this process solves; ``system`` is System.resolved as JSON."""
-    return Table(System.from_resolved(json.loads(system)), dict(values), settings, starts)
+    return AttractorTable(System.from_resolved(json.loads(system)), dict(values), settings, starts)
 
 
-def _solve_part(table: Table, params: Mapping[str, Array], arrays: Results) -> None:
+def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Results) -> None:
     """Write the results of the initial states among these parameters (N,)."""
     search = table.solved(initial_state(table.record, params), references=False)
     label, regime = search.label.copy(), search.regime
@@ -110,7 +112,7 @@ def _solve_part(table: Table, params: Mapping[str, Array], arrays: Results) -> N
     arrays[LABEL.name][:] = np.where(label >= 0, label, np.where(on_attractor, BEYOND_TABLE, UNKNOWN_LABEL))
 
 
-def added(table: Table, states: Array) -> NDArray[np.int64]:
+def added(table: AttractorTable, states: Array) -> NDArray[np.int64]:
     """Labels (N,) of what the table has not, given by states (N, 2n) on its attractors; it gets what it has not.
 
     The order of the states decides the order of new labels. UNKNOWN_LABEL where a state turns out to be on none.
@@ -122,7 +124,7 @@ def added(table: Table, states: Array) -> NDArray[np.int64]:
     return labels
 
 
-def section_points(table: Table, count: int) -> Array:
+def section_points(table: AttractorTable, count: int) -> Array:
     """Physical section states (A, count, 2n) of every attractor: of an orbit each once, the rest NaN."""
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([each.result["state"] for each in table.attractors]).reshape(N, size)

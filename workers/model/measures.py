@@ -25,7 +25,7 @@ KEYS = (*ORDERS, "weight", "report")
 
 
 @dataclass(frozen=True)
-class Measure:
+class OutputMeasure:
     """An output, row . x, row . x' or row . x'', whichever row it has, and what is reported of it.
 
     The mean, the root mean square, the greatest modulus; the power is ``weight`` times the mean square.
@@ -49,7 +49,7 @@ class Measure:
         return found
 
 
-Measures = tuple[tuple[str, Measure], ...]
+Measures = tuple[tuple[str, OutputMeasure], ...]
 
 
 def read_measures(given: object, known: Collection[str], n: int) -> Measures:
@@ -62,7 +62,7 @@ def read_measures(given: object, known: Collection[str], n: int) -> Measures:
     return tuple((name, _read_measure(f"system.measures.{name}", one, known, n)) for name, one in tables.items())
 
 
-def _read_measure(where: str, given: object, known: Collection[str], n: int) -> Measure:
+def _read_measure(where: str, given: object, known: Collection[str], n: int) -> OutputMeasure:
     table = read_table(where, given, KEYS)
     rows = [key for key in ORDERS if key in table]
     if len(rows) != 1:
@@ -73,7 +73,7 @@ def _read_measure(where: str, given: object, known: Collection[str], n: int) -> 
         raise DefinitionError(f"{where}: weight and the report 'power' go together; power is weight times mean square")
     row = read_entries(f"{where}.{rows[0]}", table[rows[0]], known, n)
     weight = read_entries(f"{where}.weight", table["weight"], known) if "weight" in table else None
-    return Measure(**{rows[0]: row}, weight=weight, report=report)
+    return OutputMeasure(**{rows[0]: row}, weight=weight, report=report)
 
 
 def _read_report(where: str, given: Any) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.cell.command import point_words
 from atlas.query.extremes import regimes_with
-from atlas.query.plane import Axis as PlaneAxis
+from atlas.query.plane import PlaneAxis as PlaneAxis
 from atlas.render import words
 from atlas.render.coded import text_of
 from atlas.spec.citation import bibtex, computed_by

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from workers.kernel.jit import inline_always, named_constants
 
 
-class Leg(NamedTuple):
+class LegRecord(NamedTuple):
     """What is written down of a motion in one mode, as columns of legs (K, LEG_STATE + 2n + G); NaN after the last one.
 
     start            time since the section
@@ -28,8 +28,8 @@ class Leg(NamedTuple):
     chatter: int
 
 
-LEG = Leg(*range(len(Leg._fields)))
-named_constants(Leg)
+LEG = LegRecord(*range(len(LegRecord._fields)))
+named_constants(LegRecord)
 LEG_STATE = len(LEG)
 """Column of the first component of the state that a leg starts from."""
 
