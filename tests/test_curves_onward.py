@@ -9,7 +9,7 @@ import pytest
 
 import atlas
 from atlas.curves.finish import as_curve
-from atlas.curves.following import Followed, Located, follow_event, lies_on
+from atlas.curves.following import Followed, Located, follow_event, lies_on, with_own_ends
 from atlas.curves.near import Passing, orbits_beside
 from atlas.curves.record import curve_as_json, curve_from_json
 from tests.test_branches_onward import along_amplitude, pushed
@@ -238,6 +238,13 @@ def test_a_curve_with_changes_is_kept_to_the_bit(followed: Followed) -> None:
     for one, other in zip(again.orbits, followed.orbits, strict=True):
         assert np.array_equal(one.times, other.times)
     assert np.array_equal(again.values, followed.values)
+
+
+def test_an_end_at_which_the_orbit_becomes_another_one_counts_as_its_neighbour(doublings: BranchRun) -> None:
+    k = next(k for k, point in enumerate(doublings.points) if point is doublings.events[-1].point)
+    ended = with_own_ends(doublings.points[k : k + 4])
+    assert contacts(doublings.points[k]) == 1
+    assert [contacts(point) for point in ended] == [2, 2, 2, 2]
 
 
 def test_a_curve_has_the_impacts_of_each_of_its_points(followed: Followed) -> None:

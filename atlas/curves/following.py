@@ -157,7 +157,7 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
         return str(error)
     if len(run.points) < 2:
         return f"the {event.kind.replace('_', ' ')} is alone: no step along its curve converges"
-    own = _of_whole_turns(run.points)
+    own = with_own_ends(run.points)
     grazes = min(len(point.contacts) for point in own)  # at another graze that one's time is added
     conditions = _conditions(orbits, event, own)
     if conditions is None:
@@ -174,11 +174,11 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
     )
 
 
-def _of_whole_turns(points: list[Point]) -> list[Point]:
-    """The points, an end at which the orbit becomes a shorter one replaced by its neighbour."""
+def with_own_ends(points: list[Point]) -> list[Point]:
+    """The points, an end at which the orbit becomes another one replaced by its neighbour."""
     own = list(points)
     for end, beside in ((0, 1), (-1, -2)):
-        if _length(own[end].orbit.itinerary) != _length(own[beside].orbit.itinerary):
+        if own[end].orbit.itinerary != own[beside].orbit.itinerary:
             own[end] = own[beside]
     return own
 
