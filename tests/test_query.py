@@ -73,7 +73,7 @@ def test_at_finds_the_only_point_of_an_axis() -> None:
     ("point", "message"),
     [
         ({"omega": 4.0, "b": 0.1}, "omega = 4 lies outside the grid; valid: 0.5 to 3.5"),
-        ({"omega": float("nan"), "b": 0.1}, "omega = nan lies outside the grid; valid: 0.5 to 3.5"),
+        ({"omega": float("nan"), "b": 0.1}, "omega = nan: must be a finite number"),
         ({"omega": 1.0, "zeta": 0.1}, "unknown axis 'zeta'; the axes are: omega, b"),
         ({"omega": 1.0, "R": 0.7}, "R is not an axis here but fixed at 0.8; axes: omega, b"),
         ({"omega": 1.0}, "the point lacks b; it needs a value for each axis: omega, b"),
