@@ -167,7 +167,7 @@ def test_a_run_refuses_arguments_of_a_wrong_kind(tmp_path: Path) -> None:
         assert_refused(lambda value=value: atlas.run(spec, tmp_path / "a.zarr", options=value), "options")
         assert_refused(lambda value=value: atlas.run(spec, tmp_path / "a.zarr", client=value), "client")
         assert_refused(lambda value=value: atlas.Spec.from_dataset(value), "atlas")
-        for name in ("retry", "timing", "tls"):
+        for name in ("timing", "tls"):
             assert_refused(lambda value=value, name=name: atlas.RunOptions(**{name: value}), name)
     for value in nonsense(str):
         assert_refused(lambda value=value: atlas.Spec.from_toml(value), "spec")

@@ -153,7 +153,7 @@ def test_a_failed_creation_leaves_nothing(tmp_path: Path, plane: atlas.Spec, mon
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(store.os, "rename", full)
+    monkeypatch.setattr("os.rename", full)
     with pytest.raises(InputError, match="cannot be written: No space left on device"):
         store.create(tmp_path / "out.zarr", plane, (2, 3))
     assert list(tmp_path.iterdir()) == []

@@ -144,6 +144,11 @@ class Header:
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @cached_property
+    def readable(self) -> Mapping[str, Any]:
+        """The Zarr arrays of cells and coordinates by name, opened once; errors as of ``open_arrays``."""
+        return open_arrays(self)
+
+    @cached_property
     def writable(self) -> Mapping[str, Any]:
         """The Zarr arrays of cells by name, opened once; RunError if it is another store."""
         group: Any = open_group(self.place, "r", consolidated=True)  # one request for all arrays

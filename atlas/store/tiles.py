@@ -125,7 +125,7 @@ def drop_tile(header: Header, index: tuple[int, ...]) -> None:
 
 
 def read_tile(
-    header: Header, index: tuple[int, ...], names: Iterable[str] | None = None, arrays: dict[str, Any] | None = None
+    header: Header, index: tuple[int, ...], names: Iterable[str] | None = None, arrays: Mapping[str, Any] | None = None
 ) -> dict[str, np.ndarray]:
     """Arrays of a finished tile: the named ones, or all results and ``ALLOWANCES``.
 

@@ -13,7 +13,7 @@ from atlas.store.location import beside
 from atlas.store.machines import machines, record_machine
 from atlas.store.origin import ALLOWANCES
 from atlas.store.schema import extra_sizes
-from atlas.store.store import Header, is_done, open_arrays
+from atlas.store.store import Header, is_done
 from atlas.store.tiles import read_tile
 from atlas.task.known import known_header
 from workers.results import PENDING, REGIME, empty_results
@@ -70,15 +70,15 @@ def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
 
 def _copy_known(header: Header, origin: Header, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
     """Put the finished cells of the origin that lie in a tile into its arrays."""
-    sources = None
+    first = True
     for index, here, there in _meetings(shared(origin.spec, header.spec), slices, origin.tile):
         if not is_done(origin, index):
             continue
-        if sources is None:
-            sources = open_arrays(origin)
+        if first:
+            first = False
             for machine in machines(origin):
                 record_machine(header, machine)
-        found = read_tile(origin, index, arrays=sources)
+        found = read_tile(origin, index, arrays=origin.readable)
         if not header.allowances:  # a cell that was given more than the spec says does not come out the same here
             for each in ALLOWANCES:
                 found[REGIME.name][found.pop(each.name) != each.of_spec(origin.spec)] = PENDING
