@@ -23,6 +23,7 @@ from atlas.store.machine import machine_of
 from atlas.store.machines import machines, record_machine
 from atlas.store.origin import Origin
 from atlas.store.store import create, done_tiles, read_header
+from atlas.store.tiles import put_record, read_tile, record_of
 from atlas.task.reuse import known_cells
 from tests.synthetic import set_attribute
 from workers import tile as solving
@@ -99,6 +100,7 @@ def test_kept_cells_keep_all_their_results(old: Path, tmp_path: Path, client: Cl
     group = zarr.open_group(old, mode="r+", use_consolidated=False)
     marked = np.arange(12, dtype="int32").reshape(3, 4) + 1000  # nothing that solving could give
     group["periods_used"][...] = marked
+    record_again(old)
     summary = extend(old, tmp_path / "new.zarr", refine=2, client=client)
     new = atlas.open(tmp_path / "new.zarr").periods_used.values
     assert (new[::2, ::2] == marked).all()
@@ -157,6 +159,23 @@ def test_refined_axes_hold_the_old_values_to_the_bit_and_even_steps_between(scal
     np.testing.assert_allclose(steps, steps.mean(), rtol=1e-10)
 
 
+def record_again(store: Path) -> None:
+    """Write the records of all tiles by the cells that they have now."""
+    header = read_header(store)
+    for index in done_tiles(header):
+        put_record(header, index, record_of(header, index, read_tile(header, index)))
+
+
+def test_chunks_that_were_exchanged_are_not_taken_over(old: Path, tmp_path: Path, client: Client) -> None:
+    one, other = old / "largest" / "c" / "0" / "0", old / "largest" / "c" / "1" / "0"
+    first, second = one.read_bytes(), other.read_bytes()
+    one.write_bytes(second)
+    other.write_bytes(first)
+    failures = extend(old, tmp_path / "new.zarr", refine=2, client=client).failures
+    assert failures
+    assert all("its chunks were not written together here" in failure.message for failure in failures)
+
+
 def test_only_finished_tiles_are_taken_over(old: Path, tmp_path: Path, client: Client) -> None:
     (old / "regime" / "c" / "0" / "1").unlink()
     assert extend(old, tmp_path / "new.zarr", refine=2, client=client).cells_solved == 7 * 5 - 8
@@ -164,6 +183,7 @@ def test_only_finished_tiles_are_taken_over(old: Path, tmp_path: Path, client: C
 
 def test_failed_cells_which_would_come_out_the_same_are_taken_over(old: Path, tmp_path: Path, client: Client) -> None:
     zarr.open_group(old, mode="r+", use_consolidated=False)["regime"][0, 0] = FAILED
+    record_again(old)
     grown = spec_of(omega=[2.0, 2.4, 3.0, 4.0], b=[0.1, 0.3, 0.5, 0.6])
     assert extend(old, tmp_path / "new.zarr", grown, client=client).cells_solved == 4
     assert atlas.open(tmp_path / "new.zarr").regime.values[0, 0] == FAILED

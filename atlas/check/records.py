@@ -5,11 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from atlas.store.record import BY_REASON, CELLS, DIGEST, RECORDS, Index, Rows, record_key
-from atlas.store.records import Records
+from atlas.store.records import EXCHANGED, Records, is_exchanged
 from atlas.store.store import Header
 from workers.results import REASON
-
-EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
 
 
 def record_faults(header: Header, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
@@ -30,6 +28,6 @@ def tile_faults(records: Records, index: Index, row: Rows) -> list[str]:
     if key in records.damaged:
         return [f"{key} {records.damaged[key]}"]
     if records.rows[index][DIGEST].any():
-        return [] if np.array_equal(records.rows[index][DIGEST], row[DIGEST]) else [EXCHANGED]
+        return [EXCHANGED] if is_exchanged(records, index, row) else []
     lost = RECORDS not in records.damaged and index not in records.single
     return [f"{key} is missing"] if lost else []

@@ -28,6 +28,7 @@ from atlas.errors import ChunkError, message_of
 from atlas.store.record import (
     BY_REASON,
     CELLS,
+    DIGEST,
     RECORD,
     RECORDS,
     WIDTH,
@@ -189,6 +190,15 @@ def write_compaction(header: Header, rows: Rows, settled: NDArray[np.bool_]) -> 
     header.place.put_all(encoded(_compaction(header), tuple(map(slice, rows.shape)), rows))
     counts = settled & add_up(rows, header.tiling.sizes())
     header.place.remove_all([record_key(index) for index in single_records(header) if counts[index]])
+
+
+EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
+
+
+def is_exchanged(records: Records, index: Index, row: Rows) -> bool:
+    """Whether the record of a finished tile has another digest than its cells, by which it has that ``row``."""
+    digest = records.rows[index][DIGEST]
+    return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])
 
 
 def read_record(header: Header, index: Index) -> Rows | None:

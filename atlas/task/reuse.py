@@ -7,15 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError, RunError
+from atlas.errors import ChunkError, InputError, RunError
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import beside
 from atlas.store.machines import machines, record_machine
 from atlas.store.origin import ALLOWANCES
+from atlas.store.records import EXCHANGED, is_exchanged
 from atlas.store.schema import extra_sizes
-from atlas.store.store import Header, is_done
-from atlas.store.tiles import read_tile
-from atlas.task.known import known_header
+from atlas.store.store import Header, chunk_key, is_done
+from atlas.store.tiles import read_tile, record_of
+from atlas.task.known import known_header, known_records
 from workers.results import PENDING, REGIME, empty_results
 
 
@@ -79,6 +80,8 @@ def _copy_known(header: Header, origin: Header, slices: Slices, arrays: dict[str
             for machine in machines(origin):
                 record_machine(header, machine)
         found = read_tile(origin, index, arrays=origin.readable)
+        if is_exchanged(known_records(origin), index, record_of(origin, index, found)):
+            raise ChunkError(origin.place, {chunk_key(origin.regime, index): EXCHANGED})
         if not header.allowances:  # a cell that was given more than the spec says does not come out the same here
             for each in ALLOWANCES:
                 found[REGIME.name][found.pop(each.name) != each.of_spec(origin.spec)] = PENDING
