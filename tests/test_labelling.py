@@ -54,7 +54,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
         return states[:, 0].astype(np.int64) % LABELS
 
     monkeypatch.setattr(solving, "added", added)
-    monkeypatch.setattr(solving, "Table", lambda *_: SimpleNamespace(attractors=[]))
+    monkeypatch.setattr(solving, "AttractorTable", lambda *_: SimpleNamespace(attractors=[]))
     monkeypatch.setattr(basins, "_columns", lambda *_: {})
     monkeypatch.setattr(basins, "write_table", lambda *_: None)
     return states_of

@@ -128,11 +128,11 @@ def newer(store: Path) -> Path:
     group[RECORD].attrs[COVERED] = [*group[RECORD].attrs[COVERED], "later"]
     with warnings.catch_warnings(action="ignore"):  # Zarr's, that consolidated metadata are an extension
         zarr.consolidate_metadata(store)
+    respare(store)
     header = read_header(store)
     for tile in header.tiling.tiles():
         later = {"later": np.full(tile.shape, 1.5, "float32")}
         put_record(header, tile.index, record_of(header, tile.index, read_tile(header, tile.index) | later))
-    respare(store)
     return store
 
 

@@ -66,7 +66,8 @@ def contact_free(oscillators, motions, cells):
     found = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        found[e] = meets_nothing(row_of(oscillators, r), motions.h[r], motions.contact[r, 0])
+        osc = row_of(oscillators, r)
+        found[e] = meets_nothing(osc, motions.h[r], motions.contact[r, 0])
     return found
 
 
