@@ -251,10 +251,10 @@ def test_a_budget_that_a_retry_gave_before_could_change_nothing(new: Path) -> No
         checked_retry(read_header(new), ("undetermined",), MORE)
 
 
-def test_a_retry_of_what_no_cell_is_is_refused(old: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no cell of it is aperiodic: there is nothing to solve again"):
-        atlas.retry(old, tmp_path / "new.zarr", "aperiodic", survival=10)
-    assert list(tmp_path.iterdir()) == []
+def test_a_retry_of_what_no_cell_is_solves_none_and_makes_the_store(old: Path, tmp_path: Path, client: Client) -> None:
+    summary = atlas.retry(old, tmp_path / "new.zarr", "aperiodic", survival=10, client=client)
+    assert (summary.cells_solved, summary.tiles_done) == (0, 9)
+    assert verify(tmp_path / "new.zarr", sample=0).fine
 
 
 def test_a_retry_of_an_incomplete_atlas_is_refused(tmp_path: Path) -> None:

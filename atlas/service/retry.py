@@ -105,10 +105,6 @@ def asked(
         done = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
         raise InputError(f"{old.place}: {done} done: complete it first, by the command that began it")
     count = sum(status.regimes.get(name, 0) for name in chosen.regimes)
-    if not count:
-        raise InputError(
-            f"{old.place}: no cell of it is {' or '.join(chosen.regimes)}: there is nothing to solve again"
-        )
     report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.place} again"
     return old.spec.in_tiles(old.tile), place, Origin(str(old.place), old.run_id, chosen), report
 
