@@ -26,20 +26,19 @@ MOST_WORKERS = 1024
 class RunOptions:
     """Options of ``run``, ``extend`` and ``submit``; InputError for options that contradict each other.
 
-    workers       processes of a local cluster, by default one a processor; not with a scheduler or a client, and in
-                  place of one that is open
-    scheduler     address of a Dask scheduler, such as ``tcp://host:8786``
-    tls           files for an encrypted connection to it
-    tile          index of a tile to do alone in this process, where what it raises is not caught: to debug it
-    on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
-    dashboard     whether a local cluster has a dashboard, whose address is reported; with Bokeh only
-    performance_report
-                  HTML file for Dask's report of how the workers spent their time; with Bokeh only
-    storage_options
-                  how a store at a URL is reached: ``{"endpoint": ..., "anon": True}``; the environment says the rest
-    patience      seconds to wait for a server at a URL that stops answering
-    wait          seconds to wait for the first worker of a cluster; its job may be queued for days
-    timing        how long the run waits for everything else
+    workers             processes of a local cluster, by default one a processor; not with a scheduler or a client, and
+                        in place of one that is open
+    scheduler           address of a Dask scheduler, such as ``tcp://host:8786``
+    tls                 files for an encrypted connection to it
+    tile                index of a tile to do alone in this process, where what it raises is not caught: to debug it
+    on_progress         called with each Progress; None for a bar in a notebook, and nothing elsewhere
+    dashboard           whether a local cluster has a dashboard, whose address is reported; with Bokeh only
+    performance_report  HTML file for Dask's report of how the workers spent their time; with Bokeh only
+    storage_options     how a store at a URL is reached: ``{"endpoint": ..., "anon": True}``; the environment says the
+                        rest
+    patience            seconds to wait for a server at a URL that stops answering
+    wait                seconds to wait for the first worker of a cluster; its job may be queued for days
+    timing              how long the run waits for everything else
 
     >>> import atlas
     >>> atlas.RunOptions(workers=2, on_progress=print).workers
