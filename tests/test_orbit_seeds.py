@@ -37,9 +37,12 @@ def agree(params: dict[str, Any], settings: Settings) -> int:
         motion = motion_of(family_of(TWO_MASS, values, ()).model(np.zeros((1, 0))), many_orbits([orbit]))
         assert section_state(TWO_MASS, values, orbit) == pytest.approx(found["state"][k], abs=1e-10)
         spectrum = exponents(motion)[0]
-        assert spectrum[0] == pytest.approx(found["spectrum"][k, 0], abs=max(1e-9, found["error"][k]))
+        # Both round: where an orbit has 25 impacts at each stop, 25 values of omega one unit in the last place apart
+        # give exponents that range over 2.5e-8 by the equations and 1.6e-8 by the solver.
+        rounding = 2.0 * found["error"][k]
+        assert spectrum[0] == pytest.approx(found["spectrum"][k, 0], abs=max(1e-9, rounding))
         # The solver's small exponents are off by up to some 1e-9 near grazes, these not (products in 40 digits).
-        assert spectrum == pytest.approx(found["spectrum"][k], abs=max(1e-8, found["error"][k]))
+        assert spectrum == pytest.approx(found["spectrum"][k], abs=max(1e-8, rounding))
         assert orbit.itinerary.impacts(1) == found["impacts_upper"][k]
         assert orbit.itinerary.impacts(-1) == found["impacts_lower"][k]
         assert is_minimal(motion)
