@@ -19,6 +19,11 @@ Window = Mapping[str, tuple[float, float]]
 """A part of a plane: the (low, high) ends of the axes that it limits."""
 
 
+def is_whole(given: object, kind: type = int) -> bool:
+    """Whether this is a whole number, of Python's or of another ``kind`` such as numbers.Integral; True is none."""
+    return isinstance(given, kind) and not isinstance(given, bool)
+
+
 def checked_ends(name: str, given: object) -> tuple[float, float]:
     """The two ends of a window, as numbers; they may be infinite, and in any order."""
     ends = _items(given)
@@ -44,7 +49,7 @@ def checked_pixels(given: object) -> tuple[int, int] | None:
     sizes = _items(given)
     if given is None:
         return None
-    if len(sizes) != 2 or not all(isinstance(n, Integral) and not isinstance(n, bool) and int(n) >= 1 for n in sizes):
+    if len(sizes) != 2 or not all(is_whole(n, Integral) and int(n) >= 1 for n in sizes):
         raise InputError(f"pixels: found {shown(given)}, must be two whole numbers, (x, y), 1 or more")
     x, y = (int(size) for size in sizes)
     return x, y

@@ -119,10 +119,15 @@ def remove_arrays(path: Path, *names: str) -> None:
             (path / name / "zarr.json").write_text(json.dumps(copies[name]))
 
     change_root(path, change)
+    put_together(record_again(path))
+
+
+def record_again(path: Path) -> store.Header:
+    """Write the record of each tile by the cells that it has now."""
     header = store.read_header(path)
     for index in store.done_tiles(header):
         put_record(header, index, record_of(header, index, read_tile(header, index)))
-    put_together(header)
+    return header
 
 
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:

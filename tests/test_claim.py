@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from atlas.service.process import this_process
 from atlas.service.timing import Timing
 from atlas.store.making import remove_half_made
 from atlas.store.sidecar import CLAIM, Folder, notes_of
+from tests.waiting import until
 
 QUICK = Timing(beat=0.02)
 IMPATIENT = Timing(beat=0.02, look=0.02, silent=0.3, dead=0.3)
@@ -29,16 +31,12 @@ def notes(tmp_path: Path) -> Folder:
 REPLACED = "the next run replaces it"
 
 
+within_20_s = partial(until, seconds=20.0)
+
+
 def elsewhere(beat: int = 7) -> Record:
     """A claim from a machine that this one cannot look into."""
     return Record("theirs", beat, "far", 1, "another-boot pid:[1] 1 1")
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def test_a_note_is_put_only_where_there_is_none(notes: Folder) -> None:
@@ -95,7 +93,7 @@ def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: Folde
 def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: Folder) -> None:
     with claimed(notes, "out.zarr", timing=QUICK):
         seen = notes.read(CLAIM)
-        until(lambda: notes.read(CLAIM) != seen)
+        within_20_s(lambda: notes.read(CLAIM) != seen)
     assert notes.read(CLAIM) is None
 
 
@@ -164,8 +162,8 @@ def test_a_torn_claim_is_replaced(notes: Folder) -> None:
 
 def test_a_holder_that_was_asleep_finds_itself_replaced(notes: Folder) -> None:
     with claimed(notes, "out.zarr", timing=QUICK) as slept:
-        until(lambda: notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM)))
-        until(lambda: slept.lost != "")
+        within_20_s(lambda: notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM)))
+        within_20_s(lambda: slept.lost != "")
         with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
             slept.check()
     assert notes.read(CLAIM) == elsewhere().pack()
@@ -185,7 +183,7 @@ def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
             away.setattr(Folder, "put", put)
             assert failed.wait(20)
         seen = notes.read(CLAIM)
-        until(lambda: notes.read(CLAIM) != seen)
+        within_20_s(lambda: notes.read(CLAIM) != seen)
         claim.check()
 
 
@@ -289,7 +287,7 @@ def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
 def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:
     with claimed(notes, "out.zarr", timing=QUICK) as claim:
         claim.report({"workers": 3})
-        until(lambda: json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"workers": 3})
+        within_20_s(lambda: json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"workers": 3})
         seen = Observer(notes).settle()
         assert seen is not None
         assert seen.record is not None
@@ -312,7 +310,7 @@ def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: Folder
 
     thread = threading.Thread(target=work)
     thread.start()
-    until(lambda: notes.read(CLAIM) is not None)
+    within_20_s(lambda: notes.read(CLAIM) is not None)
     cancel(notes, "out.zarr", wait_seconds=20)
     thread.join()
     assert stopped.is_set()

@@ -23,9 +23,8 @@ from atlas.store.machine import machine_of
 from atlas.store.machines import machines, record_machine
 from atlas.store.origin import Origin
 from atlas.store.store import create, done_tiles, read_header
-from atlas.store.tiles import put_record, read_tile, record_of
 from atlas.task.reuse import known_cells
-from tests.synthetic import set_attribute
+from tests.synthetic import record_again, set_attribute
 from workers import tile as solving
 from workers.results import FAILED
 
@@ -157,13 +156,6 @@ def test_refined_axes_hold_the_old_values_to_the_bit_and_even_steps_between(scal
     assert (len(new), new.scale) == (89, scale)
     steps = np.diff(np.log(new.values) if scale == "log" else new.values)
     np.testing.assert_allclose(steps, steps.mean(), rtol=1e-10)
-
-
-def record_again(store: Path) -> None:
-    """Write the records of all tiles by the cells that they have now."""
-    header = read_header(store)
-    for index in done_tiles(header):
-        put_record(header, index, record_of(header, index, read_tile(header, index)))
 
 
 def test_chunks_that_were_exchanged_are_not_taken_over(old: Path, tmp_path: Path, client: Client) -> None:

@@ -17,7 +17,7 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError
 from atlas.service.retry import checked_retry
 from atlas.store.machine import machine_of
 from atlas.store.machines import machines, record_machine
@@ -25,6 +25,7 @@ from atlas.store.origin import Origin, Retry
 from atlas.store.place import LocalPlace, Place
 from atlas.store.store import chunk_key, create, done_tiles, find, read_header
 from atlas.store.tiles import read_tile
+from tests.waiting import until
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 from workers.settings import MOST_PERIODS
 from workers.tile import solve_tile
@@ -246,6 +247,22 @@ def test_a_retry_that_could_change_nothing_is_refused(old: Path, names: str, max
     assert not old.with_name("never.zarr").exists()
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"regimes": 3}, "regimes: found 3, must be names"),
+        ({"regimes": [3]}, "regimes: found 3, must be a name"),
+        (
+            {"regimes": "undetermined", "max_periods": MORE, "options": 3},
+            "options: found 3, must be an atlas.RunOptions",
+        ),
+    ],
+)
+def test_arguments_of_a_wrong_kind_are_named(old: Path, tmp_path: Path, given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        atlas.retry(old, tmp_path / "new.zarr", **given)
+
+
 def test_a_budget_that_a_retry_gave_before_could_change_nothing(new: Path) -> None:
     with pytest.raises(InputError, match=f"must exceed the {MORE} that such cells were given"):
         checked_retry(read_header(new), ("undetermined",), MORE)
@@ -328,21 +345,11 @@ def test_a_retry_can_be_left_to_a_cluster(old: Path, tmp_path: Path, client: Cli
     shown = call("retry", old, "undetermined", "-o", tmp_path / "new.zarr", *given)
     assert shown.exit_code == 0
     assert "at work on the cluster" in shown.stdout
-    wait_for(tmp_path / "new.zarr")
+    new = tmp_path / "new.zarr"
+    until(lambda: find(new) is not None and atlas.status(new).fraction == 1.0 and atlas.status(new).run is None)
     assert read_header(tmp_path / "new.zarr").origin == Origin(
         str(old), read_header(old).run_id, Retry(("undetermined",), MORE)
     )
-
-
-def wait_for(store: Path) -> None:
-    """Until a store is complete."""
-    import time
-
-    for _ in range(600):
-        if find(store) is not None and atlas.status(store).fraction == 1.0 and atlas.status(store).run is None:
-            return
-        time.sleep(0.1)
-    raise RunError(f"{store} is not complete after a minute")
 
 
 # Survival

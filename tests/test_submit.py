@@ -5,8 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, read_header
 from tests.faults import attempts, environment
 from tests.planes import plane_of
+from tests.waiting import until
 from workers import SOLVER_VERSION
 
 pytestmark = pytest.mark.slow
@@ -68,13 +68,6 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
             Client(made, set_as_default=False) as client,
         ):
             yield Service(client, folder)
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 120
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 def call(*args: object) -> Result:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from atlas.arguments import checked_ends, checked_flag
+from atlas.arguments import checked_ends, checked_flag, is_whole
 from atlas.branches.seed import Seed
 from atlas.errors import InputError, check_names
 from atlas.spec.axis import admitted
@@ -26,7 +26,7 @@ def tree_from(seed: Seed, along: str, window: tuple[float, float], switch: bool 
 
     low, high = checked_window(seed, along, window)
     checked_flag("switch_branches", switch)
-    if isinstance(most, bool) or not isinstance(most, int) or most < 1:
+    if not is_whole(most) or most < 1:
         raise InputError(f"budget: found {most!r}, must be a whole number of branches, 1 or more")
     tree = Tree(seed.system, seed.values, along, (low, high), most, LONGEST)
     try:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.arguments import checked_flag, checked_kind
+from atlas.arguments import checked_flag, checked_kind, is_whole
 from atlas.check.foreign import foreign_keys
 from atlas.check.groups import check_groups, mend_groups
 from atlas.check.metadata import coordinate_faults, metadata_faults, restore_coordinates
@@ -97,7 +97,7 @@ def verify(
     >>> atlas.verify("plane.zarr", sample=2).fine
     True
     """
-    if isinstance(sample, bool) or not isinstance(sample, int) or sample < 0:
+    if not is_whole(sample) or sample < 0:
         raise InputError(f"sample: found {shown(sample)}, must be a whole number, 0 or more")
     if seed is not None:
         checked_kind("seed", seed, int, "a whole number")

@@ -3,6 +3,7 @@
 import hashlib
 from dataclasses import asdict, dataclass, fields
 
+from atlas.arguments import is_whole
 from atlas.curves.plane import SMALL, CurvePlane
 from atlas.errors import InputError, shown
 from workers import SOLVER_VERSION
@@ -33,7 +34,7 @@ class CurveSettings:
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            if not is_whole(value) or value < 1:
                 raise InputError(f"{each.name}: found {shown(value)}, must be a whole number, 1 or more")
 
     def digest(self, plane: CurvePlane) -> str:

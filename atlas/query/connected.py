@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from atlas.arguments import is_whole
 from atlas.errors import InputError, shown
 from atlas.query.classes import Classes, asked_class
 from atlas.query.walk import walk
@@ -138,7 +139,7 @@ class _Found:
 
 
 def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_cells: int) -> _Found:
-    if isinstance(min_cells, bool) or not isinstance(min_cells, int) or min_cells < 1:
+    if not is_whole(min_cells) or min_cells < 1:
         raise InputError(f"min_cells: found {shown(min_cells)}, must be a whole number of cells, 1 or more")
     refuse_table(ds, "regions")
     by, value = asked_class(by, value)

@@ -9,7 +9,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack
 
-from atlas.arguments import checked_kind
+from atlas.arguments import checked_kind, is_whole
 from atlas.errors import InputError, shown
 from atlas.service.cluster import Tls
 from atlas.service.progress import Progress
@@ -64,7 +64,8 @@ class RunOptions:
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
             found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
             raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
-        if self.tile is not None and not (isinstance(self.tile, Sequence) and all(map(_is_whole, self.tile))):
+        whole = isinstance(self.tile, Sequence) and all(is_whole(n, Integral) for n in self.tile)
+        if self.tile is not None and not whole:
             raise InputError(f"tile: found {shown(self.tile)}, must be the index of a tile, whole numbers")
         if self.tile is not None and self.scheduler is not None:
             raise InputError("tile: is done in this process, found a scheduler; give one of the two")
@@ -106,10 +107,6 @@ class RunOptions:
     def wait_for_first(self, seconds: float) -> None:
         """Report that a cluster has had no worker for these seconds."""
         self.report(Progress("waiting for the cluster's first worker", seconds=seconds))
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def with_fields(function: F) -> F:

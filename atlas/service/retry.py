@@ -4,10 +4,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
+from atlas.arguments import checked_kind, checked_name, is_whole
 from atlas.errors import InputError, check_names
 from atlas.service.extend import header_from, place_from
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, with_fields
+from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.service.status import read_status
@@ -56,7 +57,7 @@ def retry(
     >>> summary.retried, atlas.status("again.zarr").fraction
     (True, 1.0)
     """
-    options = options.updated(**fields)
+    options = chosen(options, fields)
     spec, place, origin, report = asked(store, into, regimes, max_periods, survival, options.storage_options)
     with reporting(options.on_progress) as on_progress:
         options = replace(options, on_progress=on_progress)
@@ -97,39 +98,41 @@ def asked(
         raise InputError(
             f"{old.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
         )
-    names = regimes.split(",") if isinstance(regimes, str) else regimes
-    chosen = checked_retry(old, tuple(names), max_periods, survival)
+    names = regimes.split(",") if isinstance(regimes, str) else checked_kind("regimes", regimes, Iterable, "names")
+    wanted = checked_retry(old, tuple(names), max_periods, survival)
     place = place_from(old, into, storage_options)
     status = read_status(old)
     if status.fraction < 1:
         done = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
         raise InputError(f"{old.place}: {done} done: complete it first, by the command that began it")
-    count = sum(status.regimes.get(name, 0) for name in chosen.regimes)
+    count = sum(status.regimes.get(name, 0) for name in wanted.regimes)
     report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.place} again"
-    return old.spec.in_tiles(old.tile), place, Origin(str(old.place), old.run_id, chosen), report
+    return old.spec.in_tiles(old.tile), place, Origin(str(old.place), old.run_id, wanted), report
 
 
 def checked_retry(
     old: Header, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
 ) -> Retry:
     """The retry of a store that a user asked for; InputError if it could not change a cell."""
-    chosen = [name.strip() for name in regimes if name.strip()]
-    check_names("regime to retry", chosen, DECIDED_BY)
-    if not chosen:
+    for name in regimes:
+        checked_name("regimes", name)
+    names = [name.strip() for name in regimes if name.strip()]
+    check_names("regime to retry", names, DECIDED_BY)
+    if not names:
         raise InputError(f"retry: found none, must be one or more of {', '.join(DECIDED_BY)}")
-    found = Retry(tuple(dict.fromkeys(chosen)), max_periods, survival)
+    found = Retry(tuple(dict.fromkeys(names)), max_periods, survival)
     for each in ALLOWANCES:
         _check_amount(old, each, getattr(found, each.setting))
-    for name in chosen:
+    for name in names:
         needs = DECIDED_BY[name]
         if not found.given(needs):
             option, least = f"--{needs.setting.replace('_', '-')}", _least(old, needs)
             more = f"give {option} above {least}"
             raise InputError(f"retry: {name} cells come out the same within the same {needs.name}; {more}")
     for each in ALLOWANCES:
-        if found.given(each) and each not in {DECIDED_BY[name] for name in chosen}:
+        if found.given(each) and each not in {DECIDED_BY[name] for name in names}:
             goes = " or ".join(name for name, needs in DECIDED_BY.items() if needs is each)
-            raise InputError(f"{each.setting}: is for {goes} cells, found {','.join(chosen)}")
+            raise InputError(f"{each.setting}: is for {goes} cells, found {','.join(names)}")
     return found
 
 
@@ -139,7 +142,7 @@ def _check_amount(old: Header, allowance: Allowance, found: int | None) -> None:
     least = _least(old, allowance)
     if old.spec.settings.method == "fixed":
         raise InputError(f'{allowance.setting}: a spec with method = "fixed" has no {allowance.name} to raise')
-    if isinstance(found, bool) or not isinstance(found, int) or not least < found <= MOST_PERIODS:
+    if not is_whole(found) or not least < found <= MOST_PERIODS:
         bounds = f"must exceed the {least} that such cells were given and be at most {MOST_PERIODS}"
         raise InputError(f"{allowance.setting}: found {found}, {bounds}")
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from atlas.arguments import is_whole
 from atlas.errors import InputError, check_names, shown
 from workers.model.parameter import Parameter
 
@@ -174,7 +175,7 @@ def _checked_kind(where: str, given: Mapping[str, Any]) -> tuple[str, str | None
 def checked_num(where: str, given: Mapping[str, Any]) -> int:
     """How many values a table says there are; InputError where that is no whole number."""
     num = given["num"]
-    if isinstance(num, bool) or not isinstance(num, int):
+    if not is_whole(num):
         raise InputError(f"{where}.num: found {shown(num)}, must be a whole number, 1 or more")
     return num
 

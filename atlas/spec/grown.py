@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from atlas.arguments import is_whole
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import Axis, check_count
 from atlas.spec.differences import differences
@@ -44,7 +45,7 @@ def refined(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[in
     else:
         factors = {axis.name: refine if len(axis) > 1 else 1 for axis in stored.axes}  # type: ignore[misc]
     for name, factor in factors.items():
-        if isinstance(factor, bool) or not isinstance(factor, int) or factor < 1:
+        if not is_whole(factor) or factor < 1:
             raise InputError(f"refine {name}: found {shown(factor)}, must be a whole number, 1 or more")
     for axis in stored.axes:
         check_count(f"refine {axis.name}", (len(axis) - 1) * factors[axis.name] + 1)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.arguments import checked_atlas, checked_kind, checked_path
+from atlas.arguments import checked_atlas, checked_kind, checked_path, is_whole
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.attractors import checked_attractors, resolved_attractors
 from atlas.spec.axis import Axis, StoredAxis, Values, admitted, checked_num, read_axis
@@ -318,11 +318,11 @@ def checked_settings(given: Mapping[str, Any]) -> Settings:
         raise InputError(f"solve: found {shown(given)}, must be a table")
     check_names("key in solve", given, [field.name for field in fields(Settings)])
     for name, value in given.items():
-        if _is_whole(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
+        if is_whole(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
             raise InputError(f"solve.{name}: found {shown(value)}, must be less than 2**63")
     # A whole tolerance is the same number, and has to have the same digest, as a float.
     whole: dict[str, Any] = {
-        name: float(value) if name == "tolerance" and _is_whole(value) else value for name, value in given.items()
+        name: float(value) if name == "tolerance" and is_whole(value) else value for name, value in given.items()
     }
     try:
         return Settings(**whole)
@@ -346,10 +346,6 @@ def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[s
 
 def _settings_of(solve: Mapping[str, Any] | Settings | None) -> Settings:
     return solve if isinstance(solve, Settings) else checked_settings({} if solve is None else solve)
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _check_tables(**tables: object) -> None:
@@ -384,7 +380,7 @@ def _checked_tile(store: Mapping[str, Any], axes: int) -> tuple[int, ...] | None
     if "tile" not in store:
         return None
     tile = store["tile"]
-    right = isinstance(tile, list | tuple) and len(tile) == axes and all(_is_whole(n) and n >= 1 for n in tile)
+    right = isinstance(tile, list | tuple) and len(tile) == axes and all(is_whole(n) and n >= 1 for n in tile)
     if not right:
         raise InputError(f"store.tile: found {shown(tile)}, must be {FORMS[axes]}, each 1 or more")
     if axes == MOST_AXES and tile[0] != 1:

@@ -1,7 +1,6 @@
 """The metadata, attributes and coordinates of a store, before there is a result in it."""
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +8,7 @@ from atlas.spec.spec import Spec
 from atlas.store.axes import ROOT, copies
 from atlas.store.location import LocalPlace
 from atlas.store.machine import MACHINES
-from atlas.store.origin import ALLOWANCES, Origin
+from atlas.store.origin import ALLOWANCES, Origin, allowances_in
 from atlas.store.record import create_arrays
 from atlas.store.schema import DIMENSIONS, StoredArray, coordinates, extra_sizes, root_attributes, variable_attributes
 from atlas.store.spare import SPARE, packed_spare
@@ -31,7 +30,7 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
         create_whole(group, name, coordinate)
     for key, data in copies(spec).items():
         LocalPlace(path).put(key, data)
-    retried = [replace(each, fill=each.of_spec(spec)) for each in ALLOWANCES] if origin and origin.retry else []
+    retried = allowances_in(spec) if origin and origin.retry else ()
     for variable in (*variables, *retried):
         create_variable(group, variable, spec, tiling)
     create_arrays(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,11 @@ def _allowance(name: str, what: str, setting: str) -> Allowance:
 BUDGET = _allowance("budget", "forcing periods that the cell may cost", "max_periods")
 SURVIVAL = _allowance("survival", "forcing periods for which chaos may be watched", "survival")
 ALLOWANCES = (BUDGET, SURVIVAL)
+
+
+def allowances_in(spec: Spec) -> tuple[Allowance, ...]:
+    """The allowances, each with the spec's amount as its fill value."""
+    return tuple(replace(each, fill=each.of_spec(spec)) for each in ALLOWANCES)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,7 +17,7 @@ from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
 from atlas.store.location import Given, Place, place_of
 from atlas.store.making import is_free, make_store, refused
-from atlas.store.origin import ALLOWANCES, Allowance, Origin
+from atlas.store.origin import ALLOWANCES, Allowance, Origin, allowances_in
 from atlas.store.record import RECORD
 from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates, variable_of
 from atlas.store.schema import ZOOM as ZOOM
@@ -132,7 +132,7 @@ class Header:
     @cached_property
     def allowances(self) -> tuple[Allowance, ...]:
         """What its cells may have been given more of, if a retry made the store."""
-        return tuple(replace(each, fill=each.of_spec(self.spec)) for each in ALLOWANCES if each.name in self.arrays)
+        return tuple(each for each in allowances_in(self.spec) if each.name in self.arrays)
 
     @property
     def regime(self) -> Variable:

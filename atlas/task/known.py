@@ -7,8 +7,7 @@ from atlas.store.outage import LONG
 from atlas.store.records import Records
 from atlas.store.store import ROOT, Header, read_header
 
-_records: dict[str, Records] = {}
-"""By the run of the store."""
+_records: dict[Place, Records] = {}
 _headers: dict[tuple[Place, float], tuple[Hashable, Header]] = {}
 """By place and patience: each with the state of the store's root."""
 
@@ -19,21 +18,21 @@ def known_header(store: str | Place, patience: float = LONG) -> Header:
     version, known = place.version(ROOT), _headers.get((place, patience))
     if known is None or known[0] != version:
         known = _headers[place, patience] = version, read_header(place)
+        _records.pop(place, None)
     return known[1]
 
 
 def known_records(header: Header) -> Records:
     """The records of the tiles of a store that changes no more."""
-    if header.run_id not in _records:
-        _records[header.run_id] = Records(header)
-    return _records[header.run_id]
+    if header.place not in _records:
+        _records[header.place] = Records(header)
+    return _records[header.place]
 
 
 def forget_header(store: str | Place, patience: float = LONG) -> None:
     """Drop what is kept of a store, and of the one that it copies cells from."""
     place = place_of(store)
     known = _headers.pop((place, patience), None)
-    if known is not None:
-        _records.pop(known[1].run_id, None)
+    _records.pop(place, None)
     if known is not None and known[1].origin is not None:
         forget_header(beside(place, known[1].origin.store))
