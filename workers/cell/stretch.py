@@ -7,8 +7,9 @@ import numpy as np
 from workers import results
 from workers.kernel.averages import LEVELS
 from workers.kernel.cells import physical_states, start_motions
+from workers.kernel.hybrid.lanes import run_through_modes
 from workers.kernel.lanes.layout import LANES
-from workers.kernel.lanes.run import Batch, run_alone, run_batch
+from workers.kernel.lanes.run import Batch, run_batch
 from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at, slanted
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, each, many_of
 
@@ -82,7 +83,8 @@ def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -
     place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others.
     """
     if batch.oscillators.has_modes:
-        batch.oscillators.with_modes(lambda some: run_alone(batch, some), cells)
+        signals, enough = batch.oscillators.table.machines.signals, 0 if to_end else min(lanes, len(cells)) // 2
+        batch.oscillators.with_modes(lambda some: run_through_modes(batch, some, signals, enough, lanes), cells)
         return
     underdamped = np.all(batch.oscillators.gap.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
     for oscillates in (True, False):

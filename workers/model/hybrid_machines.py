@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite
 from workers.model.modes import split, stacked
-from workers.model.oscillator import Array, Mask
+from workers.model.oscillator import Array, Mask, Rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE, UNSTABLE
 
 INDEPENDENT = 1e-12
@@ -79,6 +79,14 @@ class HybridMachines(NamedTuple):
         """Row (N, n), upper and lower stop (N,) of each rigid contact."""
         fields = [(self.row[:, c], self.stops[:, c, 1], self.stops[:, c, 0]) for c in np.flatnonzero(~self.soft.any(0))]
         return [(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)) for a, b, c in fields]
+
+    @property
+    def signals(self) -> Rows:
+        """The numbers (U,) of the signals that end a mode of any of them, see hybrid_modes.pieces_of; one at least."""
+        _, C, F = self.sizes
+        ends = [(np.isfinite(self.stops[:, c]).any(), bool(self.by_force[:, c].any())) for c in range(C)]
+        found = np.flatnonzero([*(end for both in ends for end in both), *[True] * F])
+        return found if len(found) else np.zeros(1, dtype=np.int64)
 
     @property
     def drifting(self) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from workers.kernel.chatter import chatter_left
 from workers.kernel.contact import REBOUND, load_at_rest, outcome
 from workers.kernel.hybrid.state import damping_along, guard_value, number_of, product, reset, right_hand_side, slot_of
-from workers.kernel.jit import kernel
+from workers.kernel.jit import inlined, kernel
 from workers.kernel.signal import evaluate
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, RESONANT, SIGNALS
 
@@ -27,7 +27,7 @@ CHANGES = 4
 """Changes of mode at one time for each element, after which they are taken to have no end."""
 
 
-@kernel
+@inlined
 def mode_of(table, states, slips, where):
     """Where the mode of these contacts and slips in this phase is, MISSING, WRONG or RESONATES; and its number."""
     number = number_of(states, slips, where)
@@ -37,7 +37,7 @@ def mode_of(table, states, slips, where):
     return k, number
 
 
-@kernel
+@inlined
 def follow_jumps(table, states, slips, where, z, phase, begun):
     """Let what a jump has taken beyond its guard follow: what sticks slips, what pushes engages. See mode_of."""
     number = np.int64(0)
@@ -48,7 +48,7 @@ def follow_jumps(table, states, slips, where, z, phase, begun):
     return ENDLESS, number
 
 
-@kernel
+@inlined
 def follow_one(pieces, elements, k, where, states, slips, z, phase, begun):
     """Change what the first signal of mode k that is beyond its range asks for; whether there is one."""
     C = len(states)
@@ -76,7 +76,7 @@ def follow_one(pieces, elements, k, where, states, slips, z, phase, begun):
     return False
 
 
-@kernel
+@inlined
 def release(elements, g, c, where, states, slips, begun, order):
     """A rigid stop lets go; ``order`` is that of the first derivative of y that is not zero then.
 
@@ -122,7 +122,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begu
     return k, number
 
 
-@kernel
+@inlined
 def soft_event(g, c, side, states, begun):
     """A soft contact engages or opens, or its force begins or ceases to push. Nothing jumps."""
     state = states[c]
