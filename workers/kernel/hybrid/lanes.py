@@ -81,10 +81,11 @@ def search_for(n, harmonics, signals):
 def trips_for(table, N, n, m, framed):
     """Trips (N, ...) of n coordinates with m tangent vectors, see trip.Trip."""
     C, F, G = table.elements.row.shape[1], table.elements.slide.shape[1], table.pieces.ends.shape[2]
-    size = 2 * n
+    size, harmonics = 2 * n, table.pieces.waves.shape[3]
     return Trip(
         np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
-        np.empty((N, size)), np.empty((N, m, size)), np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
+        np.empty((N, size)), np.empty((N, m, size)), np.empty((N, harmonics, 2)),
+        np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
         np.zeros((N, C), dtype=np.int64), np.zeros((N, F), dtype=np.int64), np.zeros((N, G), dtype=np.int64),
         np.zeros((N, m if framed else 0)), np.zeros((N, 0, 0)), np.zeros((N, TALLIES)),
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from workers.kernel.contact import wave
+from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import CONTACT_DIGIT, ON, SLIP_DIGIT
@@ -45,10 +45,36 @@ def slot_of(codes, number):
 
 
 @inlined
-def guard_value(pieces, k, g, z, phase):
-    """Signal g of mode k at a physical state z (2n,), and the sum of the moduli that add up to it."""
+def turn_to(phase, turn):
+    """Write sine and cosine of each harmonic of the force at a phase to turn (H, 2)."""
+    for w in range(len(turn)):
+        turn[w, 0], turn[w, 1] = sin_cos((w + 1.0) * phase)
+
+
+@kernel
+def turned(phase, harmonics):
+    """Sine and cosine (H, 2) of each of so many harmonics of the force at a phase."""
+    turn = np.empty((harmonics, 2))
+    turn_to(phase, turn)
+    return turn
+
+
+@inlined
+def wave(parts, turn):
+    """sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian; see turned."""
+    value, rate = 0.0, 0.0
+    for k in range(len(turn)):
+        sin, cos = turn[k, 0], turn[k, 1]
+        value += parts[k, 0] * sin + parts[k, 1] * cos
+        rate += (k + 1.0) * (parts[k, 0] * cos - parts[k, 1] * sin)
+    return value, rate
+
+
+@inlined
+def guard_value(pieces, k, g, z, turn):
+    """Signal g of mode k at a physical state z (2n,), and the sum of the moduli that add up to it; see turned."""
     row = pieces.rows[k, g]
-    value, _ = wave(pieces.direct[k, g], phase)
+    value, _ = wave(pieces.direct[k, g], turn)
     size = abs(value) + abs(row[len(z)])
     value += row[len(z)]
     for i in range(len(z)):
@@ -58,9 +84,9 @@ def guard_value(pieces, k, g, z, phase):
 
 
 @inlined
-def guard_rate(pieces, k, g, f, omega, phase):
+def guard_rate(pieces, k, g, f, omega, turn):
     """The rate of signal g of mode k where the state has the rates f (2n,)."""
-    _, rate = wave(pieces.direct[k, g], phase)
+    _, rate = wave(pieces.direct[k, g], turn)
     rate *= omega
     for i in range(len(f)):
         rate += pieces.rows[k, g, i] * f[i]
@@ -68,11 +94,11 @@ def guard_rate(pieces, k, g, f, omega, phase):
 
 
 @inlined
-def right_hand_side(pieces, k, z, phase, f):
+def right_hand_side(pieces, k, z, turn, f):
     """Write z' (2n,) in mode k."""
     n = len(z) // 2
     for i in range(n):
-        total, _ = wave(pieces.drive[k, i], phase)
+        total, _ = wave(pieces.drive[k, i], turn)
         row = pieces.acceleration[k, i]
         total += row[2 * n]
         for j in range(2 * n):
@@ -81,12 +107,12 @@ def right_hand_side(pieces, k, z, phase, f):
 
 
 @inlined
-def enter(pieces, k, z, W, phase, h, V):
+def enter(pieces, k, z, W, turn, h, V):
     """Write the block state h (n, 2), forced response taken off, and the tangent vectors V (m, n, 2) in mode k."""
     matrix, blocks, forced = pieces.to_blocks[k], pieces.blocks[k, 0], pieces.forced[k]
     size = len(z)
     for i in range(size):
-        total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], phase)[0]
+        total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], turn)[0]
         for j in range(size):
             total += matrix[i, j] * z[j]
         h[i // 2, i % 2] = total
@@ -94,14 +120,14 @@ def enter(pieces, k, z, W, phase, h, V):
 
 
 @inlined
-def leave(pieces, k, h, V, phase, z, W):
+def leave(pieces, k, h, V, turn, z, W):
     """Write the physical state z (2n,) and the tangent vectors W (m, 2n) of those of mode k."""
     matrix, blocks, forced = pieces.to_physical[k], pieces.blocks[k, 0], pieces.forced[k]
     size = len(z)
     z[:] = 0.0
     for j in range(size):
         rest = blocks[j // 2, COLUMN.rest0 + j % 2]
-        full = h[j // 2, j % 2] + wave(forced[j // 2, j % 2], phase)[0] + rest
+        full = h[j // 2, j % 2] + wave(forced[j // 2, j % 2], turn)[0] + rest
         for i in range(size):
             z[i] += matrix[i, j] * full
     leave_frame(matrix, V, W)

@@ -25,7 +25,16 @@ from workers.kernel.hybrid.events import (
 )
 from workers.kernel.hybrid.neutral import keep_neighbours, note_slips
 from workers.kernel.hybrid.notes import note
-from workers.kernel.hybrid.state import enter, guard_rate, leave, read_number, reset, right_hand_side, row_product
+from workers.kernel.hybrid.state import (
+    enter,
+    guard_rate,
+    leave,
+    read_number,
+    reset,
+    right_hand_side,
+    row_product,
+    turn_to,
+)
 from workers.kernel.jit import inline_always, inlined, kernel, named_constants
 from workers.kernel.motion import (
     CONTRACTION,
@@ -105,6 +114,7 @@ class Trip(NamedTuple):
     clock, place              see TripClock and TripPlace
     h (n, 2), V (m, n, 2)     where the leg begins, in the blocks of its mode
     z (2n,), W (m, 2n)        at an event, physical
+    turn (H, 2)               of the force there, see state.turned
     before, after (2n,)       rates of z there
     slopes (m,)               by how much each vector is early there
     states (C,), slips (F,)   what contacts and friction do
@@ -119,6 +129,7 @@ class Trip(NamedTuple):
     V: Array
     z: Array
     W: Array
+    turn: Array
     before: Array
     after: Array
     slopes: Array
@@ -194,9 +205,9 @@ def keep_held(elements, states, slips, z):
 @inlined
 def follow(table, trip):
     """Find the mode that the motion goes on in, see events.follow_jumps."""
-    clock, place = trip.clock, trip.place
+    place = trip.place
     k, number = follow_jumps(
-        table, trip.states, trip.slips, place[PLACE.where], trip.z, clock[CLOCK.phase], trip.begun
+        table, trip.states, trip.slips, place[PLACE.where], trip.z, trip.turn, trip.begun
     )  # fmt: skip
     place[PLACE.mode], place[PLACE.number] = k, number
 
@@ -209,6 +220,7 @@ def begin_trip(table, trip, number):
     trip.begun[:] = 0
     clock[:] = 0.0
     clock[CLOCK.phase] = table.tau
+    turn_to(table.tau, trip.turn)
     clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     place[:] = 0
     place[PLACE.hit] = -1
@@ -223,7 +235,7 @@ def begin_leg(table, trip, duration):
     tally[STATUS] says where it cannot go on.
     """
     clock, place, tally = trip.clock, trip.place, trip.tally
-    k, t, phase, period = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.phase], 2.0 * math.pi / table.omega
+    k, t, period = place[PLACE.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
     if k < 0:
         stop_at(table, tally, k, place[PLACE.number])
     if tally[STATUS] != RUNNING:
@@ -232,7 +244,7 @@ def begin_leg(table, trip, duration):
     tally[LOST] = max(tally[LOST], lost + table.drifts)
     until = min(duration, period, table.elements.starts[place[PLACE.where] + 1] * period)
     clock[CLOCK.until] = until
-    enter(table.pieces, k, trip.z, trip.W, phase, trip.h, trip.V)
+    enter(table.pieces, k, trip.z, trip.W, trip.turn, trip.h, trip.V)
     if t == 0.0:
         keep_neighbours(table.elements, trip.states, lost, trip.V)
     note_slips(trip.slips, tally)
@@ -270,15 +282,16 @@ def leave_leg(table, trip, s, reached, end, duration, legs):
     phase = table.tau + table.omega * t
     clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, phase, 0.0
     place[PLACE.hit], place[PLACE.side] = reached, end
-    leave(pieces, k, h, trip.V, phase, trip.z, trip.W)
+    turn_to(phase, trip.turn)
+    leave(pieces, k, h, trip.V, trip.turn, trip.z, trip.W)
     if reached < 0:
         clock[CLOCK.rate], clock[CLOCK.hop] = 0.0, 0.0
         if not last:
             place[PLACE.where] += 1
             follow(table, trip)
         return last
-    right_hand_side(pieces, k, trip.z, phase, trip.before)
-    rate = speed if speed > 0.0 else end * guard_rate(pieces, k, reached, trip.before, table.omega, phase)
+    right_hand_side(pieces, k, trip.z, trip.turn, trip.before)
+    rate = speed if speed > 0.0 else end * guard_rate(pieces, k, reached, trip.before, table.omega, trip.turn)
     rate = end * max(rate, TINY)
     clock[CLOCK.rate] = rate
     row = pieces.rows[k, reached]
@@ -311,13 +324,13 @@ def strike_soft(table, trip, hits):
 def strike_hard(table, trip, hits):
     """Pass the event of friction or of a rigid contact."""
     elements, clock, place = table.elements, trip.clock, trip.place
-    g, side, phase, C = place[PLACE.hit], place[PLACE.side], clock[CLOCK.phase], len(trip.states)
+    g, side, C = place[PLACE.hit], place[PLACE.side], len(trip.states)
     c = g // SIGNALS
     if c >= C:
         clock[CLOCK.hop] = 0.0
         k, number = friction_event(
             table, g, g - SIGNALS * C, side, trip.states, trip.slips, place[PLACE.where], trip.z, trip.before, trip.W,
-            phase, trip.begun,
+            trip.turn, trip.begun,
         )  # fmt: skip
         if k < 0:
             place[PLACE.mode], place[PLACE.number] = k, number
@@ -340,7 +353,7 @@ def strike_stop(table, trip, g, c, side, hits):
     R, energy = table.elements.R[c], table.elements.weight[c] * rate * rate
     following, left = impact(
         table, trip.place[PLACE.mode], g, c, side, rate, trip.h, trip.states, trip.slips, trip.place[PLACE.where],
-        trip.z, trip.before, trip.W, clock[CLOCK.phase], trip.begun,
+        trip.z, trip.before, trip.W, clock[CLOCK.phase], trip.turn, trip.begun,
     )  # fmt: skip
     clock[CLOCK.hop] = 0.0
     ends = with_estimate((clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3]), t + left)
@@ -362,18 +375,19 @@ def strike_stop(table, trip, g, c, side, hits):
 @inlined
 def carry(table, trip, mode):
     """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix."""
-    clock, place = trip.clock, trip.place
+    place = trip.place
     f, after, k, g = trip.before, trip.after, place[PLACE.mode], place[PLACE.hit]
     if k < 0:
         return
-    right_hand_side(table.pieces, k, trip.z, clock[CLOCK.phase], after)
+    right_hand_side(table.pieces, k, trip.z, trip.turn, after)
     for i in range(len(after)):
         after[i] -= f[i]
         for e in range(len(trip.W)):
             trip.W[e, i] += after[i] * trip.slopes[e]
     if g >= SIGNALS * len(trip.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
-        change = row_product(table.pieces.rows[mode, g], after) / clock[CLOCK.rate]
-        trip.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
+        change = row_product(table.pieces.rows[mode, g], after) / trip.clock[CLOCK.rate]
+        if change != 0.0:
+            trip.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
 
 
 @kernel
