@@ -12,7 +12,6 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.crossing import LEAST_STEP, REFRESH
-from workers.kernel.elementary import sin_cos
 from workers.kernel.fma import fma
 from workers.kernel.jit import inline_always, inlined, kernel, named_constants
 from workers.kernel.lanes.layout import (
@@ -93,13 +92,14 @@ def move_lane(records, source, target):
 
 
 @inlined
-def board(records, i, pieces, signals, k, h, phase, omega, begun, H):
-    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); whether all of its blocks oscillate."""
-    oscillates = True
-    harmonics = pieces.waves.shape[2]
+def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
+    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); whether all of its blocks oscillate.
+
+    turn (H, 2) of the force at its phase, see state.turned.
+    """
+    oscillates, harmonics, n = True, len(turn), len(h)
     for u in range(len(signals)):
-        a, g = records[u], signals[u]
-        numbers, offset = pieces.numbers[k, g], pieces.offset[k, g]
+        a, g, offset, numbers = records[u], signals[u], pieces.offset[k, signals[u]], pieces.numbers[k, signals[u]]
         a[LANE.omega + i] = omega
         a[LANE.amplitude + i], a[LANE.swing2 + i] = numbers[NUMBER.amplitude], numbers[NUMBER.swing2]
         a[LANE.swing3 + i], a[LANE.swing4 + i] = numbers[NUMBER.swing3], numbers[NUMBER.swing4]
@@ -108,30 +108,34 @@ def board(records, i, pieces, signals, k, h, phase, omega, begun, H):
         a[LANE.time + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
         a[LANE.own_stop + i], a[LANE.starts + i], a[LANE.renews + i] = begun[g], 1.0, 1.0
         a[LANE.sin_part + i], a[LANE.cos_part + i] = pieces.waves[k, g, 0, 0], pieces.waves[k, g, 0, 1]
-        a[LANE.forced + i] = a[LANE.forced_rate + i] = 0.0
-        a[LANE.forced_second + i] = a[LANE.forced_third + i] = 0.0
-        for j in range(h.shape[0]):
-            q, block = fields_of(a, j), pieces.blocks[k, g, j]
-            for f in range(COLUMN.k0):
-                q[f * STRIDE + i] = block[f]
-            q[BLOCK.h0 + i], q[BLOCK.h1 + i] = h[j, 0], h[j, 1]
-            oscillates = oscillates and block[COLUMN.d] > 0.0
-    for w in range(harmonics):
-        order = w + 1.0
-        sin, cos = sin_cos(order * phase)
-        rate = order * omega
-        for u in range(len(signals)):
-            a, g = records[u], signals[u]
-            sin_part, cos_part = pieces.waves[k, g, w, 0], pieces.waves[k, g, w, 1]
-            y, v = fma(sin_part, sin, cos_part * cos), rate * fma(sin_part, cos, -cos_part * sin)
-            a[LANE.forced + i] += y
-            a[LANE.forced_rate + i] += v
-            a[LANE.forced_second + i] += -rate * rate * y
-            a[LANE.forced_third + i] += -rate * rate * v
+        forced, rate, second, third = 0.0, 0.0, 0.0, 0.0
+        for w in range(harmonics):
+            fast, sin_part, cos_part = (w + 1.0) * omega, pieces.waves[k, g, w, 0], pieces.waves[k, g, w, 1]
+            y = fma(sin_part, turn[w, 0], cos_part * turn[w, 1])
+            v = fast * fma(sin_part, turn[w, 1], -cos_part * turn[w, 0])
+            forced, rate, second, third = forced + y, rate + v, second - fast * fast * y, third - fast * fast * v
             if w > 0:
-                q = fields_of_harmonic(a, padded_blocks(h.shape[0]), w - 1)
-                q[HARMONIC.sin_part + i], q[HARMONIC.cos_part + i] = sin_part, cos_part
+                first = LANE_SIZE + padded_blocks(n) * BLOCK_SIZE + (w - 1) * HARMONIC_SIZE + i
+                a[first + HARMONIC.sin_part], a[first + HARMONIC.cos_part] = sin_part, cos_part
+        a[LANE.forced + i], a[LANE.forced_rate + i] = forced, rate
+        a[LANE.forced_second + i], a[LANE.forced_third + i] = second, third
+        for j in range(n):
+            first = LANE_SIZE + j * BLOCK_SIZE + i
+            for f in range(COLUMN.k0):
+                a[np.uint64(first + f * STRIDE)] = pieces.blocks[k, g, j, f]
+            a[first + BLOCK.h0], a[first + BLOCK.h1] = h[j, 0], h[j, 1]
+            oscillates = oscillates and pieces.blocks[k, g, j, COLUMN.d] > 0.0
     return oscillates
+
+
+@inlined
+def read_flow(records, i, flow):
+    """Write the flow of each block from the leg's start to where lane i is, and its state there: see trip.Trip."""
+    for j in range(len(flow)):
+        first = LANE_SIZE + j * BLOCK_SIZE + i
+        flow[j, 0], flow[j, 1] = records[0, first + BLOCK.f11], records[0, first + BLOCK.f12]
+        flow[j, 2], flow[j, 3] = records[0, first + BLOCK.f21], records[0, first + BLOCK.f22]
+        flow[j, 4], flow[j, 5] = records[0, first + BLOCK.h0], records[0, first + BLOCK.h1]
 
 
 @kernel

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
-from workers.kernel.hybrid.fields import LEG_FIELD, LEG_SIZE, board, move_lane, park, record_size, take_round
+from workers.kernel.hybrid.fields import LEG_FIELD, LEG_SIZE, board, move_lane, park, read_flow, record_size, take_round
 from workers.kernel.hybrid.motion import first_event, put_down, take_up
 from workers.kernel.hybrid.trip import (
     CLOCK,
@@ -84,6 +84,7 @@ def trips_for(table, N, n, m, framed):
     size, harmonics = 2 * n, table.pieces.waves.shape[3]
     return Trip(
         np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
+        np.empty((N, n, 6)),
         np.empty((N, size)), np.empty((N, m, size)), np.empty((N, harmonics, 2)),
         np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
         np.zeros((N, C), dtype=np.int64), np.zeros((N, F), dtype=np.int64), np.zeros((N, G), dtype=np.int64),
@@ -200,7 +201,8 @@ def pass_found(batch, trips, search, r, slot, i):
     hit, s, mode = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], trip.place[PLACE.mode]
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
-    through = leave_leg(table, trip, s, reached, end, 2.0 * np.pi / table.omega, search.none)
+    read_flow(search.records, i, trip.flow)
+    through = leave_leg(table, trip, s, reached, end, 2.0 * np.pi / table.omega, search.none, True)
     if reached >= 0:
         if is_soft(table, reached):
             strike_soft(table, trip, batch.motions.impacts[r])
@@ -256,7 +258,9 @@ def turn(batch, trips, search, r, i, stage, ending, more):
             break
         through = pass_leg(batch, trips, search, r, slot)
     phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.place[PLACE.mode]
-    smooth = board(search.records, i, table.pieces, search.signals, k, trip.h, phase, table.omega, trip.begun, H)
+    smooth = board(
+        search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
+    )
     search.legs[LEG_FIELD.oscillates + i] = 1.0 if smooth else 0.0
     return True
 

@@ -39,7 +39,8 @@ def new_trip(table, z, W, growth, triangle, tally):
     C, F, G = table.elements.row.shape[0], table.elements.slide.shape[0], table.pieces.ends.shape[1]
     return Trip(
         np.zeros(CLOCKS), np.zeros(PLACES, dtype=np.int64), np.empty((size // 2, 2)), np.empty((m, size // 2, 2)),
-        z, W, np.empty((table.pieces.waves.shape[2], 2)), np.empty(size), np.empty(size), np.empty(m),
+        np.empty((size // 2, 6)), z, W, np.empty((table.pieces.waves.shape[2], 2)),
+        np.empty(size), np.empty(size), np.empty(m),
         np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64), np.zeros(G, dtype=np.int64),
         growth, triangle, tally,
     )  # fmt: skip

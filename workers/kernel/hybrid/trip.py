@@ -48,13 +48,22 @@ from workers.kernel.motion import (
     RESONANT_MODE,
     RUNNING,
     SIMULTANEOUS,
+    SPREAD,
     STATUS,
     STUCK,
     count_contact,
     write_down_rest,
 )
-from workers.kernel.tangent import MAX_SPREAD, drop_dependent, graded_flow, orthonormalise, spread_rate
-from workers.model.hybrid_modes import ON, OPEN, SIGNALS
+from workers.kernel.tangent import (
+    MAX_SPREAD,
+    drop_dependent,
+    graded_flow,
+    impact_spread,
+    needs_reset,
+    orthonormalise,
+    spread_rate,
+)
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS, SPREAD_OF
 from workers.model.oscillator import Array
 
 AT_SECTION = 1e-13
@@ -113,6 +122,7 @@ class Trip(NamedTuple):
 
     clock, place              see TripClock and TripPlace
     h (n, 2), V (m, n, 2)     where the leg begins, in the blocks of its mode
+    flow (n, 6)               of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
     z (2n,), W (m, 2n)        at an event, physical
     turn (H, 2)               of the force there, see state.turned
     before, after (2n,)       rates of z there
@@ -127,6 +137,7 @@ class Trip(NamedTuple):
     place: NDArray[np.int64]
     h: Array
     V: Array
+    flow: Array
     z: Array
     W: Array
     turn: Array
@@ -152,24 +163,33 @@ def stop_at(table, tally, k, number):
 
 
 @inlined
-def fly(pieces, k, s, h, V, growth, triangle, lost):
-    """Move the block state and the tangent vectors on by s in mode k, of which ``lost`` directions are no more.
+def fly(pieces, k, s, trip, drifts, flown):
+    """Move the block state and the tangent vectors on by s in mode k; ``flown`` says that trip.flow is that flow.
 
-    A frame is orthonormal before it flies: what an event has taken of it is seen before the flight turns rounding into
-    directions.
+    A frame is orthonormal before it flies where an event has taken directions of it, which is to be seen before the
+    flight turns rounding into directions, and where the flight might spread it too far, see tangent.MAX_SPREAD.
     """
-    blocks, rank = pieces.blocks[k, 0], 2 * h.shape[0] - int(lost)
-    framed = growth.shape[0] > 0
-    if framed and lost > 0.0:
-        drop_dependent(blocks, V, rank)
-    if framed:
-        orthonormalise(blocks, V, growth, triangle, rank)
-    if framed and s * spread_rate(blocks) > MAX_SPREAD:
-        flow(blocks, s, h)
-        graded_flow(blocks, s, V, growth, triangle, rank)
-        return
+    blocks, h, V, growth, tally, flows = pieces.blocks[k, 0], trip.h, trip.V, trip.growth, trip.tally, trip.flow
+    if growth.shape[0] > 0:
+        lost = tally[LOST] - drifts
+        rank, spread = 2 * h.shape[0] - int(lost), s * spread_rate(blocks)
+        far = spread > MAX_SPREAD
+        if lost > 0.0:
+            drop_dependent(blocks, V, rank)
+        if lost > 0.0 or drifts > 0.0 or far or needs_reset(tally[SPREAD], spread, MAX_SPREAD):
+            orthonormalise(blocks, V, growth, trip.triangle, rank)
+            tally[SPREAD] = 0.0
+        tally[SPREAD] += spread
+        if far:
+            flow(blocks, s, h)
+            graded_flow(blocks, s, V, growth, trip.triangle, rank)
+            return
     for j in range(h.shape[0]):
-        f11, f12, f21, f22 = flow_block(blocks[j], s, h[j])
+        if flown:
+            f11, f12, f21, f22 = flows[j, 0], flows[j, 1], flows[j, 2], flows[j, 3]
+            h[j, 0], h[j, 1] = flows[j, 4], flows[j, 5]
+        else:
+            f11, f12, f21, f22 = flow_block(blocks[j], s, h[j])
         for i in range(V.shape[0]):
             v0, v1 = V[i, j, 0], V[i, j, 1]
             V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
@@ -252,15 +272,15 @@ def begin_leg(table, trip, duration):
 
 
 @inlined
-def leave_leg(table, trip, s, reached, end, duration, legs):
+def leave_leg(table, trip, s, reached, end, duration, legs, flown):
     """End a leg after s, where signal ``reached`` is at this end of its range, -1 for none; see motion.through_modes.
 
-    Whether the trip is over. An event is yet to be passed: see strike.
+    Whether the trip is over. An event is yet to be passed, see strike_soft. flown: trip.flow is that over s.
     """
     clock, place, tally, pieces, h = trip.clock, trip.place, trip.tally, table.pieces, trip.h
     k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
     phase, hit, last = clock[CLOCK.phase], place[PLACE.hit], until >= min(duration, 2.0 * math.pi / table.omega)
-    again, speed = w > 0.0 and reached == hit and end == place[PLACE.side], 0.0
+    searched, again, speed = s, w > 0.0 and reached == hit and end == place[PLACE.side], 0.0
     if again:
         blocks, waves = pieces.blocks[k, hit], pieces.waves[k, hit]
         fastest = fastest_rate(blocks, waves, table.omega)
@@ -273,7 +293,7 @@ def leave_leg(table, trip, s, reached, end, duration, legs):
         rate, number = clock[CLOCK.rate], place[PLACE.number]
         note(legs[seen], t, hit, place[PLACE.side], rate, number, k, s, chatter, trip.z, trip.begun)
         place[PLACE.legs] += 1
-    fly(pieces, k, s, h, trip.V, trip.growth, trip.triangle, tally[LOST] - table.drifts)
+    fly(pieces, k, s, trip, table.drifts, flown and s == searched)
     tally[CONTRACTION] -= pieces.trace[k] * s
     count_rest(table.elements, trip.states, pieces.lost[k], s, chatter, tally)
     if s > 0.0:
@@ -374,20 +394,46 @@ def strike_stop(table, trip, g, c, side, hits):
 
 @inlined
 def carry(table, trip, mode):
-    """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix."""
-    place = trip.place
+    """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix.
+
+    With q = |r.(f+ - f-) / r'|, in time units of the mode where r is a row on positions, it spreads them by at most
+    2 ln(1 + q) - ln det, see tangent.impact_spread; and the energy norm is that of another mode from then on.
+    """
+    place, pieces, tally = trip.place, table.pieces, trip.tally
     f, after, k, g = trip.before, trip.after, place[PLACE.mode], place[PLACE.hit]
     if k < 0:
         return
-    right_hand_side(table.pieces, k, trip.z, trip.turn, after)
+    right_hand_side(pieces, k, trip.z, trip.turn, after)
     for i in range(len(after)):
         after[i] -= f[i]
         for e in range(len(trip.W)):
             trip.W[e, i] += after[i] * trip.slopes[e]
-    if g >= SIGNALS * len(trip.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
-        change = row_product(table.pieces.rows[mode, g], after) / trip.clock[CLOCK.rate]
-        if change != 0.0:
-            trip.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
+    soft = is_soft(table, g)
+    if not soft:
+        tally[SPREAD] = np.inf
+    if not soft and g < SIGNALS * len(trip.states):
+        return
+    rate, row, n = trip.clock[CLOCK.rate], pieces.rows[mode, g], len(trip.h)
+    change = row_product(row, after) / rate  # det S = 1 + r.(f+ - f-) / r'
+    if change != 0.0:
+        tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
+    if len(trip.growth) == 0:
+        return
+    if soft and change == 0.0:
+        jump = 0.0
+        for i in range(n):
+            jump += row[i] * after[n + i]
+        ratio, (low, high), (low_, high_) = jump / rate, edges(pieces, mode), edges(pieces, k)
+        tally[SPREAD] += impact_spread(ratio, pieces.spread[mode, SPREAD_OF.time_unit], 0.0)
+        tally[SPREAD] += max(high - low_, high_ - low, 0.0)
+    else:
+        tally[SPREAD] = np.inf
+
+
+@inlined
+def edges(pieces, k):
+    """Half the logarithms of the least and the greatest weight of the blocks of mode k."""
+    return pieces.spread[k, SPREAD_OF.low], pieces.spread[k, SPREAD_OF.high]
 
 
 @kernel
@@ -397,7 +443,7 @@ def end_leg(table, trip, s, reached, end, duration, hits, legs):
     Whether the trip is over; hits and legs as of motion.through_modes.
     """
     mode = trip.place[PLACE.mode]
-    over = leave_leg(table, trip, s, reached, end, duration, legs)
+    over = leave_leg(table, trip, s, reached, end, duration, legs, False)
     if reached >= 0:
         if is_soft(table, reached):
             strike_soft(table, trip, hits)
