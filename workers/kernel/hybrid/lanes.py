@@ -1,7 +1,7 @@
 """Many motions of hybrid machines at a time: each lane takes the next cell of the queue when its own is through.
 
 Lanes search for the events of legs; what an event does, trip.py says, for one motion at a time. A leg that begins at
-rest at an end of a signal's range, or hops in a chatter, is searched as motion.py does.
+rest at an end of a signal's range, hops in a chatter, or may grow, is searched as motion.py does.
 """
 
 from typing import NamedTuple
@@ -33,6 +33,7 @@ from workers.kernel.lanes.run import keep_section, over
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.lend import lend, row_in
 from workers.kernel.motion import MODE_MISSING, RUNNING, STATUS, TALLIES, spend
+from workers.kernel.signal import growth_rate
 from workers.kernel.tangent import log_length
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import Array, Rows
@@ -254,7 +255,7 @@ def turn(batch, trips, search, r, i, stage, ending, more):
         if tally[STATUS] != RUNNING:
             batch.motions.tally[r, STATUS] = tally[STATUS]
             return False
-        if not begins_at_rest(trip):
+        if not (begins_at_rest(trip) or grows(table.pieces, trip.place[PLACE.mode])):
             break
         through = pass_leg(batch, trips, search, r, slot)
     phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.place[PLACE.mode]
@@ -272,3 +273,9 @@ def begins_at_rest(trip):
     for order in trip.begun:
         rests = rests or abs(order) > 1
     return rests
+
+
+@inlined
+def grows(pieces, k):
+    """Whether a block of mode k grows: bounds hold for a while only then, see crossing.next_crossing."""
+    return growth_rate(pieces.blocks[k, 0]) > 0.0

@@ -184,6 +184,17 @@ def go_alone(batch, r):
 
 
 @kernel
+def run_alone(batch, cells):
+    """Advance these cells of a batch by their periods, one after the other, as run_batch does: those that may grow."""
+    batch = lend(batch)
+    for r in cells:
+        if batch.done[r] == 0:
+            batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
+        while not over(r, batch.done, batch.periods, batch.motions.tally):
+            go_alone(batch, r)
+
+
+@kernel
 def run_batch(batch, cells, enough, lanes, oscillates):
     """Advance these cells of a batch by their periods, or to where their motion or their work ends.
 
