@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from workers.kernel.borrow import row_of
-from workers.kernel.hybrid.state import enter, slot_of, transform
+from workers.kernel.hybrid.state import enter, leave_frame, slot_of, turned
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend
 from workers.kernel.motion import FREE
@@ -104,8 +104,9 @@ def escaping_in_modes(oscillators, motions, cells):
         k = slot_of(table.codes, motions.contact[r, 0] - FIRST_NUMBER)
         if osc.head[HEAD.growth] == 0.0 or k < 0 or table.elements.starts.shape[0] > 2:
             continue
-        transform(osc.to_physical, motions.h[r].copy().reshape((1, n, 2)), z)
-        enter(pieces, k, z[0], np.zeros((0, 2 * n)), osc.tau, at, np.zeros((0, n, 2)))
+        leave_frame(osc.to_physical, motions.h[r].copy().reshape((1, n, 2)), z)
+        turn = turned(osc.tau, pieces.waves.shape[2])
+        enter(pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
         left, met = False, False
         for g in range(pieces.ends.shape[1]):
             blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]
