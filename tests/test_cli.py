@@ -73,7 +73,7 @@ def test_a_map_is_drawn_without_numba(folder: Path, tmp_path: Path) -> None:
     assert shown.stdout.splitlines()[-1] == "False"
 
 
-@pytest.mark.parametrize("command", ["plan", "run", "submit", "cancel", "status", "query", "plot", "point", "systems"])
+@pytest.mark.parametrize("command", ["plan", "run", "cancel", "status", "query", "plot", "point", "systems"])
 def test_every_command_has_help(command: str) -> None:
     assert call(command, "--help").exit_code == 0
     assert command in call("--help").stdout
