@@ -111,7 +111,7 @@ class Report:
             what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
             lines.append(what if self.repaired else "no tile to drop")
             if self.dropped:
-                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped")
+                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: the next run makes them again")
             lines += [f"removed: {key}" for key in self.removed]
             lines += self.mended
         bad = bool(self.faults or self.doubts)
