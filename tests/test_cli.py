@@ -59,7 +59,7 @@ def test_help_comes_without_the_heavy_imports() -> None:
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert "Commands:" in shown.stdout
+    assert "Compute:" in shown.stdout
     assert shown.stdout.splitlines()[-1] == "[]"
 
 

@@ -71,10 +71,11 @@ def test_a_picture_of_it_is_that_of_the_store(header: store.Header, packed: Path
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-@pytest.mark.parametrize("args", [("status",), ("query",), ("find", "regions", "period")])
+@pytest.mark.parametrize("args", [("status", "STORE"), ("query", "STORE"), ("find", "regions", "STORE", "period")])
 def test_commands_that_read_answer_as_of_the_store(header: store.Header, packed: Path, args: tuple[str, ...]) -> None:
     of_store, of_file = (
-        json.loads(call(args[0], place, *args[1:], "--json").stdout) for place in (header.path, packed)
+        json.loads(call(*(place if each == "STORE" else each for each in args), "--json").stdout)
+        for place in (header.path, packed)
     )
     for message in (of_store, of_file):
         message.pop("store", None)

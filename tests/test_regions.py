@@ -315,25 +315,25 @@ def test_the_command_gives_extremes_as_json(header: store.Header) -> None:
     )
 
 
-@pytest.mark.parametrize("question", [("find", "regions", "period"), ("find", "extremes", "largest")])
+@pytest.mark.parametrize("question", [("regions", "period"), ("extremes", "largest")])
 def test_the_command_writes_a_list_as_csv(header: store.Header, tmp_path: Path, question: tuple[str, str]) -> None:
     out = tmp_path / "a.csv"
-    message = json.loads(call(question[0], header.path, question[1], "-o", out, "--json").stdout)
+    message = json.loads(call("find", question[0], header.path, question[1], "-o", out, "--json").stdout)
     assert message == {"file": str(out), "rows": len(out.read_text().splitlines()) - 1}
 
 
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (("find", "regions", "omega=1:2"), "--window omega=1:2 limits an axis"),
-        (("find", "regions", "period=many"), "period: found 'many', must be a whole number"),
-        (("find", "regions", "period", "--min-cells", "0"), "min_cells: found 0, must be a whole number of cells"),
-        (("find", "regions", "period", "-o", "a.nc"), "a.nc: a list is written as .csv, found .nc"),
-        (("find", "extremes", "largest", "--by", "place"), "place"),
+        (("regions", "omega=1:2"), "--window omega=1:2 limits an axis"),
+        (("regions", "period=many"), "period: found 'many', must be a whole number"),
+        (("regions", "period", "--min-cells", "0"), "min_cells: found 0, must be a whole number of cells"),
+        (("regions", "period", "-o", "a.nc"), "a.nc: a list is written as .csv, found .nc"),
+        (("extremes", "largest", "--by", "place"), "place"),
     ],
 )
 def test_a_bad_question_is_answered_with_one_line(header: store.Header, args: tuple[str, ...], message: str) -> None:
-    shown = call(args[0], header.path, *args[1:])
+    shown = call("find", args[0], header.path, *args[1:])
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert message in shown.stderr and len(shown.stderr.splitlines()) == 1
 
