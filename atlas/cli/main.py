@@ -117,9 +117,9 @@ def _bad_usage(error: click.UsageError) -> _BadInput:
 class _Group(click.Group):
     """Commands whose errors end in one line: 1 failed, 2 bad usage or input, 130 interrupted."""
 
-    def __init__(self, *args: Any, table: _Table, **kwargs: Any) -> None:
-        super().__init__(*args, commands=_Commands(table), **kwargs)  # type: ignore[arg-type]
-        self.table = table
+    def __init__(self, name: str, table: _Table, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.commands, self.table = _Commands(table), table  # type: ignore[assignment]  # click declares a dict
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         for stream in (sys.stdout, sys.stderr):
