@@ -153,6 +153,19 @@ def test_without_repair_nothing_is_written(whole: Path) -> None:
     assert {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()} == before
 
 
+def test_a_repair_reads_on_once_the_metadata_are_written_again(whole: Path, client: Client) -> None:
+    before = arrays_of(whole)
+    (whole / "largest" / "zarr.json").unlink()
+    flip(chunk(whole, "state"), 7)
+    assert [fault.tile for fault in verify(whole, sample=0).faults] == [None]
+    report = verify(whole, sample=0, repair=True)
+    assert [fault.tile for fault in report.faults] == [None, (0, 1)]
+    assert (report.repaired, report.mended) == (((0, 1),), ("largest/zarr.json written again",))
+    atlas.run(SPEC, whole, client=client)
+    assert arrays_of(whole) == before
+    assert verify(whole, sample=0).fine
+
+
 def test_a_repair_of_a_store_without_a_fault_changes_nothing(whole: Path) -> None:
     """No byte, no time of a file and no name: of a complete store, and of one with a tile to be solved."""
 

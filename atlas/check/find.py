@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
 
@@ -74,7 +74,7 @@ class Findings:
     overviews: OverviewReport | None = None
     groups: GroupReport | None = None
     foreign: tuple[str, ...] = ()
-    zoom: tuple[tuple[str, ...], ...] = field(default=())
+    zoom: tuple[tuple[str, ...], ...] = ()
 
 
 def find(place: Place, sample: int, seed: int, notify: Callable[[Progress], None]) -> Findings:
