@@ -79,11 +79,16 @@ def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -
     """Take these cells of a batch on, in place, until each has ended; at most ``lanes`` <= LANES at a time.
 
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
-    place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others.
+    place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others. Cells whose free
+    flight may grow go one after the other.
     """
     if batch.oscillators.has_modes:
         batch.oscillators.with_modes(lambda some: run_alone(batch, some), cells)
         return
+    grows = batch.oscillators.growth[cells] > 0.0
+    if np.any(grows):
+        run_alone(batch, cells[grows])
+        cells = cells[~grows]
     underdamped = np.all(batch.oscillators.gap.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
     for oscillates in (True, False):
         some = cells[underdamped == oscillates]

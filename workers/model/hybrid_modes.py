@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from workers.model.free import Flow, derivative_of, loading_of
 from workers.model.free import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines, along_contacts
-from workers.model.modes import split, stacked
+from workers.model.modes import split, stacked, symmetric
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, make_blocks, taken
 
 OPEN, ON, DETACHED = 0, 1, 2
@@ -106,8 +106,8 @@ class Pieces(NamedTuple):
 def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.int64]]:
     """A mode of machines, and why it is none of each of them, 0 where it is one.
 
-    RESONANT where it resonates undamped. NO_FORM where held rows depend on each other, motion grows, planes cannot be
-    separated, or a load drives a free motion that what is held leaves. Machines of which other friction sticks on the
+    RESONANT where it resonates undamped. NO_FORM where held rows depend on each other, planes cannot be separated, or a
+    load drives a free motion that what is held leaves. Machines of which other friction sticks on the
     row of a contact that is held are made apart from each other: what holds them is not the same.
     """
     along = along_contacts(machines)
@@ -153,7 +153,7 @@ def _pieces_alike(
     if held or stuck:
         G, moves = np.stack([*held, *stuck], axis=1), np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0
     inverse_mass = np.asarray(np.linalg.inv(mass), np.float64)
-    D, hold = _holding(G, inverse_mass)
+    D, hold = _holding(G, inverse_mass, symmetric(mass))
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
     kept = inverse_mass - D @ G @ inverse_mass
     acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
@@ -200,12 +200,19 @@ def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[d
     return [{f: c for (f, c), holds in zip(pairs, each, strict=True) if holds} for each in kinds], kind.reshape(-1)
 
 
-def _holding(G: Array, inverse_mass: Array) -> tuple[Array, Array]:
-    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of rows G (N, r, n) that are held."""
+def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
+    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of rows G (N, r, n) that are held.
+
+    Where M is symmetric the one is the other, turned.
+    """
     turned = np.ascontiguousarray(G.swapaxes(1, 2))
     compliance = G @ inverse_mass @ turned
     hold = stacked(np.linalg.solve, (*G.shape,), compliance, G @ inverse_mass)
-    return np.ascontiguousarray(hold.swapaxes(1, 2)), hold
+    D = hold
+    if not np.all(even):
+        mirrored = (np.ascontiguousarray(of.swapaxes(1, 2)) for of in (compliance, inverse_mass @ turned))
+        D = np.where(even[:, None, None], hold, stacked(np.linalg.solve, (*G.shape,), *mirrored))
+    return np.ascontiguousarray(D.swapaxes(1, 2)), hold
 
 
 def _signals(
@@ -313,7 +320,7 @@ def _reduced(
     still[..., COLUMN.metric] = omega[:, None] ** 2
     blocks = np.concatenate([mode.blocks, still], axis=1)
     forced = np.concatenate([mode.forced, np.zeros((N, r, *mode.forced.shape[2:]))], axis=1)
-    wrong = undriven | modes.unstable | modes.inseparable
+    wrong = undriven | modes.inseparable
     wrong |= ~resonant & ~(np.isfinite(down) & np.isfinite(up)).all(axis=(1, 2))
     return (blocks, forced), down, up, np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
@@ -323,7 +330,10 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
     safe = np.where(singular[:, None, None], np.eye(matrix.shape[1]), matrix)
     found = np.asarray(stacked(np.linalg.solve, right.shape, safe, right))
     if np.any(singular):
-        inverse = np.linalg.pinv(matrix[singular], rcond=ROUNDING, hermitian=True)
+        some, even = matrix[singular], symmetric(matrix[singular])
+        inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ROUNDING, hermitian=True)
+        if not np.all(even):
+            inverse[~even] = np.linalg.pinv(some[~even], rcond=ROUNDING)
         found[singular] = inverse @ right[singular]
     return found
 

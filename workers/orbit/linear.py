@@ -52,7 +52,7 @@ def meets_nothing(osc, h, contact):
     enter(pieces, k, z[0], np.zeros((0, 2 * n)), osc.tau, at, np.zeros((0, n, 2)))
     for c in range(C):
         g = SIGNALS * c
-        reach = derivative_bounds(pieces.blocks[k, g], pieces.numbers[k, g], at)[0] * (1.0 + 1e-12)
+        reach = derivative_bounds(pieces.blocks[k, g], pieces.numbers[k, g], at, np.inf)[0] * (1.0 + 1e-12)
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
         if not (pieces.offset[k, g] + reach < high and pieces.offset[k, g] - reach > low):
             return False

@@ -196,7 +196,8 @@ def run_alone(batch, cells):
             batch.motions.tally[r, STATUS] = RUNNING
         if batch.done[r] == 0:
             batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
-        go_alone(batch, r)
+        while not over(r, batch.done, batch.periods, batch.motions.tally):
+            go_alone(batch, r)
 
 
 @kernel
