@@ -11,7 +11,7 @@ import pytest
 
 from tests.oracle.pieces import Contact, Force, Friction, Machine, orbit
 from workers import Settings, System, solve_tile
-from workers.results import FAILED, NO_REASON, PERIODIC, REASONS, RUNS_AWAY
+from workers.results import FAILED, NO_IMPACT, NO_REASON, PERIODIC, REASONS, RUNS_AWAY
 
 SPECTRUM = Settings(exponents="spectrum")
 
@@ -74,7 +74,7 @@ def test_in_a_well_of_a_bistable_mass_the_linear_answer_grazes_where_the_closed_
 
 
 def test_motion_at_the_crest_of_a_bistable_mass_is_no_class_and_leaves_it() -> None:
-    """Without a force its centre is a saddle, multipliers e^(r T) = 394.2 and .00135: what is near there goes to a well."""
+    """Without a force its centre is a saddle of multipliers 394.2 and .00135: what is near goes to a well."""
     found = solve_tile(bistable(), {"A": 0.0, "x": 1e-6}, SPECTRUM)
     assert found["reason"] == NO_REASON and found["state"] == pytest.approx([0.75, 0.0], abs=1e-9)
     assert found["spectrum"] == pytest.approx([-0.1 * np.pi] * 2, abs=1e-12)
@@ -156,6 +156,12 @@ def test_what_falls_from_its_crest_away_from_the_only_stop_runs_away_and_what_fa
     assert (found["regime"][0], found["reason"][0]) == (FAILED, RUNS_AWAY)
     assert found["periods_used"][0] == 0  # certain at once
     assert found["reason"][1] == NO_REASON and found["state"][1] == pytest.approx([0.2, 0.0])
+
+
+def test_what_stays_in_a_well_does_not_run_away_from_the_crest_between() -> None:
+    """There nothing grows, and no guard is met any more."""
+    found = solve_tile(bistable(), {"omega": 3.0, "A": 0.1, "x": 0.75, "v": 0.01})
+    assert (found["reason"], found["regime"], found["wall_fraction"]) == (NO_REASON, NO_IMPACT, 1.0)
 
 
 def test_friction_beside_a_crest_lets_go_what_runs_away() -> None:

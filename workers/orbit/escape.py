@@ -17,13 +17,18 @@ MARGIN = 1.0 + 1e-12
 """Factor of sums of bounds that covers their rounding."""
 
 
-@kernel
-def is_left_behind(blocks, numbers, h, offset, low, high):
-    """Whether a guard, offset added, certainly never reaches its ends low and high from block state h (n, 2) on.
+REACHED, INSIDE, BEHIND = range(3)
+"""What is certain of a guard: nothing, that it stays between its ends, or that it goes away from its only end for ever.
+"""
 
-    The fastest growth a e^(r s), r real, takes it away from the only end that there is, and all else in it is at most
-    M e^(m s): y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r >= M m.
-    Or it sees no growth, m = 0 and a = 0, and M keeps it between its ends.
+
+@kernel
+def future_of(blocks, numbers, h, offset, low, high):
+    """What is certain of a guard, offset added, with ends low and high, from block state h (n, 2) on.
+
+    BEHIND: the fastest growth a e^(r s), r real, takes it away from the only end that there is, and all else in it is
+    at most M e^(m s): y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and
+    a r >= M m. INSIDE: it sees no growth, m = 0 and a = 0, and M keeps it between its ends.
     """
     first, r = 0, 0.0
     for j in range(len(blocks)):
@@ -51,7 +56,7 @@ def is_left_behind(blocks, numbers, h, offset, low, high):
         if e0 + e1 == 0.0:
             continue
         if d == 0.0 or load != 0.0:
-            return False
+            return REACHED
         if d > 0.0:
             turned = (abs(q1 + eta * q0) + e1 + abs(eta) * e0) * inv_w
             M, m = M + math.sqrt((abs(q0) + e0) ** 2 + turned * turned), max(m, -eta)
@@ -65,14 +70,12 @@ def is_left_behind(blocks, numbers, h, offset, low, high):
             M, m = M + abs(mine) + error, max(m, -slow)
     M *= MARGIN
     if a == 0.0 and lost == 0.0:
-        return m == 0.0 and offset + M < high and offset - M > low
+        return INSIDE if m == 0.0 and offset + M < high and offset - M > low else REACHED
     push, end, beyond = abs(a) - lost, low if a > 0.0 else high, high if a > 0.0 else low
     if push <= 0.0 or abs(beyond) < np.inf:
-        return False
-    if abs(end) == np.inf:
-        return True
+        return REACHED
     room = offset - end if a > 0.0 else end - offset
-    return room + push > M and push * r > M * m
+    return BEHIND if room + push > M and push * r > M * m else REACHED
 
 
 @kernel
@@ -84,13 +87,13 @@ def escaping(oscillators, motions, cells):
         r = cells[e]
         if head[r, HEAD.growth] > 0.0 and motions.contact[r, 0] == FREE:
             low, high = head[r, HEAD.bottom], head[r, HEAD.top]
-            found[e] = is_left_behind(gap.blocks[r], gap.numbers[r], motions.h[r], 0.0, low, high)
+            found[e] = future_of(gap.blocks[r], gap.numbers[r], motions.h[r], 0.0, low, high) == BEHIND
     return found
 
 
 @kernel
 def escaping_in_modes(oscillators, motions, cells):
-    """``escaping`` of machines with modes, and any guard of the mode that they are in, where there is one phase."""
+    """``escaping`` of machines with modes, and all guards of the mode that they are in, where there is one phase."""
     oscillators, motions = lend(oscillators), lend(motions)
     found, n = np.zeros(len(cells), dtype=np.bool_), motions.h.shape[1]
     z, at = np.zeros((1, 2 * n)), np.zeros((n, 2))
@@ -103,10 +106,12 @@ def escaping_in_modes(oscillators, motions, cells):
             continue
         transform(osc.to_physical, motions.h[r].copy().reshape((1, n, 2)), z)
         enter(pieces, k, z[0], np.zeros((0, 2 * n)), osc.tau, at, np.zeros((0, n, 2)))
-        found[e] = True
+        left, met = False, False
         for g in range(pieces.ends.shape[1]):
             blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]
             low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
             if low > -np.inf or high < np.inf:
-                found[e] &= is_left_behind(blocks, numbers, at, offset, low, high)
+                future = future_of(blocks, numbers, at, offset, low, high)
+                left, met = left or future == BEHIND, met or future == REACHED
+        found[e] = left and not met
     return found
