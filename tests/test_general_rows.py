@@ -11,6 +11,7 @@ import pytest
 
 from tests.oracle.pieces import Contact, Force, Friction, Machine, orbit
 from workers import Settings, System, solve_tile
+from workers.model.system import find_system
 from workers.results import FAILED, NO_IMPACT, NO_REASON, PERIODIC, REASONS, RUNS_AWAY
 
 SPECTRUM = Settings(exponents="spectrum")
@@ -180,3 +181,57 @@ def test_what_grows_where_no_contact_sees_it_is_refused() -> None:
     found = solve_tile(System.from_mapping(table), cells)
     assert [REASONS[int(code)].name for code in found["reason"][:2]] == ["none", "unstable"]
     assert REASONS[int(found["reason"][2])].name == "runs_away"
+
+
+# The packaged systems
+
+
+def oracle_harvester(omega: float, A: float) -> Machine:
+    k, stop = 0.5, 1.0 / 1.5
+    return Machine([[1]], [[2 * (0.02 + 0.05)]], [[-k]], [0], omega, (Force(1, [A], [0]),), (
+        Contact([1], stop, -stop, stiffness=1 + k),))  # fmt: skip
+
+
+def oracle_rotor(omega: float, b: float) -> Machine:
+    turn, whirl, push = 0.2 * omega, 2 * 0.02 * omega, 0.1 * omega**2
+    damping, stiffness = [[2 * (0.02 + 0.02), turn], [-turn, 2 * (0.02 + 0.02)]], [[1, whirl], [-whirl, 1]]
+    stops = (Contact([1, 0], b, -b, restitution=0.7),)
+    return Machine([[1, 0], [0, 1]], damping, stiffness, [0, 0], omega, (Force(1, [0, push], [push, 0]),), stops)
+
+
+@pytest.mark.parametrize(
+    ("name", "cell"),
+    [
+        ("bistable-harvester", {"omega": 0.6, "A": 0.4}),
+        ("bistable-harvester", {"omega": 0.75, "A": 0.45}),
+        ("bistable-harvester", {"omega": 1.2, "A": 0.25}),
+        ("rotor-rub", {"omega": 1.4, "b": 0.5}),
+        ("rotor-rub", {"omega": 2.9, "b": 0.3}),
+        ("rotor-rub", {"omega": 3.6, "b": 0.6}),
+    ],
+)
+def test_orbits_of_the_packaged_machines_are_those_of_the_oracle(name: str, cell: dict[str, float]) -> None:
+    found = solve_tile(name, cell, SPECTRUM)
+    truth = {"bistable-harvester": oracle_harvester, "rotor-rub": oracle_rotor}[name](*cell.values())
+    assert found["regime"] == PERIODIC and (name != "rotor-rub" or found["impacts_per_period"] > 0.0)
+    exact = orbit(truth, found["state"].tolist(), int(found["period"]))
+    assert found["state"] == pytest.approx([float(x) for x in exact.state], abs=1e-11)
+    moduli = sorted((abs(complex(mu)) for mu in exact.multipliers), reverse=True)
+    assert np.exp(found["spectrum"] * found["period"]) == pytest.approx(moduli, abs=1e-9)
+
+
+def test_the_shaft_of_the_rotor_feeds_its_whirl_above_the_speed_known_in_closed_form() -> None:
+    """omega = w (1 + zeta / zeta_i) with w^2 - gamma omega w = 1: 1 / sqrt(.15) for the defaults."""
+    speed, rotor_rub = 1.0 / math.sqrt(0.15), find_system("rotor-rub")
+    values = {p.name: p.default for p in rotor_rub.parameters}
+    below, above = (rotor_rub.build(values | {"omega": speed * (1.0 + by)}).growth for by in (-1e-9, 1e-9))
+    assert below == 0.0 < above < 1e-9
+
+
+def test_the_coil_of_a_harvester_that_stays_in_its_well_takes_the_power_of_the_linear_machine() -> None:
+    """zeta_e V^2 with V = A omega / |1 - omega^2 + 2 i (zeta + zeta_e) omega|."""
+    A, omega = 0.02, 0.8
+    speed = A * omega / abs(complex(1.0 - omega**2, 2.0 * 0.07 * omega))
+    found = solve_tile("bistable-harvester", {"omega": omega, "A": A})
+    assert found["coil_power"] == pytest.approx(0.05 * speed**2, rel=1e-12)
+    assert found["regime"] == NO_IMPACT and found["well_fraction"] == 1.0
