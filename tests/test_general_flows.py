@@ -16,7 +16,7 @@ from tests.oscillators import build_one
 from tests.test_hybrid_random import check_derivative, check_volume, compare
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.crossing import next_crossing
-from workers.kernel.flow import block_flow, rise
+from workers.kernel.flow import block_flow, moved_by_load
 from workers.kernel.motion import RUNNING, SIMULTANEOUS, STATUS
 from workers.kernel.period import advance
 from workers.kernel.signal import derivative_bounds
@@ -183,7 +183,7 @@ def test_a_load_drives_a_mode_without_stiffness_as_its_equation_says(eta: float)
         with mp.workdps(40):
             x = 2 * mp.mpf(eta)
             true = (s - (1 - mp.exp(-x * s)) / x) / x
-        assert rise(s, eta) == pytest.approx(float(true), rel=2e-14)
+        assert moved_by_load(s, eta) == pytest.approx(float(true), rel=2e-14)
 
 
 def block_signal(eta: float, lam: float, row: Array) -> Mode:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.stretch import batch_of, begin, ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
-from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows
+from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, taken
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
 from workers.settings import Settings
@@ -118,7 +118,9 @@ class Cells:
         self.framed, self.averaging = np.zeros((2, N), dtype=np.bool_)
         self.used, self.flown, self.since, self.began, self.first, self.contact = np.zeros((6, N), dtype=np.int64)
         self.orbits = no_orbits(N, n)
-        self.far = np.where(oscillators.growth > 0.0, FAR * sizes(oscillators, motions.h), np.inf)
+        self.far = np.full(N, np.inf)
+        grows = np.flatnonzero(oscillators.growth > 0.0)
+        self.far[grows] = FAR * sizes(taken(oscillators, grows), motions.h[grows]) if len(grows) else 0.0
         self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N))
         self.tallied = np.tile(NOTHING_COUNTED, (N, 1))
 
@@ -165,8 +167,11 @@ class Cells:
 
     def are_far(self, rows: Rows) -> Mask:
         """Which of these cells move so far that nothing seems to hold them; also where that is beyond doubles."""
-        size = energy_norms(self.oscillators.gap.metric[rows], self.batch.motions.h[rows])
-        return np.asarray(np.isfinite(self.far[rows]) & ~(size <= self.far[rows]))
+        found = np.isfinite(self.far[rows])
+        some = rows[found]
+        size = energy_norms(self.oscillators.gap.metric[some], self.batch.motions.h[some])
+        found[found] = ~(size <= self.far[some])
+        return np.asarray(found)
 
     def budget(self) -> Rows:
         """Periods that each cell may still cost in all."""

@@ -93,9 +93,17 @@ def fall(s, eta):
 
 @kernel
 def rise(s, eta):
-    """``fall`` of a rigid mode of either sign of eta."""
+    """``fall`` for eta < 0."""
     x = 2.0 * eta * s
     return fall(s, eta) if x > -1.0 else s * s * (((x - 1.0) + exp(-x)) / (x * x))
+
+
+@inlined
+def moved_by_load(s, eta):
+    """How far a rigid mode moves from rest in s under a unit load, for either sign of eta."""
+    if eta < 0.0:
+        return rise(s, eta)
+    return fall(s, eta)
 
 
 @kernel
@@ -113,7 +121,7 @@ def flow_block(block, s, h):
     h0, h1, load = h[0], h[1], block[COLUMN.load]
     h[0], h[1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
     if load != 0.0:
-        h[0], h[1] = fma(load, rise(s, block[COLUMN.eta]), h[0]), fma(load, f12, h[1])
+        h[0], h[1] = fma(load, moved_by_load(s, block[COLUMN.eta]), h[0]), fma(load, f12, h[1])
     return f11, f12, f21, f22
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from workers.kernel.elementary import exp, sin_cos
-from workers.kernel.flow import block_flow, rise
+from workers.kernel.flow import block_flow, moved_by_load
 from workers.kernel.fma import fma
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import COLUMN, NUMBER
@@ -64,7 +64,7 @@ def evaluate(blocks, waves, omega, h, s, phase, offset):
             f11, f12, f21, f22 = block_flow(block, s)
             h0, h1 = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
             if load != 0.0:
-                h0, h1 = fma(load, rise(s, eta), h0), fma(load, f12, h1)
+                h0, h1 = fma(load, moved_by_load(s, eta), h0), fma(load, f12, h1)
         c0, c1, cA0, cA1 = block[COLUMN.c0], block[COLUMN.c1], block[COLUMN.cA0], block[COLUMN.cA1]
         q0, q1, q2, q3 = loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
         y += q0
@@ -200,30 +200,50 @@ def growth_rate(blocks):
 
 
 @kernel
-def derivative_bounds(blocks, numbers, h, H):
-    """Bounds M0, M2, M3, M4 of a guard's modulus and of its second to fourth derivative, for times up to H after h.
-
-    Of a mode of these blocks and numbers, h (n, 2); where no block grows, for all later times.
-    """
+def bounds_while_growing(blocks, numbers, h, H):
+    """derivative_bounds where some block grows."""
     M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
     for j in range(len(blocks)):
         block = blocks[j]
         load, c0, c1, d0, d1 = (
             block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1], block[COLUMN.cA0], block[COLUMN.cA1]
         )  # fmt: skip
-        q0 = c0 * h[j, 0] + c1 * h[j, 1]
-        q1 = d0 * h[j, 0] + d1 * h[j, 1] + c1 * load
         if block[COLUMN.slow] < 0.0:
             b0, b2, b3, b4 = growing_bounds(
-                q0, q1, abs(c0 * h[j, 0]) + abs(c1 * h[j, 1]), abs(d0 * h[j, 0]) + abs(d1 * h[j, 1]) + abs(c1 * load),
+                c0 * h[j, 0] + c1 * h[j, 1], d0 * h[j, 0] + d1 * h[j, 1] + c1 * load,
+                abs(c0 * h[j, 0]) + abs(c1 * h[j, 1]), abs(d0 * h[j, 0]) + abs(d1 * h[j, 1]) + abs(c1 * load),
                 c0 * load, block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.d], block[COLUMN.inv_w],
                 block[COLUMN.slow], block[COLUMN.fast], H,
             )  # fmt: skip
         else:
-            b0, b2, b3, b4 = block_bounds(
-                q0, q1, c0 * load, block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.d], block[COLUMN.inv_w],
-                block[COLUMN.slow], block[COLUMN.fast], block[COLUMN.tilt], block[COLUMN.weight],
-                block[COLUMN.grow2], block[COLUMN.grow3], block[COLUMN.grow4],
-            )  # fmt: skip
+            b0, b2, b3, b4 = bounds_of(block, h[j, 0], h[j, 1])
+        M0, M2, M3, M4 = M0 + b0, M2 + b2, M3 + b3, M4 + b4
+    return M0, M2, M3, M4
+
+
+@inlined
+def bounds_of(block, h0, h1):
+    """block_bounds of a block, a row of Mode.blocks, that does not grow, in the state (h0, h1)."""
+    load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
+    q0 = c0 * h0 + c1 * h1
+    q1 = block[COLUMN.cA0] * h0 + block[COLUMN.cA1] * h1 + c1 * load
+    return block_bounds(
+        q0, q1, c0 * load, block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.d], block[COLUMN.inv_w],
+        block[COLUMN.slow], block[COLUMN.fast], block[COLUMN.tilt], block[COLUMN.weight],
+        block[COLUMN.grow2], block[COLUMN.grow3], block[COLUMN.grow4],
+    )  # fmt: skip
+
+
+@kernel
+def derivative_bounds(blocks, numbers, h, H):
+    """Bounds M0, M2, M3, M4 of a guard's modulus and of its second to fourth derivative, for times up to H after h.
+
+    Of a mode of these blocks and numbers, h (n, 2); where no block grows, for all later times.
+    """
+    if growth_rate(blocks) > 0.0:
+        return bounds_while_growing(blocks, numbers, h, H)
+    M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
+    for j in range(len(blocks)):
+        b0, b2, b3, b4 = bounds_of(blocks[j], h[j, 0], h[j, 1])
         M0, M2, M3, M4 = M0 + b0, M2 + b2, M3 + b3, M4 + b4
     return M0, M2, M3, M4
