@@ -150,7 +150,7 @@ class AtlasAccessor:
         return query.per_unit_time(self._ds)
 
     def curves(self, kind: str | None = None) -> "pd.DataFrame":
-        """The curves that ``atlas find-curves`` found here, of one kind or all, ``curves("fold")``: a row a point.
+        """The curves that ``atlas find curves`` found here, of one kind or all, ``curves("fold")``: a row a point.
 
         See ``atlas.curves.asking.frame``.
         """

@@ -8,7 +8,7 @@ from workers.model.parameter import unknown_name
 LONGEST_LINE = 500
 """Characters of a message; of a longer one the middle is left out."""
 
-MADE_BY = {"curves": "atlas find-curves", "labels": "atlas label-attractors", "stability": "atlas measure-attractors"}
+MADE_BY = {"curves": "atlas find curves", "labels": "atlas attractors label", "stability": "atlas attractors measure"}
 """The commands that make a group of a store anew that is damaged, of those that a run does not make."""
 
 PACK = "pack the atlas again"

@@ -218,24 +218,15 @@ def test_a_plane_of_initial_states_says_how_mixed_it_is(solved: Path) -> None:
 
 
 def test_the_command_computes_draws_and_asks(solved: Path, tmp_path: Path) -> None:
-    asked = CliRunner().invoke(main, ["basin-measures", str(solved), "--json"])
+    asked = CliRunner().invoke(main, ["attractors", "basins", str(solved), "--json"])
     assert json.loads(asked.stdout)["starts"] == 63
-    assert "share_low" in CliRunner().invoke(main, ["basin-measures", str(solved)]).stdout
+    assert "share_low" in CliRunner().invoke(main, ["attractors", "basins", str(solved)]).stdout
     drawn = CliRunner().invoke(main, ["plot", str(solved), "-o", str(tmp_path / "basins.png")])
     assert drawn.exit_code == 0, drawn.output
 
 
-def test_basins_over_parameters_are_refused_in_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "spec.toml"
-    path.write_text('system = "two-mass"\n[axes.omega]\nvalues = [3.0, 4.0]\n[axes.x1]\nvalues = [0.0, 0.1]\n')
-    refused = CliRunner().invoke(main, ["basins", str(path), "-o", str(tmp_path / "out.zarr")])
-    assert refused.exit_code == 2
-    assert "must be components of the initial state (x1, x2, v1, v2), found omega, x1" in refused.output
-    assert not (tmp_path / "out.zarr").exists()
-
-
 def test_labels_of_branches_are_refused_where_labels_are_those_of_basins(solved: Path) -> None:
-    with pytest.raises(InputError, match="not labelled; label them with atlas label-attractors"):
+    with pytest.raises(InputError, match="not labelled; label them with atlas attractors label"):
         render.figure(atlas.open(solved), "labels")
 
 

@@ -59,7 +59,7 @@ def test_help_comes_without_the_heavy_imports() -> None:
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert "Commands:" in shown.stdout
+    assert "Compute:" in shown.stdout
     assert shown.stdout.splitlines()[-1] == "[]"
 
 
@@ -73,7 +73,7 @@ def test_a_map_is_drawn_without_numba(folder: Path, tmp_path: Path) -> None:
     assert shown.stdout.splitlines()[-1] == "False"
 
 
-@pytest.mark.parametrize("command", ["plan", "run", "submit", "cancel", "status", "query", "plot", "point", "systems"])
+@pytest.mark.parametrize("command", ["plan", "run", "cancel", "status", "query", "plot", "point", "systems"])
 def test_every_command_has_help(command: str) -> None:
     assert call(command, "--help").exit_code == 0
     assert command in call("--help").stdout
@@ -349,3 +349,22 @@ def check_refused(shown: Result, message: str) -> None:
 
 def state_of(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ([], "--submit leaves the work to a cluster: give its --scheduler too"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--tile", "0,0"], "--tile is for a run that this process coordinates"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--log", "a.log"], "--log is for a run that this process coordinates"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--performance-report", "a.html"], "--performance-report is for a run"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "give one of the two"),
+    ],
+)
+def test_a_run_that_is_left_to_a_cluster_needs_one_and_refuses_what_this_process_would_do(
+    tmp_path: Path, options: list[str], says: str
+) -> None:
+    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", "--submit", *options)
+    assert (shown.exit_code, shown.stdout) == (2, "")
+    assert says in shown.stderr and len(shown.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())

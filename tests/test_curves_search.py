@@ -241,7 +241,7 @@ def test_a_plane_of_chaos_has_no_curves(tmp_path: Path, client: Client) -> None:
 def test_curves_of_the_closed_forms_are_these(make: Any, tmp_path: Path) -> None:
     """Through the whole command: the ball's fold and doubling, the symmetry breaking of the pair."""
     atlas.run(make(), tmp_path / "out.zarr", options=RunOptions(workers=1))
-    made = CliRunner().invoke(main, ["find-curves", str(tmp_path / "out.zarr"), "--workers", "1"])
+    made = CliRunner().invoke(main, ["find", "curves", str(tmp_path / "out.zarr"), "--workers", "1"])
     assert made.exit_code == 0, made.output
     found = read_curves(read_header(tmp_path / "out.zarr"))
     assert found is not None
@@ -288,7 +288,7 @@ def test_worker_processes_find_the_same_to_the_bit(fresh: Path, searched: tuple[
 def test_after_a_kill_the_same_command_finds_the_same_to_the_bit(
     fresh: Path, searched: tuple[Path, CurvesSummary], tmp_path: Path
 ) -> None:
-    command = [*ATLAS, "find-curves", str(fresh), "--workers", "2"]
+    command = [*ATLAS, "find", "curves", str(fresh), "--workers", "2"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with (tmp_path / "log").open("w") as log:
         running = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
@@ -308,7 +308,7 @@ class TestBadInput:
     """One line, exit code 2, nothing written."""
 
     def refused(self, *words: str) -> str:
-        made = CliRunner().invoke(main, ["find-curves", *words])
+        made = CliRunner().invoke(main, ["find", "curves", *words])
         assert made.exit_code == 2, made.output
         assert made.stdout == ""
         (line,) = made.stderr.strip().splitlines()

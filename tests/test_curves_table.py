@@ -80,7 +80,7 @@ def test_a_group_whose_arrays_were_exchanged_is_refused(header: Header) -> None:
     before = (header.path / "curves" / "zarr.json").read_bytes()
     write_curves(header, Curves(("omega", "b"), (GRAZE, FOLD), {"seeds": 2}))
     (header.path / "curves" / "zarr.json").write_bytes(before)
-    with pytest.raises(ChunkError, match=r"is damaged or belongs to other arrays: atlas find-curves .* makes it anew"):
+    with pytest.raises(ChunkError, match=r"is damaged or belongs to other arrays: atlas find curves .* makes it anew"):
         read_curves(header)
 
 

@@ -116,8 +116,7 @@ def test_repair_drops_a_bad_overview_with_all_above_it_and_they_are_made_anew(wh
     flip(whole.path / "overviews/1/largest/c/1/1")
     report = verify(whole.path, sample=0, repair=True)
     assert (report.repaired, report.dropped) == ((), 3)
-    assert "3 chunks of overviews written" in report.mended
-    assert keep(whole) == 0
+    assert keep(whole) == 3
     assert verify(whole.path, sample=0).fine
     for level in (1, 2, 3):
         before, after = (xr.open_zarr(path, group=f"overviews/{level}") for path in (made, whole.path))

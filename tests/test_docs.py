@@ -61,6 +61,11 @@ def parse(words: list[str]) -> None:
     group = click.Context(main, info_name="atlas")
     command = main.get_command(group, words[0])
     assert command is not None, f"no command {words[0]}"
+    while isinstance(command, click.Group):
+        group = command.make_context(words[0], words[1:2], parent=group)
+        words = words[1:]
+        name, command = words[0], command.get_command(group, words[0])
+        assert command is not None, f"no command {name}"
     command.make_context(words[0], words[1:], parent=group)
 
 
@@ -92,7 +97,7 @@ def stores_made(page: Path) -> dict[str, set[str]]:
     for block in blocks(page, "sh"):
         for line in block.splitlines():
             words = shlex.split(line, comments=True)
-            runs = words[:2] in (["atlas", "run"], ["atlas", "basins"]) and "-o" in words
+            runs = words[:2] == ["atlas", "run"] and "-o" in words
             if runs and "--points" not in words:  # a table of points replaces a spec's axes
                 made.setdefault(words[words.index("-o") + 1], set()).add(words[2])
     for block in blocks(page, "python"):

@@ -150,7 +150,7 @@ def test_the_grazing_line_of_a_machine_with_modes_is_drawn(name: str) -> None:
 def test_where_motion_without_impact_is_not_linear_the_way_on_is_named() -> None:
     mass = find_system("stick-slip")
     ds = periodic_plane(mass, {each: np.linspace(low, high, 4) for each, low, high in mass.axes})
-    with pytest.raises(InputError, match=r"has friction, so that .*; atlas find-curves finds the grazes of its orbits"):
+    with pytest.raises(InputError, match=r"has friction, so that .*; atlas find curves finds the grazes of its orbits"):
         render.figure(ds, "period", overlay="grazing")
 
 

@@ -15,7 +15,7 @@ import zarr
 from distributed import Client
 
 import atlas
-from atlas.check import verify as verifying
+from atlas.check import repair as repairing
 from atlas.errors import RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service.lease import Claim, Record
@@ -239,7 +239,7 @@ def test_a_place_behind_a_fence_is_not_changed_once_the_fence_raises(finished: P
 def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for index in ("0/0", "0/1", "1/0"):
         (finished / "largest/c" / index).unlink()
-    before, drop = done_tiles(read_header(finished)), verifying.drop_tile
+    before, drop = done_tiles(read_header(finished)), repairing.drop_tile
 
     def taken(header: Any, index: tuple[int, ...]) -> None:
         drop(header, index)
@@ -247,7 +247,7 @@ def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, mon
         notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
 
     monkeypatch.setattr(Claim, "_beat", lambda _: None)
-    monkeypatch.setattr(verifying, "drop_tile", taken)
+    monkeypatch.setattr(repairing, "drop_tile", taken)
     with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
         atlas.verify(finished, sample=0, repair=True)
     assert before - done_tiles(read_header(finished)) == {(0, 0)}

@@ -211,7 +211,7 @@ def test_any_window_is_answered_or_refused_in_one_line(folder: Path, given_optio
 @given(
     st.sampled_from(["--sample", "--refine", "--workers", "--retry", "--scheduler", "--kind", "--system", "--no-such"]),
     numbers | st.text(max_size=30),
-    st.sampled_from(["verify", "extend", "run", "submit", "plot", "point", "plan", "status"]),
+    st.sampled_from(["verify", "extend", "run", "plot", "point", "plan", "status"]),
 )
 def test_any_option_of_a_command_without_its_input_is_refused_in_one_line(
     folder: Path, option: str, value: str, command: str

@@ -11,6 +11,7 @@ import pytest
 
 from tests.oracle.pieces import Contact, Force, Friction, Machine, orbit
 from workers import Settings, System, solve_tile
+from workers.continuation import branch, family_of, orbit_from_state
 from workers.model.system import find_system
 from workers.results import FAILED, NO_IMPACT, NO_REASON, PERIODIC, REASONS, RUNS_AWAY
 
@@ -132,6 +133,28 @@ def test_the_oracle_finds_these_orbits_too(name: str) -> None:
     known = np.isfinite(found["spectrum"])
     moduli = sorted((abs(complex(mu)) for mu in exact.multipliers), reverse=True)
     assert np.exp(found["spectrum"][known]) == pytest.approx(moduli[: int(known.sum())], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "free", "start", "known"),
+    [
+        ("rotor", "omega", {}, [0.68351777009821, 0.55356901443406, complex(-0.3576635523544, 0.17071141321586)]),
+        ("bistable", "A", {"x": 1.83, "v": 1.465}, [complex(0.35973461465413, 0.63567216244755) ** 0.5]),
+    ],
+)
+def test_branches_go_through_the_orbits_known(
+    name: str, free: str, start: dict[str, float], known: list[complex]
+) -> None:
+    """Of the symmetric orbit of the bistable mass they have the multipliers of half a turn."""
+    system = rotor(**RIGID) if name == "rotor" else bistable()
+    values = {p.name: p.default for p in system.parameters}
+    found = solve_tile(system, start)
+    exact = orbit_from_state(system, values, found["state"], int(found["period"]))
+    run = branch(family_of(system, values, (free,)), exact, values[free], (0.95 * values[free], 1.02 * values[free]))
+    at = min(run.points, key=lambda point: abs(float(point.values[0]) - values[free]))
+    assert float(at.values[0]) == values[free]
+    for mu in known:
+        assert min(abs(np.array(at.multipliers) - mu)) < 1e-12
 
 
 # What grows without bound, and what does not

@@ -120,11 +120,11 @@ def test_a_flipped_byte_is_found_in_every_object(which: str, request: pytest.Fix
 
 
 GROUPS = [
-    ("whole", "curves/position/c/0/0", "atlas find-curves {} makes it anew"),
-    ("whole", "curves/zarr.json", "atlas find-curves {} makes it anew"),
+    ("whole", "curves/position/c/0/0", "atlas find curves {} makes it anew"),
+    ("whole", "curves/zarr.json", "atlas find curves {} makes it anew"),
     ("whole", "parts/curves/seed-0", "parts/curves/seed-0 is damaged"),
-    ("whole", "stability/reactivity/c/0/0", "atlas measure-attractors {} makes it anew"),
-    ("whole", "stability/zarr.json", "atlas measure-attractors {} makes it anew"),
+    ("whole", "stability/reactivity/c/0/0", "atlas attractors measure {} makes it anew"),
+    ("whole", "stability/zarr.json", "atlas attractors measure {} makes it anew"),
     ("whole", "parts/stability/linear-0.0-0", "parts/stability/linear-0.0-0 is damaged"),
     ("whole", "tiles/records/c.0.0.0", "tiles/records is damaged"),
     ("whole", "tiles/record/zarr.json", "tiles/record/zarr.json is damaged"),
@@ -136,8 +136,8 @@ GROUPS = [
     ("basins", "attractors/share/c/0", "attractors/share/c/0 is damaged"),
     ("basins", "attractors/points/zarr.json", "attractors/points/zarr.json is"),
     ("basins", "attractors/zarr.json", "attractors/zarr.json is damaged"),
-    ("labelled", "labels/label/c/0/0/0", "atlas label-attractors {} makes it anew"),
-    ("labelled", "labels/zarr.json", "atlas label-attractors {} makes it anew"),
+    ("labelled", "labels/label/c/0/0/0", "atlas attractors label {} makes it anew"),
+    ("labelled", "labels/zarr.json", "atlas attractors label {} makes it anew"),
 ]
 
 
@@ -155,9 +155,9 @@ def test_damage_of_a_group_is_named_and_after_a_repair_gone(
 @pytest.mark.parametrize(
     ("which", "group", "makes"),
     [
-        ("whole", "curves", "find-curves"),
-        ("whole", "stability", "measure-attractors"),
-        ("labelled", "labels", "label-attractors"),
+        ("whole", "curves", "find curves"),
+        ("whole", "stability", "attractors measure"),
+        ("labelled", "labels", "attractors label"),
         ("basins", "attractors", ""),
     ],
 )
@@ -200,7 +200,7 @@ def test_a_damaged_record_of_a_machine_without_a_copy_is_replaced_by_that_of_an_
 def test_reading_damaged_labels_names_the_store_and_the_remedy(labelled: Path, tmp_path: Path, key: str) -> None:
     path = copied(labelled, tmp_path)
     flip(path / key, 0)
-    with pytest.raises(ChunkError, match=rf"{path}: {key} is damaged .*: atlas label-attractors {path} makes it anew"):
+    with pytest.raises(ChunkError, match=rf"{path}: {key} is damaged .*: atlas attractors label {path} makes it anew"):
         atlas.open(path).label.load()
     assert stored_count(store.read_header(path)) is None
 
@@ -217,7 +217,7 @@ def test_reading_a_damaged_table_names_the_store_and_the_remedy(basins: Path, tm
 def test_damaged_curves_name_the_store_and_the_remedy(whole: Path, tmp_path: Path) -> None:
     path = copied(whole, tmp_path)
     flip(path / "curves/unstable/c/0", 3)
-    with pytest.raises(ChunkError, match=rf"{path}: curves/unstable/c/0 is damaged .*: atlas find-curves {path}"):
+    with pytest.raises(ChunkError, match=rf"{path}: curves/unstable/c/0 is damaged .*: atlas find curves {path}"):
         read_curves(store.read_header(path))
 
 

@@ -35,25 +35,38 @@ def examples(text: str) -> list[str]:
     return [line.strip() for line in text.partition("Examples:")[2].splitlines() if line.strip()]
 
 
-def test_the_summary_of_no_command_is_cut() -> None:
-    listed = shown("--help")
+def all_commands(group: click.Group = main, path: tuple[str, ...] = ()) -> dict[tuple[str, ...], click.Command]:
+    """All commands that do something, by the words before their arguments."""
+    found: dict[tuple[str, ...], click.Command] = {}
+    for name, command in group.commands.items():
+        inner = all_commands(command, (*path, name)) if isinstance(command, click.Group) else {(*path, name): command}
+        found |= inner
+    return found
+
+
+@pytest.mark.parametrize("words", [(), ("find",), ("attractors",)])
+def test_a_list_of_commands_fits_one_screen_and_no_summary_is_cut(words: tuple[str, ...]) -> None:
+    listed = shown(*words, "--help")
+    group = main.commands[words[0]] if words else main
+    assert isinstance(group, click.Group)
+    assert all(f"\n  {name} " in listed for name in group.commands)
     assert "..." not in listed.replace("[ARGS]...", "")
-    assert all(f"\n  {name} " in listed for name in main.commands)
+    assert len(listed.splitlines()) < 55 and max(map(len, listed.splitlines())) <= 80
 
 
-@pytest.mark.parametrize("name", main.commands)
-def test_the_help_of_a_command_ends_with_lines_that_can_be_typed(name: str) -> None:
-    lines = examples(shown(name, "--help"))
+@pytest.mark.parametrize("path", all_commands(), ids=" ".join)
+def test_the_help_of_a_command_ends_with_lines_that_can_be_typed(path: tuple[str, ...]) -> None:
+    lines = examples(shown(*path, "--help"))
     assert lines
     for line in lines:
         words = shlex.split(line.partition(">")[0])
-        assert words[:2] == ["atlas", name]
+        assert words[: len(path) + 1] == ["atlas", *path]
         parse(words[1:])
 
 
-@pytest.mark.parametrize("name", main.commands)
-def test_every_option_of_a_command_says_what_it_does(name: str) -> None:
-    options = [each for each in main.commands[name].params if isinstance(each, click.Option)]
+@pytest.mark.parametrize("path", all_commands(), ids=" ".join)
+def test_every_option_of_a_command_says_what_it_does(path: tuple[str, ...]) -> None:
+    options = [each for each in all_commands()[path].params if isinstance(each, click.Option)]
     assert not [each.name for each in options if not each.help]
 
 
@@ -98,7 +111,7 @@ def test_a_table_is_as_wide_as_it_needs_to_be_where_a_notebook_asks_for_colours(
     ("typed", "meant"),
     [
         ("plto", "plot"), ("draw", "plot"), ("show", "plot"), ("render", "plot"), ("info", "status"),
-        ("curves", "find-curves"), ("label", "label-attractors"), ("measure", "measure-attractors"), ("help", "--help"),
+        ("curves", "find curves"), ("label", "attractors label"), ("measure", "attractors measure"), ("help", "--help"),
     ],
 )  # fmt: skip
 def test_an_unknown_command_is_answered_with_the_one_that_is_meant(typed: str, meant: str) -> None:
@@ -108,8 +121,8 @@ def test_an_unknown_command_is_answered_with_the_one_that_is_meant(typed: str, m
 
 
 IN_PYTHON_ALONE = {
-    "at", "attractors", "beside", "boundary", "curves", "distance_to", "fractions", "labels", "open", "page",
-    "per_unit_time", "reasons", "solve_tile", "trace", "where_regime",
+    "at", "attractors", "basin_measures", "beside", "boundary", "curves", "distance_to", "fractions", "labels", "open",
+    "page", "per_unit_time", "reasons", "solve_tile", "trace", "where_regime",
 }  # fmt: skip
 """Answers that are arrays, and parts of what one command prints: ``atlas query`` has shares, reasons and cells."""
 
@@ -117,7 +130,7 @@ IN_PYTHON_ALONE = {
 def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
     functions = {name for name in atlas.__all__ if inspect.isfunction(getattr(atlas, name))}
     methods = {name for name in vars(AtlasAccessor) if not name.startswith("_")}
-    commands = {name.replace("-", "_") for name in main.commands}
+    commands = {name for path in all_commands() for name in (path[-1], "_".join(path), "_".join(reversed(path)))}
     assert (functions | methods) - IN_PYTHON_ALONE <= commands
 
 
@@ -129,7 +142,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("typed", "word", "offered"),
     [
-        ((), "find", {"find-curves"}),
+        ((), "fi", {"find", "figures"}),
         (("point", "--system"), "soft", {"soft-impact", "soft-suspension"}),
         (("point", "--system", "bouncing-ball", "--set"), "", {"omega=", "R=", "A=", "g=", "tau=", "y=", "v="}),
         (("point", "--set"), "om", {"omega="}),
@@ -140,8 +153,8 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("plot", "PLANE", "--curves"), "fo", {"fold"}),
         (("plot", "PLANE", "--window"), "", {"omega=", "b="}),
         (("query", "PLANE", "--at"), "b", {"b="}),
-        (("extremes", "PLANE"), "lar", {"largest"}),
-        (("regions", "PLANE"), "cha", {"chaotic"}),
+        (("find", "extremes", "PLANE"), "lar", {"largest"}),
+        (("find", "regions", "PLANE"), "cha", {"chaotic"}),
         (("branch", "PLANE", "--along"), "z", {"zeta"}),
         (("query", "nowhere.zarr", "--at"), "", set()),
     ],

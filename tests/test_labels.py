@@ -306,9 +306,9 @@ def test_labels_are_asked_exported_and_packed_with_the_cells(labelled: Path, tmp
 
 def test_the_command_labels_and_counts(unlabelled: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(unlabelled, tmp_path / "out.zarr"))
-    told = CliRunner().invoke(main, ["label-attractors", str(path)])
+    told = CliRunner().invoke(main, ["attractors", "label", str(path)])
     assert told.exit_code == 0 and "labels, " in told.stdout and "links between cells" in told.stdout
-    count = json.loads(CliRunner().invoke(main, ["label-attractors", str(path), "--json"]).stdout)
+    count = json.loads(CliRunner().invoke(main, ["attractors", "label", str(path), "--json"]).stdout)
     assert count["cut"] == 0 and count["followed"] == count["orbits"]
 
 
@@ -323,7 +323,7 @@ def test_what_cannot_be_labelled_is_refused_in_one_line(tmp_path: Path, changes:
     from atlas.store.store import create
 
     store = create(tmp_path / "out.zarr", spec_of(**changes), (1, 3)).path
-    told = CliRunner().invoke(main, ["label-attractors", str(store)])
+    told = CliRunner().invoke(main, ["attractors", "label", str(store)])
     assert told.exit_code == 2 and says in told.output
     assert not (store / "labels").exists()
 
@@ -352,5 +352,5 @@ def test_a_branch_keeps_its_colour_in_every_window(labelled: Path) -> None:
 
 
 def test_an_atlas_without_labels_says_how_to_get_them(unlabelled: Path) -> None:
-    with pytest.raises(InputError, match="label its attractors by atlas label-attractors"):
+    with pytest.raises(InputError, match="label its attractors by atlas attractors label"):
         render.figure(atlas.open(unlabelled), "labels")

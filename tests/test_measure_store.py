@@ -216,7 +216,7 @@ def test_verify_finds_a_flipped_byte_of_a_measure_and_repair_drops_the_group(mea
     data[len(data) // 2] ^= 0x10
     chunk.write_bytes(data)
     (fault,) = atlas.verify(path, sample=0).faults
-    assert "stability/reactivity/c/0/0/0" in str(fault) and f"atlas measure-attractors {path} makes it anew" in str(
+    assert "stability/reactivity/c/0/0/0" in str(fault) and f"atlas attractors measure {path} makes it anew" in str(
         fault
     )
     assert any("stability dropped" in line for line in atlas.verify(path, sample=0, repair=True).mended)
@@ -231,7 +231,7 @@ def test_each_measure_is_drawn_as_a_map(measured: Path, kind: str) -> None:
 
 
 def test_a_store_without_measures_says_how_to_get_them(unmeasured: Path) -> None:
-    with pytest.raises(InputError, match="measure its attractors by atlas measure-attractors"):
+    with pytest.raises(InputError, match="measure its attractors by atlas attractors measure"):
         atlas.open(unmeasured).atlas.plot("return_time")
 
 
@@ -337,7 +337,7 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
 
 
 def fails(*words: str) -> str:
-    shown = CliRunner().invoke(main, ["measure-attractors", *words])
+    shown = CliRunner().invoke(main, ["attractors", "measure", *words])
     assert (shown.exit_code, shown.stdout) == (2, "")
     (line,) = shown.stderr.splitlines()
     return line
@@ -356,7 +356,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(plane: Path, tmp_path: Pat
 
 
 def test_the_command_prints_the_summary(measured: Path) -> None:
-    words = ["measure-attractors", str(measured), "--norm", "v1=0.5"]
+    words = ["attractors", "measure", str(measured), "--norm", "v1=0.5"]
     shown = CliRunner().invoke(main, [*words, "--json"])
     assert shown.exit_code == 0, shown.output
     found = json.loads(shown.stdout)

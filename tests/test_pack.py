@@ -71,10 +71,11 @@ def test_a_picture_of_it_is_that_of_the_store(header: store.Header, packed: Path
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-@pytest.mark.parametrize("args", [("status",), ("query",), ("regions", "period")])
+@pytest.mark.parametrize("args", [("status", "STORE"), ("query", "STORE"), ("find", "regions", "STORE", "period")])
 def test_commands_that_read_answer_as_of_the_store(header: store.Header, packed: Path, args: tuple[str, ...]) -> None:
     of_store, of_file = (
-        json.loads(call(args[0], place, *args[1:], "--json").stdout) for place in (header.path, packed)
+        json.loads(call(*(place if each == "STORE" else each for each in args), "--json").stdout)
+        for place in (header.path, packed)
     )
     for message in (of_store, of_file):
         message.pop("store", None)
@@ -183,12 +184,12 @@ def test_a_file_that_cannot_be_made_is_refused(header: store.Header, tmp_path: P
 
 
 @pytest.mark.parametrize("name", ["a.zip", "new.zip"])
-@pytest.mark.parametrize("command", ["run", "plan", "submit"])
+@pytest.mark.parametrize("command", ["run", "plan", "run --submit"])
 def test_a_zip_file_is_no_place_for_a_run(packed: Path, tmp_path: Path, command: str, name: str) -> None:
     (tmp_path / "a.zip").write_bytes(packed.read_bytes())
     before = sorted(os.listdir(tmp_path))
-    more = ["--scheduler", "tcp://127.0.0.1:1"] if command == "submit" else []
-    shown = call(command, "tiny", "-o", tmp_path / name, *more)
+    more = ["--scheduler", "tcp://127.0.0.1:1"] if "--submit" in command else []
+    shown = call(*command.split(), "tiny", "-o", tmp_path / name, *more)
     assert (shown.exit_code, shown.stdout, len(shown.stderr.splitlines())) == (2, "", 1)
     assert f"{name}: a zip file is read only; give a folder" in shown.stderr
     assert sorted(os.listdir(tmp_path)) == before

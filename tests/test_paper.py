@@ -92,7 +92,6 @@ def test_the_portrait_command_writes_what_it_names(tmp_path: Path) -> None:
         (["portrait", "--set", "b=0", "-o", "x.png"], "b = 0.0: must satisfy 0 < b"),
         (["portrait", "--set", "b=0.1", "-o", "x.gif"], "the suffix chooses the format"),
         (["portrait", "--set", "x1=9", "-o", "x.png"], "no motion to show"),
-        (["figures", "-o", "x"], "--paper"),
     ],
 )
 def test_a_drawing_that_cannot_be_made_ends_in_one_line_and_nothing_written(

@@ -114,10 +114,10 @@ def test_a_plan_prints_a_range_of_time_where_the_probe_leaves_one(low: float, hi
     assert (made.as_dict()["processor_seconds"], made.as_dict()["periods"]) == (40.0, 4000.0)
 
 
-def test_a_plan_over_initial_states_alone_names_the_command_for_basins() -> None:
+def test_a_plan_over_initial_states_alone_names_the_table_for_basins() -> None:
     states = {"x1": {"start": -0.05, "stop": 0.05, "num": 4}, "v1": {"start": -1.0, "stop": 1.0, "num": 4}}
     plain = plan.make_plan(Spec("two-mass", axes=states))
-    assert "atlas basins SPEC" in str(plain).splitlines()[-1] and "atlas basins SPEC" in plain.as_dict()["note"]
+    assert "[attractors]" in str(plain).splitlines()[-1] and "[attractors]" in plain.as_dict()["note"]
     others = states | {"v1": {"start": 1.0, "stop": 2.0, "num": 4}}
     for spec in (Spec("two-mass", axes=others, attractors={}), Spec("two-mass", axes={"omega": [2.0, 3.0]})):
         assert plan.make_plan(spec).note == "" and "note" not in str(plan.make_plan(spec))

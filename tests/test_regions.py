@@ -294,21 +294,21 @@ def test_a_variable_without_an_order_is_refused_and_the_others_named(name: str) 
 
 
 def test_the_command_lists_regions_and_says_how_much_was_read(header: store.Header) -> None:
-    shown = call("regions", header.path, "period=2")
+    shown = call("find", "regions", header.path, "period=2")
     assert shown.exit_code == 0
     assert "centre omega" in shown.stdout.splitlines()[0]
     assert shown.stderr.endswith("chunks read from the store\n")
 
 
 def test_the_command_gives_regions_as_json(header: store.Header) -> None:
-    message = json.loads(call("regions", header.path, "period=2", "--min-cells", 3, "--json").stdout)
+    message = json.loads(call("find", "regions", header.path, "period=2", "--min-cells", 3, "--json").stdout)
     assert message["by"] == "period"
     found = regions(atlas.open(header.path), "period", 2, min_cells=3)
     assert message["regions"] == json.loads(json.dumps(found))
 
 
 def test_the_command_gives_extremes_as_json(header: store.Header) -> None:
-    message = json.loads(call("extremes", header.path, "largest", "--by", "all", "--json").stdout)
+    message = json.loads(call("find", "extremes", header.path, "largest", "--by", "all", "--json").stdout)
     assert (message["variable"], [each["extreme"] for each in message["extremes"]]) == (
         "largest",
         ["smallest", "largest"],
@@ -318,7 +318,7 @@ def test_the_command_gives_extremes_as_json(header: store.Header) -> None:
 @pytest.mark.parametrize("question", [("regions", "period"), ("extremes", "largest")])
 def test_the_command_writes_a_list_as_csv(header: store.Header, tmp_path: Path, question: tuple[str, str]) -> None:
     out = tmp_path / "a.csv"
-    message = json.loads(call(question[0], header.path, question[1], "-o", out, "--json").stdout)
+    message = json.loads(call("find", question[0], header.path, question[1], "-o", out, "--json").stdout)
     assert message == {"file": str(out), "rows": len(out.read_text().splitlines()) - 1}
 
 
@@ -333,7 +333,7 @@ def test_the_command_writes_a_list_as_csv(header: store.Header, tmp_path: Path, 
     ],
 )
 def test_a_bad_question_is_answered_with_one_line(header: store.Header, args: tuple[str, ...], message: str) -> None:
-    shown = call(args[0], header.path, *args[1:])
+    shown = call("find", args[0], header.path, *args[1:])
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert message in shown.stderr and len(shown.stderr.splitlines()) == 1
 
@@ -351,10 +351,12 @@ def test_a_regime_alone_names_its_regions(header: store.Header) -> None:
     meant = ds.atlas.regions("regime", "chaotic")
     assert len(meant) and ds.atlas.regions("chaotic").equals(meant)
     assert ds.atlas.labels("chaotic").equals(ds.atlas.labels("regime", "chaotic"))
-    short, whole = (call("regions", header.path, each, "--json").stdout for each in ("chaotic", "regime=chaotic"))
+    short, whole = (
+        call("find", "regions", header.path, each, "--json").stdout for each in ("chaotic", "regime=chaotic")
+    )
     assert json.loads(short)["regions"] and short == whole
 
 
 def test_a_class_that_is_none_is_answered_with_the_nearest(header: store.Header) -> None:
-    shown = call("regions", header.path, "chaotc")
+    shown = call("find", "regions", header.path, "chaotc")
     assert (shown.exit_code, shown.stderr) == (2, "Error: unknown class of cells 'chaotc'; did you mean 'chaotic'?\n")

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 import atlas
 import workers
 from atlas.branches.table import Branches
-from atlas.cli.main import main
+from atlas.cli.main import attractors, find, main
 from atlas.curves.export import columns
 from atlas.errors import InputError, RunError
 from atlas.spec.citation import bibtex, sources
@@ -38,9 +38,10 @@ atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
-commands    demo example schema plan run submit cancel retry extend basins status verify pack cite query regions
-            extremes basin-measures export compare find-curves label-attractors measure-attractors plot figures point
-            stability saddles portrait branch explore systems
+commands    demo example schema systems plan run extend retry status cancel plot explore figures query find attractors
+            compare point portrait branch verify pack export cite
+find        regions extremes curves
+attractors  label measure basins stability saddles
 variables   attractors average error exact impact_energy impacts_lower impacts_per_period impacts_upper kaplan_yorke
             label largest left lumped lumped_distance max_impact_speed mean_impact_speed min_impact_speed mirror own
             peak_to_peak period periods_used reason regime section settled share share_error share_high share_low
@@ -66,16 +67,16 @@ query STORE: no_impact periodic chaotic
 query STORE --at omega=3 --at b=.1: omega b distance regime error impact_energy impacts_lower impacts_per_period
     impacts_upper largest max_impact_speed mean_impact_speed min_impact_speed peak_to_peak period periods_used sticks
     stuck_fraction survived symmetric
-regions STORE period: by regions
-extremes STORE largest: variable by extremes
+find regions STORE period: by regions
+find extremes STORE largest: variable by extremes
 compare STORE STORE: parameters regimes same compared mean size most
 point --set omega=3: system parameters solve largest error period impacts_upper impacts_lower impacts_per_period
     symmetric sticks stuck_fraction min_impact_speed mean_impact_speed max_impact_speed impact_energy peak_to_peak
     periods_used survived state regime
 point --set omega=3 --attractors --starts 4: system parameters solve search attractors starts own undecided left
     unseen_share periods_used coexisting
-stability --set omega=4 --set b=.1 --starts 4: system parameters solve search norm attractors starts undecided
-    unseen_share periods_used coexisting
+attractors stability --set omega=4 --set b=.1 --starts 4: system parameters solve search norm attractors starts
+    undecided unseen_share periods_used coexisting
 branch --along omega --from 3.9 --to 4.1 --set omega=4: system parameters along window branches events untried
 """
 """Commands with their keys with --json. A key may be added."""
@@ -94,6 +95,8 @@ def test_the_public_names_of_a_package_are_the_promised_ones(package: Any, names
 
 def test_the_commands_are_the_promised_ones() -> None:
     assert list(main.commands) == NAMES["commands"]
+    for group in (find, attractors):
+        assert list(group.commands) == NAMES[str(group.name)]
 
 
 def test_the_variables_of_a_store_are_the_promised_ones() -> None:

@@ -271,7 +271,7 @@ def test_a_bad_norm_is_one_line(norm: dict[str, object], message: str) -> None:
 
 
 def test_the_command_prints_what_the_function_gives() -> None:
-    words = ["stability", "--set", "omega=4", "--set", "b=0.1", "--starts", "8", "--norm", "v1=0.5"]
+    words = ["attractors", "stability", "--set", "omega=4", "--set", "b=0.1", "--starts", "8", "--norm", "v1=0.5"]
     shown = CliRunner().invoke(main, [*words, "--json"])
     assert shown.exit_code == 0, shown.output
     assert json.loads(shown.stdout) == atlas.stability(FIG3, starts=8, norm={"v1": 0.5})
@@ -280,12 +280,12 @@ def test_the_command_prints_what_the_function_gives() -> None:
 
 
 def test_without_exponents_there_are_no_measures() -> None:
-    shown = CliRunner().invoke(main, ["stability", "--exponents", "none"])
+    shown = CliRunner().invoke(main, ["attractors", "stability", "--exponents", "none"])
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert "exponents: found 'none'; stability measures need the largest one" in shown.stderr
 
 
 def test_a_bad_weight_on_the_command_line_ends_in_one_line() -> None:
-    shown = CliRunner().invoke(main, ["stability", "--norm", "x1=0"])
+    shown = CliRunner().invoke(main, ["attractors", "stability", "--norm", "x1=0"])
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert shown.stderr == "Error: norm.x1: found 0, must be above 0\n"

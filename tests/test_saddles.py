@@ -202,13 +202,24 @@ def test_bad_input_is_one_line() -> None:
         (["--box", "x=0:1"], "--box goes with --out"),
         (["-o", "a.png"], "a.png: found '.png', must end in .csv"),
     ):
-        shown = CliRunner().invoke(main, ["saddles", *words])
+        shown = CliRunner().invoke(main, ["attractors", "saddles", *words])
         assert (shown.exit_code, shown.stdout) == (2, "") and message in shown.stderr
 
 
 def test_the_command_writes_the_manifolds(tmp_path: Any) -> None:
     out = tmp_path / "boundary.csv"
-    words = ["saddles", "--system", "single-mass", "--set", "omega=1.1", "--set", "A=0.15", "--starts", "16"]
+    words = [
+        "attractors",
+        "saddles",
+        "--system",
+        "single-mass",
+        "--set",
+        "omega=1.1",
+        "--set",
+        "A=0.15",
+        "--starts",
+        "16",
+    ]
     shown = CliRunner().invoke(main, [*words, "-o", str(out), "--box", "v=-2:2"])
     assert shown.exit_code == 0, shown.output
     assert "saddles: 1, between 2 attractors" in shown.stdout

@@ -18,7 +18,7 @@ from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
 from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
 from atlas.query.resample import view
-from atlas.store.records import Records, write_compaction
+from atlas.store.records import Records, put_together, write_compaction
 from atlas.store.spare import SPARE
 from atlas.store.store import create, read_header
 from atlas.store.tiles import read_tile, write_tile
@@ -32,7 +32,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     header = create(tmp_path_factory.mktemp("made") / "whole.zarr", plane_of((5, 7)), (5, 7))
     cells = header.spec.cell_params((slice(0, 5), slice(0, 7)))
     write_tile(header, (0, 0), solve_tile("two-mass", cells, header.spec.settings))
-    verify(header.path, sample=0, repair=True)  # collects its record
+    put_together(header)
     assert verify(header.path, sample=0).fine
     return header.path
 

@@ -210,6 +210,6 @@ def test_a_killed_scheduler_leaves_a_word_for_the_status(
 
 def test_a_bad_submission_is_one_line_and_exit_code_2(service: Service, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    shown = call("submit", "tiny", "-o", tmp_path / "file" / "out.zarr", "--scheduler", service.address)
+    shown = call("run", "tiny", "--submit", "-o", tmp_path / "file" / "out.zarr", "--scheduler", service.address)
     assert shown.exit_code == 2
     assert "cannot be written" in shown.stderr.splitlines()[-1]

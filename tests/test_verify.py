@@ -14,9 +14,10 @@ from distributed import Client
 
 import atlas
 from atlas.check import reproduce as recheck
+from atlas.check.find import draw_cells
 from atlas.check.report import Report, StoreFault
 from atlas.check.rules import broken_rules, law_of
-from atlas.check.verify import draw_cells, verify
+from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
@@ -150,6 +151,36 @@ def test_without_repair_nothing_is_written(whole: Path) -> None:
     before = {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()}
     assert verify(whole).repaired is None
     assert {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()} == before
+
+
+def test_a_repair_reads_on_once_the_metadata_are_written_again(whole: Path, client: Client) -> None:
+    before = arrays_of(whole)
+    (whole / "largest" / "zarr.json").unlink()
+    flip(chunk(whole, "state"), 7)
+    assert [fault.tile for fault in verify(whole, sample=0).faults] == [None]
+    report = verify(whole, sample=0, repair=True)
+    assert [fault.tile for fault in report.faults] == [None, (0, 1)]
+    assert (report.repaired, report.mended) == (((0, 1),), ("largest/zarr.json written again",))
+    atlas.run(SPEC, whole, client=client)
+    assert arrays_of(whole) == before
+    assert verify(whole, sample=0).fine
+
+
+def test_a_repair_of_a_store_without_a_fault_changes_nothing(whole: Path) -> None:
+    """No byte, no time of a file and no name: of a complete store, and of one with a tile to be solved."""
+
+    def state() -> dict[Path, tuple[int, int, bytes]]:
+        files = [path for path in whole.rglob("*") if path.is_file()]
+        return {path: (path.stat().st_mtime_ns, path.stat().st_ino, path.read_bytes()) for path in files}
+
+    for tile in ((), (0, 1)):
+        if tile:
+            drop_tile(store.read_header(whole), tile)
+        before = state()
+        report = verify(whole, sample=2, repair=True)
+        assert (report.faults, report.repaired, report.mended) == ((), (), ())
+        assert state() == before
+        assert not whole.with_name(f".{whole.name}.run").exists()
 
 
 @pytest.mark.parametrize("name", ["omega", "b", "R", "component"])

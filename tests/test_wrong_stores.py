@@ -197,7 +197,8 @@ def test_what_is_half_made_of_another_store_stays(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", ["inf", "nan", "-1", "0.5"])
 def test_an_attractor_that_is_no_place_is_refused(tmp_path: Path, value: str) -> None:
-    header = store.create(tmp_path / "all.zarr", spec_of(4, 4).with_attractors(), (4, 4))
+    axes = {"omega": [1.0, 2.0, 3.0, 4.0], "b": [0.1, 0.2, 0.3, 0.4]}
+    header = store.create(tmp_path / "all.zarr", atlas.Spec("two-mass", axes=axes, attractors={}), (4, 4))
     with pytest.raises(InputError, match=r"attractor: found .*, must be a whole number, 0 to"):
         one(atlas.open(header.path), float(value))
 
@@ -215,4 +216,4 @@ def test_least_letters_are_drawn(plane: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("out", ["nowhere/curves.csv", "folder.csv"])
 def test_a_path_for_curves_that_cannot_be_written_is_refused_at_once(plane: Path, tmp_path: Path, out: str) -> None:
     (tmp_path / "folder.csv").mkdir()
-    assert_one_line(call("find-curves", plane, "-o", tmp_path / out), 2, f"{tmp_path / out}: cannot be written")
+    assert_one_line(call("find", "curves", plane, "-o", tmp_path / out), 2, f"{tmp_path / out}: cannot be written")

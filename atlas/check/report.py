@@ -1,6 +1,6 @@
 """What a verification found, as a value, for a person and as JSON."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from atlas.errors import PACK
@@ -111,7 +111,7 @@ class Report:
             what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
             lines.append(what if self.repaired else "no tile to drop")
             if self.dropped:
-                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped")
+                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: the next run makes them again")
             lines += [f"removed: {key}" for key in self.removed]
             lines += self.mended
         bad = bool(self.faults or self.doubts)
@@ -126,23 +126,4 @@ class Report:
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas verify --json`` prints."""
-        return {
-            "store": self.store,
-            "fine": self.fine,
-            "complete": self.complete,
-            "tiles": self.tiles,
-            "tiles_done": self.tiles_done,
-            "chunks": self.chunks,
-            "cells_checked": self.cells_checked,
-            "cells_solved": self.cells_solved,
-            "comparison": self.comparison,
-            "seed": self.seed,
-            "faults": [{"tile": fault.tile, "what": fault.what} for fault in self.faults],
-            "doubts": [{"tile": fault.tile, "what": fault.what} for fault in self.doubts],
-            "overview_chunks": self.overview_chunks,
-            "repaired": self.repaired,
-            "dropped": self.dropped,
-            "removed": self.removed,
-            "mended": self.mended,
-            "sheets": self.sheets,
-        }
+        return {"store": self.store, "fine": self.fine, "complete": self.complete} | asdict(self)

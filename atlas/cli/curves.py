@@ -35,7 +35,7 @@ def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., N
     )
 
 
-@click.command(epilog=examples("atlas find-curves plane.zarr", "atlas find-curves plane.zarr -o curves.csv"))
+@click.command("curves", epilog=examples("atlas find curves plane.zarr", "atlas find curves plane.zarr -o curves.csv"))
 @store_argument
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Also write them to this file, .csv or .json.")
 @_budget("seeds", "Places beside edges where events are looked for, at most.")

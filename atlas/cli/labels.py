@@ -10,7 +10,7 @@ from atlas.cli.progress import reporter
 from atlas.service.options import RunOptions
 
 
-@click.command(epilog=examples("atlas label-attractors coexistence.zarr"))
+@click.command("label", epilog=examples("atlas attractors label coexistence.zarr"))
 @store_argument
 @json_option
 @click.pass_context

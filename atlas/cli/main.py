@@ -15,37 +15,91 @@ from atlas.cli.options import INTERRUPTED, examples
 from atlas.errors import InputError, RunError, one_line, shown
 from workers.model.parameter import unknown_name
 
-_HOMES = {
-    "demo": "demo", "example": "cell", "schema": "cell", "plan": "run", "run": "run", "submit": "run",
-    "cancel": "run", "retry": "run", "extend": "run", "basins": "run", "status": "store", "verify": "store",
-    "pack": "store", "cite": "store", "query": "query", "regions": "query", "extremes": "query",
-    "basin-measures": "query", "export": "query", "compare": "compare", "find-curves": "curves",
-    "label-attractors": "labels", "measure-attractors": "measures", "plot": "pictures", "figures": "pictures",
-    "point": "cell", "stability": "stability", "saddles": "saddles", "portrait": "cell", "branch": "branch",
-    "explore": "explore", "systems": "cell",
-}  # fmt: skip
-"""The commands in the order of their use, each with its module."""
+_Table = Mapping[str, Mapping[str, tuple[str, str]]]
+"""Commands by section and name, in the order of their use: the function, by its module, and a summary of one line."""
+_COMMANDS: _Table = {
+    "To begin": {
+        "demo": ("demo.demo", "Compute, draw and count a plane, in a minute or two."),
+        "example": ("cell.example", "Print a packaged spec to start from, or list all."),
+        "schema": ("cell.schema", "Print the JSON Schema of a spec, for editors."),
+        "systems": ("cell.systems", "List the machines that can be solved, or describe one."),
+    },
+    "Compute": {
+        "plan": ("run.plan", "Tell what SPEC will cost: cells, bytes, time."),
+        "run": ("run.run", "Compute SPEC into a store, or resume that."),
+        "extend": ("run.extend", "Make a larger or finer atlas of STORE."),
+        "retry": ("run.retry", "Solve cells of STORE again, with more periods."),
+        "status": ("store.status", "Tell how far STORE is, and who is at work on it."),
+        "cancel": ("run.cancel", "Stop the run that is at work on STORE."),
+    },
+    "Look": {
+        "plot": ("pictures.plot", "Draw STORES: maps, sweeps, stacks."),
+        "explore": ("explore.explore", "Look anywhere in a plane, in the browser."),
+        "figures": ("pictures.figures", "Compute and draw the figures of the paper."),
+    },
+    "Ask": {
+        "query": ("query.query", "Print the share of each regime, or one cell."),
+        "find": ("main.find", "Find regions, extremes and exact curves."),
+        "attractors": ("main.attractors", "Label and measure attractors and their basins."),
+        "compare": ("compare.compare", "Compare two stores of the same axes."),
+    },
+    "One cell": {
+        "point": ("cell.point", "Solve one cell and print its results."),
+        "portrait": ("cell.portrait", "Draw the motion of one cell."),
+        "branch": ("branch.branch", "Follow the orbit of a cell along a parameter."),
+    },
+    "Keep": {
+        "verify": ("store.verify", "Read all of STORE and check it, or repair it."),
+        "pack": ("store.pack", "Pack STORE into one zip file."),
+        "export": ("query.export", "Write cells to a CSV or netCDF file."),
+        "cite": ("store.cite", "Print BibTeX of what to cite for STORE."),
+    },
+}
+_FIND: _Table = {
+    "Commands": {
+        "regions": ("query.regions", "Connected regions of cells of one class."),
+        "extremes": ("query.extremes", "Where a variable is smallest and largest."),
+        "curves": ("curves.find_curves", "The exact curves that bound the regions of a plane."),
+    }
+}
+_ATTRACTORS: _Table = {
+    "Of a store": {
+        "label": ("labels.label_attractors", "One label a branch, from cell to cell."),
+        "measure": ("measures.measure_attractors", "How stable the attractors of all cells are."),
+        "basins": ("query.basin_measures", "Shares, entropy and boundary dimension of basins."),
+    },
+    "Of one cell": {
+        "stability": ("stability.stability", "How stable each attractor is."),
+        "saddles": ("saddles.saddles", "The unstable orbits between the basins."),
+    },
+}
 _MEANT = {
     "draw": "plot", "show": "plot", "render": "plot", "map": "plot", "info": "status", "ask": "query", "at": "query",
-    "fractions": "query", "curves": "find-curves", "label": "label-attractors", "labels": "label-attractors",
-    "measure": "measure-attractors", "attractors": "point", "solve": "run", "compute": "run", "new": "example",
-    "examples": "example", "check": "verify", "repair": "verify", "help": "--help",
+    "fractions": "query", "regions": "find regions", "extremes": "find extremes", "curves": "find curves",
+    "label": "attractors label", "labels": "attractors label", "measure": "attractors measure",
+    "stability": "attractors stability", "saddles": "attractors saddles", "basins": "run", "submit": "run",
+    "solve": "run", "compute": "run", "new": "example", "examples": "example", "check": "verify", "repair": "verify",
+    "help": "--help",
 }  # fmt: skip
 """Words for a command that a newcomer may try first."""
 
 
 class _Commands(Mapping[str, click.Command]):
-    """The commands by name; looking one up imports its module."""
+    """The commands of a table by name; looking one up imports its module."""
+
+    def __init__(self, table: _Table) -> None:
+        self._homes = {name: home for section in table.values() for name, (home, _) in section.items()}
 
     def __getitem__(self, name: str) -> click.Command:
-        command: click.Command = getattr(import_module(f"atlas.cli.{_HOMES[name]}"), name.replace("-", "_"))
+        module, _, function = self._homes[name].partition(".")
+        command: click.Command = getattr(import_module(f"atlas.cli.{module}"), function)
         return command
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_HOMES)
+        return iter(self._homes)
 
     def __len__(self) -> int:
-        return len(_HOMES)
+        return len(self._homes)
 
 
 class _BadInput(click.ClickException):
@@ -62,6 +116,10 @@ def _bad_usage(error: click.UsageError) -> _BadInput:
 
 class _Group(click.Group):
     """Commands whose errors end in one line: 1 failed, 2 bad usage or input, 130 interrupted."""
+
+    def __init__(self, name: str, table: _Table, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.commands, self.table = _Commands(table), table  # type: ignore[assignment]  # click declares a dict
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         for stream in (sys.stdout, sys.stderr):
@@ -97,22 +155,45 @@ class _Group(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            if args[0] in _MEANT:
+            if args[0] in _MEANT and ctx.parent is None:
                 raise InputError(f"unknown command {shown(args[0])}; did you mean 'atlas {_MEANT[args[0]]}'?")
             raise InputError(unknown_name("command", args[0], self.commands))
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The commands in the order of their use, with summaries that are never cut."""
-        whole = 1000  # characters
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, each.get_short_help_str(whole)) for name, each in self.commands.items()])
+        """The commands by section, each in a line; none is imported."""
+        width = max(map(len, self.commands))
+        for title, section in self.table.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(width), summary) for name, (_, summary) in section.items()])
+
+
+@click.group(
+    "find",
+    cls=_Group,
+    table=_FIND,
+    epilog=examples("atlas find regions plane.zarr chaotic", "atlas find curves plane.zarr -o curves.csv"),
+)
+def find() -> None:
+    """Find regions, extremes and exact curves in STORE."""
+
+
+@click.group(
+    "attractors",
+    cls=_Group,
+    table=_ATTRACTORS,
+    epilog=examples(
+        "atlas attractors measure plane.zarr --margin", "atlas attractors stability --set omega=4 --set b=0.1"
+    ),
+)
+def attractors() -> None:
+    """Label and measure the attractors of STORE and their basins, or those of one cell."""
 
 
 @click.group(
     "atlas",
     cls=_Group,
-    commands=_Commands(),
+    table=_COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=examples(
         "atlas example omega-b > plane.toml",
@@ -124,6 +205,6 @@ class _Group(click.Group):
 def main() -> None:
     """Maps of the dynamics of impacting machines over planes of parameters.
 
-    A SPEC is a TOML file, or the name of an example in the package; a STORE is a folder, a URL or a zip file that holds
-    an atlas. Exit codes: 0 done, 1 failed, 2 bad usage or input, 130 interrupted.
+    SPEC is a TOML file or the name of an example; STORE is a folder, a URL or a zip file that holds an atlas. Exit
+    codes: 0 done, 1 failed, 2 bad usage or input, 130 interrupted.
     """

@@ -27,11 +27,12 @@ from atlas.service.options import RunOptions
 
 
 @click.command(
+    "measure",
     epilog=examples(
-        "atlas measure-attractors plane.zarr --margin",
-        "atlas measure-attractors plane.zarr --margin --scale omega=0.05 --scale b=0.01",
-        "atlas measure-attractors coexistence.zarr --norm v1=0.5 --norm v2=0.5",
-    )
+        "atlas attractors measure plane.zarr --margin",
+        "atlas attractors measure plane.zarr --margin --scale omega=0.05 --scale b=0.01",
+        "atlas attractors measure coexistence.zarr --norm v1=0.5 --norm v2=0.5",
+    ),
 )
 @store_argument
 @norm_option

@@ -126,8 +126,7 @@ def plot(
     click.echo(str(out))
 
 
-@click.command(epilog=examples("atlas figures --paper -o paper"))
-@click.option("--paper", is_flag=True, required=True, help="Figs 3, 4, 5 and 6 of Li & Tan (2011).")
+@click.command(epilog=examples("atlas figures -o paper"))
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The folder to write them into.")
 @click.option(
     "--format",
@@ -139,8 +138,8 @@ def plot(
     help="May be given again.",
 )
 @workers_option
-def figures(paper: bool, out: Path, formats: tuple[str, ...], workers: int | None) -> None:
-    """Compute and draw the figures of the paper."""
+def figures(out: Path, formats: tuple[str, ...], workers: int | None) -> None:
+    """Compute and draw Figs 3, 4, 5 and 6 of Li & Tan (2011)."""
     with input_errors(), reporter(sys.stderr) as show:
         written = draw_figures(out, formats, options=RunOptions(workers, dashboard=False, on_progress=show))
     for path in written:

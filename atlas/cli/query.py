@@ -55,7 +55,7 @@ _list_option = click.option(
 def query(store: str, point: tuple[str, ...], window: tuple[str, ...], select: tuple[str, ...], as_json: bool) -> None:
     """The share of each regime in STORE or in a window of it; with --at all results of one cell.
 
-    Shares are of the area in the axes' own units. Also see: atlas regions, extremes, export, plot.
+    Shares are of the area in the axes' own units. Also see: atlas find, export, plot.
     """
     if point and window:
         raise InputError("--at asks for one cell, --window for a part of the plane; give one of the two")
@@ -96,7 +96,7 @@ def export(store: str, window: tuple[str, ...], select: tuple[str, ...], out: Pa
         click.echo(to_json(message)) if as_json else _print_values(message)
 
 
-@click.command("basin-measures", epilog=examples("atlas basin-measures basins.zarr"))
+@click.command("basins", epilog=examples("atlas attractors basins basins.zarr"))
 @store_argument
 @window_option
 @select_option
@@ -111,7 +111,9 @@ def basin_measures(store: str, window: tuple[str, ...], select: tuple[str, ...],
 
 
 @click.command(
-    epilog=examples("atlas regions plane.zarr chaotic", "atlas regions plane.zarr period --min-cells 10 -o periods.csv")
+    epilog=examples(
+        "atlas find regions plane.zarr chaotic", "atlas find regions plane.zarr period --min-cells 10 -o periods.csv"
+    )
 )
 @store_argument
 @click.argument("class_", metavar="CLASS", shell_complete=of_names(completion.classes))
@@ -152,7 +154,9 @@ def regions(
 
 
 @click.command(
-    epilog=examples("atlas extremes plane.zarr largest", "atlas extremes plane.zarr max_impact_speed --by period")
+    epilog=examples(
+        "atlas find extremes plane.zarr largest", "atlas find extremes plane.zarr max_impact_speed --by period"
+    )
 )
 @store_argument
 @click.argument("variable", shell_complete=of_names(completion.variables))

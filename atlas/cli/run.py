@@ -1,4 +1,4 @@
-"""Commands that compute: plan, run, basins, retry, submit, cancel, extend."""
+"""Commands that compute: plan, run, retry, cancel, extend."""
 
 import logging
 import shlex
@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import click
+from click.core import ParameterSource
 
 from atlas.cli import progress
 from atlas.cli.options import (
@@ -81,6 +82,11 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
 _out_option = click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
 
 
+_submit_option = click.option(
+    "--submit", "leave", is_flag=True, help="Have the cluster of --scheduler do it, and leave."
+)
+
+
 def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
     """The files of an encrypted connection to a scheduler."""
     for option in (
@@ -94,7 +100,12 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-@click.command(epilog=examples("atlas run plane.toml -o plane.zarr"))
+@click.command(
+    epilog=examples(
+        "atlas run plane.toml -o plane.zarr",
+        "atlas run plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786 --submit",
+    )
+)
 @spec_argument
 @_out_option
 @_tls_options
@@ -107,6 +118,7 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 )
 @click.option("--tile", metavar="I,J", help="Do this tile alone in this process, and show what it raises.")
 @click.option("--log", metavar="FILE", help="Write what is decided, and tracebacks of tiles that fail, into a file.")
+@_submit_option
 @click.pass_context
 def run(
     ctx: click.Context,
@@ -120,10 +132,13 @@ def run(
     report: str | None,
     tile: str | None,
     log: str | None,
+    leave: bool,
     **tls: str | None,
 ) -> None:
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
     check_workers(scheduler, workers)
+    if leave:
+        _check_submit(ctx, scheduler)
     read = Spec.from_toml(spec, points)
     index = None if tile is None else tuple(read_whole("--tile", each) for each in tile.split(","))
     options = RunOptions(
@@ -135,6 +150,9 @@ def run(
         performance_report=report,
         timing=timing_of(ctx),
     )
+    if leave:
+        _submit(out, options, lambda shown: submit_spec(read, out, shown))
+        return
     words = ["run", spec, "-o", out, *["--no-dashboard"] * (not dashboard)]
     line = _line(*words, points=points, scheduler=scheduler, workers=workers, performance_report=report, **tls)
     with _logged(log), _shown(ctx, options, f"resume with\n  {line}") as shown:
@@ -157,7 +175,7 @@ def run(
 @scheduler_option
 @workers_option
 @dashboard_option
-@click.option("--submit", "leave", is_flag=True, help="Have the cluster of --scheduler do it, and leave.")
+@_submit_option
 @click.pass_context
 def retry(
     ctx: click.Context,
@@ -179,8 +197,8 @@ def retry(
     command resumes a retry that was stopped.
     """
     check_workers(scheduler, workers)
-    if leave and scheduler is None:
-        raise InputError("--submit leaves the work to a cluster: give its --scheduler too")
+    if leave:
+        _check_submit(ctx, scheduler)
     options = RunOptions(workers, scheduler, _tls(**tls), dashboard=dashboard, timing=timing_of(ctx))
     if leave:
         _submit(out, options, lambda shown: submit_retry(store, out, regimes, max_periods, survival, shown))
@@ -192,48 +210,14 @@ def retry(
     _report(ctx, summary)
 
 
-@click.command(epilog=examples("atlas basins basins.toml -o basins.zarr"))
-@spec_argument
-@click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
-@scheduler_option
-@workers_option
-@dashboard_option
-@click.pass_context
-def basins(
-    ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None, dashboard: bool
-) -> None:
-    """Basins of attraction of SPEC, whose axes are components of the initial state, into a store.
-
-    Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas plot and
-    atlas basin-measures.
-    """
-    check_workers(scheduler, workers)
-    read = Spec.from_toml(spec)
-    read = read if read.attractors is not None else read.with_attractors()
-    if not read.basins:
-        names = ", ".join(axis.name for axis in read.axes)
-        states = ", ".join(read.record.states)
-        raise InputError(
-            f"{spec}: the axes of basins must be components of the initial state ({states}), found {names}"
-        )
-    options = RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx))
-    with _shown(ctx, options, "the same command resumes") as shown:
-        summary = run_spec(read, out, options=shown)
-    _report(ctx, summary)
-
-
-@click.command(epilog=examples("atlas submit plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786"))
-@spec_argument
-@_out_option
-@_tls_options
-@points_option
-@click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")
-@click.pass_context
-def submit(ctx: click.Context, /, spec: str, out: str, points: str | None, scheduler: str, **tls: str | None) -> None:
-    """Have a cluster compute SPEC into a store, and leave."""
-    options = RunOptions(scheduler=scheduler, tls=_tls(**tls), timing=timing_of(ctx))
-    read = Spec.from_toml(spec, points)
-    _submit(out, options, lambda shown: submit_spec(read, out, shown))
+def _check_submit(ctx: click.Context, scheduler: str | None) -> None:
+    """InputError where a run that is left to a cluster has no cluster, or an option of a run in this process."""
+    if scheduler is None:
+        raise InputError("--submit leaves the work to a cluster: give its --scheduler too")
+    for each in ctx.command.params:
+        given = each.name in ("tile", "log", "report")
+        if given and ctx.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE:
+            raise InputError(f"{each.opts[0]} is for a run that this process coordinates; with --submit leave it out")
 
 
 def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str]) -> None:

@@ -28,8 +28,8 @@ from atlas.task.compile import ATTRACTORS
 
 @click.command(
     epilog=examples(
-        "atlas saddles --system gear-mesh",
-        "atlas saddles --system gear-mesh --box x=-2:2 --box v=-1:1 -o boundary.csv",
+        "atlas attractors saddles --system gear-mesh",
+        "atlas attractors saddles --system gear-mesh --box x=-2:2 --box v=-1:1 -o boundary.csv",
     )
 )
 @set_option

@@ -24,9 +24,9 @@ from atlas.task.compile import ATTRACTORS
 
 @click.command(
     epilog=examples(
-        "atlas stability --set omega=4 --set b=0.1",
-        "atlas stability --set omega=4 --set b=0.1 --norm v1=0.5 --norm v2=0.5 --json",
-        "atlas stability --system gear-mesh --shocks",
+        "atlas attractors stability --set omega=4 --set b=0.1",
+        "atlas attractors stability --set omega=4 --set b=0.1 --norm v1=0.5 --norm v2=0.5 --json",
+        "atlas attractors stability --system gear-mesh --shocks",
     )
 )
 @set_option

@@ -18,7 +18,7 @@ def curves_of(ds: "xr.Dataset") -> Curves:
     header = header_of(ds)
     found = read_curves(header)
     if found is None:
-        raise InputError(f"{header.place}: has no curves yet; atlas find-curves finds them")
+        raise InputError(f"{header.place}: has no curves yet; atlas find curves finds them")
     return found
 
 

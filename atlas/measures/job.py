@@ -93,7 +93,7 @@ def check_store(header: Header) -> None:
     spec = header.spec
     if spec.basins:
         raise InputError(
-            f"{header.place}: found basins of one machine; atlas stability measures its attractors, with --set"
+            f"{header.place}: found basins of one machine; measure its attractors by atlas attractors stability --set"
         )
     check_names(header)
     lacking = [name for name in NEEDED if name not in {each.name for each in header.variables}]

@@ -72,7 +72,7 @@ def margins_of(header: Header, scale: Mapping[str, float]) -> Arrays:
 def _curves(header: Header) -> Curves:
     curves = read_curves(header)
     if curves is None:
-        raise InputError(f"{header.place}: has no curves to measure margins to; find them with atlas find-curves")
+        raise InputError(f"{header.place}: has no curves to measure margins to; find them with atlas find curves")
     return curves
 
 

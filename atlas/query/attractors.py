@@ -59,7 +59,7 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
     place = store_of(ds)
     header = read_header(place) if LABEL.name in ds and place is not None else None
     if header is None or group_attributes(header, LABELS) is None:  # the labels of basins are its results
-        raise InputError("the attractors of this atlas are not labelled; label them with atlas label-attractors")
+        raise InputError("the attractors of this atlas are not labelled; label them with atlas attractors label")
     return open_table(header, LABELS).drop_vars(LABEL.name).load()
 
 

@@ -80,7 +80,7 @@ def with_one_stop(system: System) -> tuple[System, ...]:
         what = "friction" if own.friction else "phases of the forcing period"
         raise InputError(
             f"overlay 'grazing': {system.name} has {what}, so that its motion without impacts is no linear response; "
-            "atlas find-curves finds the grazes of its orbits"
+            "atlas find curves finds the grazes of its orbits"
         )
     if not system.has_modes:
         return (system,)

@@ -93,7 +93,7 @@ _VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
 _PALE_BLUE = ("#eef3f0", "#c4dcd9", "#93bfc4", "#5f9cad", "#356f8c", "#173f5f")
 _DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
 """Colours from safe to unsafe, and from unsafe to safe: what is near an edge is dark."""
-_MEASURE = "measure its attractors by atlas measure-attractors"
+_MEASURE = "measure its attractors by atlas attractors measure"
 _MOTIONS = ("impacts_upper", "impacts_lower", "period")
 
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked.
@@ -126,8 +126,8 @@ TABLE = {
              "scales.number",
              Scale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
         Kind(LABELS, 2, (LABEL.name,),
-             "which branch the attractor shown is on, in colours that persist, by atlas label-attractors",
-             "classes.labels", lacking="label its attractors by atlas label-attractors"),
+             "which branch the attractor shown is on, in colours that persist, by atlas attractors label",
+             "classes.labels", lacking="label its attractors by atlas attractors label"),
         Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
              "classes.basins", lacking="both axes must be initial states, and the spec have [attractors]"),
         Kind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
@@ -173,7 +173,7 @@ OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
     "boundaries": "borders between regimes",
     "isolines": "lines of equal exponent",
-    "curves": "the exact bifurcations and grazes that atlas find-curves has found in the store",
+    "curves": "the exact bifurcations and grazes that atlas find curves has found in the store",
     "saddles": "on basins of one mass: the unstable orbits between them, with the boundaries as stable manifolds",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }

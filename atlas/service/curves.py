@@ -42,7 +42,7 @@ class CurvesSummary:
     tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas find-curves --json`` prints."""
+        """What ``atlas find curves --json`` prints."""
         report, kinds = self.found.report, [curve.kind for curve in self.found]
         edges: Mapping[str, Any] = report["edges"]
         return {

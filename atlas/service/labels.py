@@ -26,7 +26,7 @@ class LabelSummary:
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas label-attractors --json`` prints."""
+        """What ``atlas attractors label --json`` prints."""
         return {"store": self.store, **asdict(self.count), "seconds": self.seconds}
 
     def __repr__(self) -> str:

@@ -67,7 +67,7 @@ class MeasureSummary:
     tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas measure-attractors --json`` prints."""
+        """What ``atlas attractors measure --json`` prints."""
         times = {"seconds": self.seconds, "processor_seconds": self.processor_seconds, "tasks": self.tasks}
         given = {name: {k: v for k, v in each.items() if k != "content"} for name, each in self.requests.items()}
         return {"store": self.store, "measures": dict(self.measures), **given, **times}

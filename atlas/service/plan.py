@@ -32,8 +32,8 @@ LARGEST_CHUNK = 2**31 - 1
 FILE_BLOCK = 4096
 """Bytes that a small file takes on a disk."""
 NO_BASINS = (
-    "all axes are initial states, and each cell is solved by itself; for basins of attraction: "
-    "atlas basins SPEC -o ANOTHER_STORE"
+    "all axes are initial states, and each cell is solved by itself; for basins of attraction "
+    "add a table [attractors], and give another store"
 )
 """For a spec whose user may not know of basins: the store of a run cannot become one of basins."""
 

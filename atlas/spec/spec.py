@@ -244,13 +244,6 @@ class Spec:
         """The results of each cell, ``regime`` last."""
         return self.record.variables(self.settings, attractors=self.coexistence, basins=self.basins)
 
-    def with_attractors(self) -> "Spec":
-        """The same spec, which asks for all attractors from the default initial states."""
-        store = None if self.tile is None else {"tile": list(self.tile)}
-        axes = None if self.points else {axis.name: axis for axis in self.axes}
-        points = self.points or None
-        return Spec(self.record, axes, self.parameters, self.settings, store, points, Starts())
-
     def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
         """The same spec, with tiles of this shape."""
         other = copy(self)

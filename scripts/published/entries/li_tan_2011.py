@@ -65,7 +65,7 @@ def entry(number: int, title: str, statements: Callable[[], Sequence[Statement]]
         link=LINK,
         place=f"Fig. {number}",
         title=title,
-        machine="System `two-mass` with the parameters of the figure; `atlas figures --paper` draws it.",
+        machine="System `two-mass` with the parameters of the figure; `atlas figures` draws it.",
         statements=statements,
         example="fig6" if number == 6 else "",
         commands=(command,),

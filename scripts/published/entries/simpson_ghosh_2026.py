@@ -94,8 +94,8 @@ ENTRY = Entry(
     machine=f"System `single-mass`, zeta = {ZETA}, R = {R}, b = 1, whose omega_d is sqrt(1 - zeta²).",
     statements=statements,
     example=EXAMPLE,
-    commands=(f"atlas run {EXAMPLE} -o resonant.zarr", "atlas find-curves resonant.zarr"),
+    commands=(f"atlas run {EXAMPLE} -o resonant.zarr", "atlas find curves resonant.zarr"),
     picture=draw,
-    caption="Lines: closed forms. Dots: every fourth point of the curves that `atlas find-curves` finds. The circle is"
+    caption="Lines: closed forms. Dots: every fourth point of the curves that `atlas find curves` finds. The circle is"
     " the resonant graze.",
 )
