@@ -93,8 +93,8 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
     return probed(made, lambda progress: None) if probe else made
 
 
-def status(store: Given) -> Status:
-    """How far a store is: tiles, cells and regimes done, and the run at work on it.
+def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> Status:
+    """How far a store is: tiles, cells and regimes done, and the run at work on it. Arguments as of ``open``.
 
     Raises atlas.errors.InputError where the store is not an atlas.
 
@@ -102,7 +102,7 @@ def status(store: Given) -> Status:
     >>> atlas.status("plane.zarr").fraction
     1.0
     """
-    return read_status(read_header(store))
+    return read_status(read_header(store, storage_options))
 
 
 def branch(

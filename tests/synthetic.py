@@ -1,7 +1,6 @@
 """Stores with made-up results, for tests of what is read and written and not of what is solved; and naive twins."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,6 @@ import atlas
 from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
 from atlas.store import store
-from atlas.store.record import COVERED, RECORD, RECORDS
-from atlas.store.records import put_together
 from atlas.store.spare import SPARE, packed_spare
 from atlas.store.tiles import put_record, read_tile, record_of
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
@@ -104,32 +101,6 @@ def change_root(path: Path, change: Any) -> None:
     respare(path)
 
 
-def remove_arrays(path: Path, *names: str) -> None:
-    """Make the store one from before there were these arrays."""
-    for name in names:
-        shutil.rmtree(path / name)
-
-    def change(root: dict[str, Any]) -> None:
-        copies = root["consolidated_metadata"]["metadata"]
-        for name in names:
-            del copies[name]
-        for name in (RECORD, RECORDS):
-            covered = copies[name]["attributes"]
-            covered[COVERED] = [each for each in covered[COVERED] if each not in names]
-            (path / name / "zarr.json").write_text(json.dumps(copies[name]))
-
-    change_root(path, change)
-    put_together(record_again(path))
-
-
-def record_again(path: Path) -> store.Header:
-    """Write the record of each tile by the cells that it has now."""
-    header = store.read_header(path)
-    for index in store.done_tiles(header):
-        put_record(header, index, record_of(header, index, read_tile(header, index)))
-    return header
-
-
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:
     """The cells below each coarse cell, one small array each."""
     n = 2**level
@@ -200,3 +171,11 @@ def mean(block: np.ndarray) -> float:
 def arrays_of(path: Path, group: str | None = None) -> dict[str, bytes]:
     ds = xr.open_zarr(path, group=group)
     return {str(name): ds[name].values.tobytes() for name in ds.data_vars}
+
+
+def record_again(path: Path) -> store.Header:
+    """Write the record of each tile by the cells that it has now."""
+    header = store.read_header(path)
+    for index in store.done_tiles(header):
+        put_record(header, index, record_of(header, index, read_tile(header, index)))
+    return header

@@ -238,7 +238,7 @@ def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
         return solve_tile(*given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(solving, "solve_tile", late)
-    assert jobs.solve_and_write(made).cells == 6
+    assert jobs.solve_and_write(made, made.header()).cells == 6
     assert done_tiles(read_header(Path(made.site.store))) == {(1, 1)}
 
 

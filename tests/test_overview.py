@@ -43,7 +43,6 @@ from tests.synthetic import (
     mean,
     mode,
     overviews_of,
-    remove_arrays,
     results,
     spec_of,
 )
@@ -267,17 +266,6 @@ def test_a_store_with_overviews_opens_as_a_tree_of_datasets(shared: store.Header
     assert scales["axes"] == ["b", "omega"]
     assert [each["path"] for each in scales["datasets"]] == ["..", "1", "2", "3"]
     assert scales["datasets"][2]["scale"] == [4, 4]
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
-@pytest.mark.parametrize("name", ["reason", "min_impact_speed", "survived"])
-def test_a_result_that_an_older_store_lacks_is_lacking_in_its_overviews(filled: store.Header, name: str) -> None:
-    remove_arrays(filled.path, name)
-    older = store.read_header(filled.path)
-    keep(older)
-    assert not {name, f"{name}_count"} & set(xr.open_zarr(older.path, group="overviews/1").data_vars)
-    assert_view_is_true(older)
 
 
 # During a run

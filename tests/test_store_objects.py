@@ -40,6 +40,19 @@ SECRET = "a-secret-that-nobody-may-see"
 KEYS = (("ACCESS_KEY_ID", "me"), ("SECRET_ACCESS_KEY", SECRET))
 
 
+SPEC = """
+system = "two-mass"
+[axes]
+omega = { start = 2.0, stop = 4.0, num = 7 }
+b = { start = 0.1, stop = 0.5, num = 5 }
+[solve]
+max_periods = 500
+tolerance = 0.1
+section_samples = 2
+"""
+"""The spec of ``plane_of``."""
+
+
 class Session(Store):
     """A Zarr store of somebody else's, such as a session's: with what Zarr asks of a store and no more."""
 
@@ -150,6 +163,22 @@ def test_a_zarr_store_is_verified_and_packed_and_never_written(given: Any, solve
             write()
 
 
+@pytest.mark.parametrize("ask", [atlas.open, atlas.status, lambda given: atlas.verify(given, sample=0)])
+def test_a_zip_store_that_nobody_has_opened_is_read(solved_plane: Path, tmp_path: Path, ask: Any) -> None:
+    atlas.pack(solved_plane, tmp_path / "a.zip")
+    given, whole = zarr.storage.ZipStore(tmp_path / "a.zip", mode="r"), ask(solved_plane)
+    found = ask(given)
+    given.close()
+    assert type(found) is type(whole)
+
+
+def test_a_zip_store_that_cannot_be_opened_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.zip").write_bytes(b"nothing")
+    for name in ("a.zip", "none.zip"):
+        with pytest.raises(InputError, match="cannot be opened: "):
+            atlas.status(zarr.storage.ZipStore(tmp_path / name, mode="r"))
+
+
 def test_what_is_no_store_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="no such store"):
         atlas.open(zarr.storage.MemoryStore())
@@ -215,6 +244,33 @@ def test_an_atlas_is_computed_into_an_obstore_store_and_resumed_by_its_url(
     url = f"s3://{BUCKET}/object/plane.zarr"
     assert atlas.run(plane_of(), url, client, storage_options=server).cells_solved == 0
     assert same(atlas.open(url, storage_options=server), atlas.open(solved_plane))
+
+
+def test_a_command_reaches_a_url_by_its_storage_options_and_only_that_command(
+    server: dict[str, str], client: Client, solved_plane: Path, tmp_path: Path
+) -> None:
+    url = f"s3://{BUCKET}/command/plane.zarr"
+    atlas.run(plane_of(), url, client, storage_options=server)
+    options = [word for pair in server.items() for word in ("--storage-option", "=".join(pair))]
+    (tmp_path / "plane.toml").write_text(SPEC)
+    for words in (
+        ["status", url],
+        ["query", url],
+        ["plot", url, "-o", str(tmp_path / "a.png")],
+        ["compare", str(solved_plane), url],
+        ["run", str(tmp_path / "plane.toml"), "-o", url],
+        ["explore", url, "-o", str(tmp_path / "a.html")],
+    ):
+        ended = CliRunner().invoke(main, [*words, *options], catch_exceptions=False)
+        assert ended.exit_code == 0, (words, ended.output)
+    assert place_of(url) == ObjectPlace(url)
+
+
+@pytest.mark.parametrize(("given", "says"), [("anon", "must be NAME=VALUE"), ("anon=1 anon=0", "given twice")])
+def test_a_storage_option_that_makes_no_sense_is_one_line(given: str, says: str) -> None:
+    words = [word for each in given.split() for word in ("--storage-option", each)]
+    ended = CliRunner().invoke(main, ["status", "s3://public/plane.zarr", *words])
+    assert (ended.exit_code, says in ended.output) == (2, True)
 
 
 @contextmanager

@@ -254,7 +254,7 @@ def _check(header: Header, arrays: dict[str, Any], records: Records, index: Inde
         cell = tuple(part.start + i for part, i in zip(tile.slices, inner, strict=True))
         one = tuple(slice(i, i + 1) for i in inner)
         samples.append(Sample(cell, index, {name: array[one].copy() for name, array in values.items()}))
-    sparse = [v for v in (*header.variables, *header.unknown, *header.allowances) if v.sparse and v.name in values]
+    sparse = [v for v in (*header.variables, *header.allowances) if v.sparse and v.name in values]
     chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
     return _Checked(index, chunks, tile.size, faults, tuple(samples), row)
 

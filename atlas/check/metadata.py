@@ -20,10 +20,7 @@ from atlas.store.tiles import covered_variables, encoded, object_shape
 
 
 def metadata_faults(header: Header) -> list[str]:
-    """Contradictions between a store's metadata and its spec, or within its metadata; each in a few words.
-
-    The store itself says which results it has: one made before a result was added has none of it.
-    """
+    """Contradictions between a store's metadata and its spec, or within its metadata; each in a few words."""
     spec = header.spec
     faults = []
     try:
@@ -51,9 +48,6 @@ def metadata_faults(header: Header) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
-    for variable in spec.variables:
-        if variable.name not in shapes and any(header.place.list_keys(f"{variable.name}/c/")):
-            faults.append(f"{variable.name}/{ROOT} is missing")
     try:
         covered_variables(header, header.record["attributes"])
     except KeyError as error:

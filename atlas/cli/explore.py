@@ -22,6 +22,7 @@ from atlas.cli.options import (
     say,
     scheduler_option,
     select_option,
+    storage_option,
     timing_of,
     workers_option,
 )
@@ -43,6 +44,7 @@ GB = 10**9
     )
 )
 @click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED, shell_complete=SPECS)
+@storage_option
 @select_option
 @click.option(
     "-o",
@@ -142,7 +144,7 @@ def write(
 ) -> None:
     """Write the page of a store; InputError where an option of the explorer is given with it."""
     for each in ctx.command.params:
-        if each.name not in ("subject", "select", "window", "out") and (
+        if each.name not in ("subject", "storage_option", "select", "window", "out") and (
             ctx.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE
         ):
             name = "/".join([each.opts[-1], *each.secondary_opts])

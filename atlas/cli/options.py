@@ -20,6 +20,7 @@ from atlas.service.options import MOST_WORKERS
 from atlas.service.timing import TIMING, Timing
 from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings
 from atlas.spec.system import checked_system
+from atlas.store.location import reached_by
 from workers import Settings
 from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import DEFAULT, System
@@ -59,8 +60,6 @@ select_option = click.option(
     shell_complete=of_names(completion.axes),
     help="The plane of a stack, or the line, nearest to it.",
 )
-store_argument = click.argument("store", shell_complete=STORES)  # a path or a URL
-maybe_store_argument = click.argument("store", required=False, shell_complete=STORES)
 spec_argument = click.argument("spec", shell_complete=SPECS)
 set_option = click.option(
     "--set",
@@ -97,6 +96,33 @@ picture_option = click.option(
     required=True,
     help="The picture; the suffix chooses the format.",
 )
+
+
+def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> None:
+    """Have the URLs of this command reached by these storage options."""
+    if given:
+        ctx.with_resource(reached_by(read_pairs("--storage-option", given, lambda _, value: value)))
+
+
+storage_option = click.option(
+    "--storage-option",
+    metavar="KEY=VALUE",
+    multiple=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_reach,
+    help="How a URL is reached, beyond the environment, such as endpoint=URL or anon=true; may be given again.",
+)
+
+
+def store_argument(command: Callable[..., None]) -> Callable[..., None]:
+    """The argument STORE, a path or a URL."""
+    return click.argument("store", shell_complete=STORES)(storage_option(command))
+
+
+def maybe_store_argument(command: Callable[..., None]) -> Callable[..., None]:
+    """The argument STORE of a command that goes without, too."""
+    return click.argument("store", required=False, shell_complete=STORES)(storage_option(command))
 
 
 def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

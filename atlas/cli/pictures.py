@@ -22,6 +22,7 @@ from atlas.cli.options import (
     read_pairs,
     say,
     select_option,
+    storage_option,
     window_option,
     workers_option,
 )
@@ -50,6 +51,7 @@ from atlas.service.options import RunOptions
     )
 )
 @click.argument("stores", nargs=-1, required=True, shell_complete=STORES)
+@storage_option
 @picture_option
 @click.option(
     "--kind",

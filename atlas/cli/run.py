@@ -24,6 +24,7 @@ from atlas.cli.options import (
     say,
     scheduler_option,
     spec_argument,
+    storage_option,
     store_argument,
     timing_of,
     workers_option,
@@ -58,6 +59,7 @@ points_option = click.option(
 @click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
 @spec_argument
 @click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
+@storage_option
 @click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one a processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
 @points_option
@@ -79,7 +81,10 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
-_out_option = click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
+def _out_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The store that is made or completed."""
+    words = "The store, a path or a URL: made, or completed."
+    return click.option("-o", "--out", required=True, help=words)(storage_option(command))
 
 
 _submit_option = click.option(

@@ -76,5 +76,5 @@ def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool)
 def cite(store: str) -> None:
     """Print BibTeX of what to cite for STORE: the software that computed it, the method, the sources of its machine."""
     header = read_header(store)
-    version = computed_by(str(open_atlas(store).attrs.get("software", "")))
+    version = computed_by(str(open_atlas(header).attrs.get("software", "")))
     click.echo(bibtex(header.spec.record, version, header.solver_version))

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 from atlas.curves.export import columns, rows
 from atlas.curves.table import KINDS, Curves, read_curves
 from atlas.errors import InputError, check_names
-from atlas.query.open import store_of
-from atlas.store.store import Header, read_header
+from atlas.query.open import header_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,11 +36,3 @@ def frame(found: Curves, kind: str | None = None) -> "pd.DataFrame":
     made["symmetric"] = made["symmetric"] == "true"
     made.attrs["report"] = dict(found.report)
     return made
-
-
-def header_of(ds: "xr.Dataset") -> Header:
-    """The header of the store that a dataset is of; InputError where it does not say which."""
-    place = store_of(ds)
-    if place is None:
-        raise InputError("this dataset does not name its store: use the one that atlas.open returns")
-    return read_header(place)

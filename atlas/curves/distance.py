@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.curves.asking import header_of
 from atlas.curves.cells import CellOrbits
 from atlas.curves.following import Located, bounds_stability, events_towards
 from atlas.curves.plane import CurvePlane, plane_of
 from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
+from atlas.query.open import header_of
 from atlas.query.queries import at
 from workers.continuation import Event, Orbit
 from workers.continuation.events import GRAZING, LOST

@@ -3,7 +3,7 @@
 import json
 import time
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from atlas.curves.cells import CellOrbits
@@ -13,8 +13,7 @@ from atlas.curves.record import curve_from_json
 from atlas.curves.settings import CurveSettings
 from atlas.curves.tasks import Task, do
 from atlas.store.groups import CURVES
-from atlas.store.location import place_of
-from atlas.store.store import Header, read_header
+from atlas.store.store import Header
 from atlas.task.compile import ORBITS, compile_once, kernels_for
 from atlas.task.site import RefusedError, Site, stored_part
 
@@ -45,12 +44,12 @@ class CurveReceipt:
 
 def do_and_keep(job: CurveJob) -> CurveReceipt:
     """Do a task and keep its result as a part of the store."""
-    header, store = job.site.header(), job.site.store
+    header = job.site.header()
     compile_once(*kernels_for(header.spec.record, ORBITS))
     begin = time.thread_time()
-    orbits = _orbits(store, job.site.run_id, job.digest, job.settings)
+    orbits = _orbits(job.site, job.digest, job.settings)
     try:
-        found = do(job.task, orbits, lambda name: read_part(header, name), lambda name: _curve(store, job.digest, name))
+        found = do(job.task, orbits, partial(read_part, header), partial(_curve, job.site, job.digest))
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One place at which a method breaks down must not end the search: it is counted, in words.
         found = {"trouble": f"{type(error).__name__}: {error}"}
@@ -65,13 +64,14 @@ def read_part(header: Header, name: str) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=64)  # one curve passes many edges
-def _curve(store: str, digest: str, name: str) -> Followed:
-    return curve_from_json(read_part(read_header(place_of(store)), name)["curve"])
+def _curve(site: Site, digest: str, name: str) -> Followed:
+    return curve_from_json(read_part(site.header(), name)["curve"])
 
 
 @lru_cache(maxsize=1)  # a plane takes a while to read, and its orbits to find
-def _orbits(store: str, run_id: str, digest: str, settings: CurveSettings) -> CellOrbits:
-    plane = plane_of(read_header(place_of(store)))
+def _orbits(site: Site, digest: str, settings: CurveSettings) -> CellOrbits:
+    plane = plane_of(site.header())
     if settings.digest(plane) != digest:
-        raise RefusedError(f"{store}: its cells differ from those of the search; is the path the same on all hosts?")
+        text = "its cells differ from those of the search; is the path the same on all hosts?"
+        raise RefusedError(f"{site.store}: {text}")
     return CellOrbits(plane)

@@ -192,7 +192,7 @@ def plane_of(header: Header) -> CurvePlane:
     missing = header.tiling.count - len(done_tiles(header))
     if missing:
         raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = leading(open_atlas(header.place))
+    ds = leading(open_atlas(header))
     check_names("result of this atlas", NEEDED, map(str, ds.data_vars))
     x, y = spec.axes
 
@@ -212,6 +212,6 @@ def plane_of(header: Header) -> CurvePlane:
         impacts_upper=cells("impacts_upper", np.int64),
         impacts_lower=cells("impacts_lower", np.int64),
         symmetric=cells("symmetric", np.bool_),
-        speed=cells(SPEED, np.float64) if SPEED in ds else np.full(len(x) * len(y), np.nan),  # older stores lack it
+        speed=cells(SPEED, np.float64),
         state=cells("state", np.float64),
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from atlas.explore.subject import Subject, SubjectPlane
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import Sight, TileKey
+from atlas.query.open import note_store
 from atlas.query.resample import view as read_view
 from atlas.query.window import axis_values, cell_edges
 from atlas.store.schema import coordinates, variable_attributes
@@ -71,7 +72,7 @@ def dataset(
     }
     made = xarray.Dataset(arrays, coords, attrs)
     if subject.stored is not None and plane == subject.plane:
-        made.encoding["source"] = str(subject.stored.place)  # where its curves lie
+        note_store(made, subject.stored)  # where its curves lie
     return made
 
 

@@ -130,8 +130,8 @@ class KnownTiles:
         if whole is not None:
             return {name: array[key.quarter] for name, array in whole.items()}
         subject, names = self.subject, self.subject.variables.keys()
-        if subject.ds is None or not subject.same_settings or not names <= subject.ds.data_vars.keys():
-            return None  # an older atlas lacks some of its variables
+        if subject.ds is None or not subject.same_settings:
+            return None
         if not atlas_covers(subject, self.atlas_done(), plane, above):
             return None
         rows, columns = (cells[part] for cells, part in zip(above.of_atlas, key.quarter, strict=True))

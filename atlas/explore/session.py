@@ -15,10 +15,11 @@ from atlas.explore.kept import MOST_BYTES
 from atlas.explore.server import HOST, PageServer
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
+from atlas.query.open import header_of
 from atlas.query.window import Window, axis_names, axis_values
 from atlas.service.cluster import active_client, connected, local_cluster
 from atlas.service.timing import TIMING, Timing
-from atlas.store.store import read_header
+from atlas.store.store import Header
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -74,7 +75,7 @@ class Exploration:
 
 
 def explore(
-    given: "str | Subject",
+    given: "str | Header | Subject",
     chosen: Mapping[str, float] | None = None,
     *,
     client: "Client | None" = None,
@@ -133,13 +134,11 @@ def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: A
     return explore(*_place(ds), window=window, tolerance=tolerance, **options)
 
 
-def _place(ds: "xr.Dataset") -> tuple[str, dict[str, float]]:
+def _place(ds: "xr.Dataset") -> tuple[Header, dict[str, float]]:
     """The store that a dataset shows, and which plane of a stack."""
-    source = ds.encoding.get("source")
-    if not isinstance(source, str):
-        raise InputError("this dataset does not say which store it is of: explore the one that atlas.open returns")
-    axes = read_header(source).spec.axes[2:]
-    return source, {axis.name: float(ds[axis.name]) for axis in axes if ds[axis.name].ndim == 0}
+    header = header_of(ds)
+    axes = header.spec.axes[2:]
+    return header, {axis.name: float(ds[axis.name]) for axis in axes if ds[axis.name].ndim == 0}
 
 
 def _connection(

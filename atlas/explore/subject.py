@@ -248,16 +248,16 @@ class Subject:
         return Spec(self.system, axes, dict(plane.parameters), self.settings)
 
 
-def subject_of(given: str, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE) -> Subject:
-    """The subject that a user names: a store, or else a spec by its file or its name.
+def subject_of(given: str | Header, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE) -> Subject:
+    """The subject that a user names: a store, or else a spec by its file or its name; or the store of a header.
 
     ``chosen`` picks the plane of a stack, by default the first. InputError for what has no plane to be explored.
     """
+    if isinstance(given, Header):
+        return _subject(given.spec, given, open_atlas(given), chosen or {}, tolerance)
     place = None if given.endswith(".toml") else place_of(given)
     if place is not None and (place.exists("zarr.json") or is_url(given) or place.local is None):
-        header = read_header(place)
-        ds = open_atlas(given)
-        return _subject(header.spec, header, ds, chosen or {}, tolerance)
+        return subject_of(read_header(place), chosen, tolerance)
     return _subject(Spec.from_toml(given), None, None, chosen or {}, tolerance)
 
 

@@ -111,7 +111,7 @@ def attractors_of(header: Header) -> tuple[Attractors, int]:
     missing = header.tiling.count - len(done_tiles(header))
     if missing:
         raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = open_atlas(header.place)
+    ds = open_atlas(header)
     cells = int(np.prod(spec.shape))
 
     def read(name: str) -> NDArray[Any]:

@@ -96,8 +96,8 @@ def check_store(header: Header) -> None:
             f"{header.place}: found basins of one machine; measure its attractors by atlas attractors stability --set"
         )
     check_names(header)
-    lacking = [name for name in NEEDED if name not in {each.name for each in header.variables}]
-    if lacking:
+    held = {each.name for each in header.variables}
+    if lacking := [name for name in NEEDED if name not in held]:
         raise InputError(f"{header.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
     missing = header.tiling.count - len(done_tiles(header))
     if missing:

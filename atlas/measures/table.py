@@ -123,8 +123,8 @@ def drop_family(header: Header, family: str) -> None:
 
 
 def check_names(header: Header) -> None:
-    """InputError if a machine of an earlier version has a parameter or a result with the name of a measure."""
-    taken = {*header.coordinate_names, *(each.name for each in (*header.variables, *header.unknown))} & MEASURES.keys()
+    """InputError if its machine has a parameter or a result with the name of a measure."""
+    taken = {*header.array_names} & MEASURES.keys()
     if taken:
         raise InputError(f"{header.place}: {min(taken)!r} is a name of its own, and that of a measure")
 

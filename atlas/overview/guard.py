@@ -22,7 +22,7 @@ from atlas.overview.coarsen import REGIME_SHOWN, level_variables
 from atlas.store.groups import TABLES
 from atlas.store.origin import ALLOWANCES
 from atlas.store.remote import zarr_store
-from atlas.store.schema import OVERVIEWS
+from atlas.store.schema import OVERVIEWS, coordinate_names
 from atlas.store.spare import unlike_copy
 from atlas.store.store import ROOT, Header
 from workers.results import REGIME
@@ -44,7 +44,7 @@ class GuardedStore(WrapperStore[Any]):
         self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
         self._parts = {name: parts_of(array) for name, array in header.arrays.items()}
         self._sizes = {name: chunk_bytes(array) for name, array in header.arrays.items()}
-        self._coordinates = {*header.coordinate_names}
+        self._coordinates = {*coordinate_names(header.spec)}
         self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | self._coordinates
         own = ((name, node) for name, node in header.nodes.items() if name.partition("/")[0] not in TABLES)
         self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}

@@ -214,7 +214,7 @@ class Pyramid:
         for name, coordinate in level_coordinates(self.header, level).items():
             create_whole(group, name, coordinate)
         results = {variable.name for variable in self.header.variables}
-        fixed = " ".join(name for name in spec.parameters if name in self.header.coordinate_names)
+        fixed = " ".join(spec.parameters)
         for variable in self.variables:
             stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
             attributes = dict(self.root[stored].attrs) if stored in results else {}

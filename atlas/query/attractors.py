@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Any
 from atlas.arguments import checked_atlas
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.open import open_table, store_of
+from atlas.query.open import header_of, open_table
 from atlas.store.groups import LABELS, group_attributes
-from atlas.store.store import read_header
 from workers.results import ATTRACTOR, LABEL, PENDING, REGIME
 
 if TYPE_CHECKING:
@@ -56,8 +55,7 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where they are not.
     """
-    place = store_of(ds)
-    header = read_header(place) if LABEL.name in ds and place is not None else None
+    header = header_of(ds) if LABEL.name in ds else None
     if header is None or group_attributes(header, LABELS) is None:  # the labels of basins are its results
         raise InputError("the attractors of this atlas are not labelled; label them with atlas attractors label")
     return open_table(header, LABELS).drop_vars(LABEL.name).load()

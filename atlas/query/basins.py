@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.open import open_table, store_of
+from atlas.query.open import header_of, open_table
 from atlas.query.window import Window, axis_names, within
 from atlas.store.groups import ATTRACTORS, group_attributes
-from atlas.store.store import read_header
 from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME, SETTLED
 
@@ -60,10 +59,9 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where it is no such atlas, or not complete.
     """
-    place = store_of(ds)
-    if not of_basins(ds) or place is None:
+    if not of_basins(ds):
         raise InputError("not an atlas of basins: its axes must be initial states, and its spec must have [attractors]")
-    header = read_header(place)
+    header = header_of(ds)
     if group_attributes(header, ATTRACTORS) is None:
         raise InputError(f"{header.place}: has no table of attractors yet; run it to its end")
     return open_table(header, ATTRACTORS).load()

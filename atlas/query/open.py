@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from atlas.errors import ChunkError, message_of
+from atlas.errors import ChunkError, InputError, message_of
 from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
-from atlas.store.location import Given, Place, place_of
+from atlas.store.location import Given
 from atlas.store.store import ROOT, Header, read_header
 from workers.results import LABEL
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     import xarray
 
 
-_PLACE = "place"
-"""The key of a dataset's encoding that has the place of its store: a name does not say how a server is reached."""
+SOURCE, _HANDLE = "source", "atlas"
+"""The keys of a dataset's encoding that have the name of its store, and what was read of it when it was opened."""
 Chunks = int | str | Mapping[Any, Any] | None
 """Of Dask arrays, as ``xarray.open_dataset`` takes them; None for none."""
 
 
 def open_atlas(
-    store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
+    store: "Given | Header", chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
 ) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
@@ -31,7 +31,7 @@ def open_atlas(
     """
     import xarray
 
-    header = read_header(place_of(store, storage_options=storage_options))
+    header = read_header(store, storage_options)
     try:
         opened: Any = xarray.open_dataset(
             _guarded(header),
@@ -51,14 +51,33 @@ def open_atlas(
     for variable in opened.variables.values():  # xarray would write [1] on every axis
         if variable.attrs.get("units") == "1":
             del variable.attrs["units"]
-    opened.encoding |= {"source": str(header.place), _PLACE: header.place}  # by which a view finds the overviews
+    note_store(opened, header)
     return opened
 
 
-def store_of(ds: "xarray.Dataset") -> Place | None:
-    """The place of the store that a dataset, or the one that it was selected from, was opened from; None if unknown."""
-    place, source = ds.encoding.get(_PLACE), ds.encoding.get("source")
-    return place if isinstance(place, Place) else place_of(source) if isinstance(source, str) else None
+def note_store(ds: "xarray.Dataset", header: Header) -> None:
+    """Say of which store a dataset is."""
+    ds.encoding |= {SOURCE: str(header.place), _HANDLE: header}
+
+
+def header_of(ds: "xarray.Dataset") -> Header:
+    """The header of the store that a dataset, or the one that it was selected from, is of.
+
+    What was read when ``atlas.open`` opened it, while the store is the same; else it is read by its name.
+    InputError where the dataset does not name its store, and where that is gone or is another one by now.
+    """
+    kept, source = ds.encoding.get(_HANDLE), ds.encoding.get(SOURCE)
+    if isinstance(kept, Header):
+        found = kept.current()
+        if found is not kept:
+            note_store(ds, found)
+    elif isinstance(source, str):
+        found = read_header(source)
+    else:
+        raise InputError("this dataset does not name its store: use the one that atlas.open returns")
+    if ds.attrs.get("run_id", found.run_id) != found.run_id:
+        raise InputError(f"{found.place}: another store than the one that this dataset is of; open it again")
+    return found
 
 
 def open_table(header: Header, table: str) -> "xarray.Dataset":

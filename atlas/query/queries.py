@@ -133,12 +133,12 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
 def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     """How many cells of a window have no result, or an uncertain one, by the reason in words.
 
-    Empty where the atlas is too old to say. Cells and errors as in ``fractions``. Reads the records of tiles, and the
-    reasons themselves along the window's border.
+    Cells and errors as in ``fractions``, and InputError for a dataset without its variable ``reason``. Reads the
+    records of tiles, and the reasons themselves along the window's border.
     """
     ds = within(ds, window)
     if REASON.name not in ds:
-        return {}
+        raise InputError(f"this dataset has no variable {REASON.name}: ask the one that atlas.open returns")
     part = find_part(ds, [REGIME.name, REASON.name])
     if part is None:
         return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from atlas.errors import ChunkError, InputError
 from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, needed
 from atlas.overview.pyramid import MARKS, Pyramid
-from atlas.query.open import store_of
+from atlas.query.open import header_of
 from atlas.query.window import axis_values
 from atlas.spec.axis import Axis
 from atlas.spec.spec import MOST_AXES, Slices
 from atlas.store.records import Records
-from atlas.store.store import Header, read_header
+from atlas.store.store import Header
 from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
@@ -33,10 +33,7 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
     Selections of neighbouring cells are; anything computed, changed, loaded or put together is not.
     """
     try:
-        place = store_of(ds)
-        if place is None:
-            return None
-        header = read_header(place)
+        header = header_of(ds)
     except InputError:
         return None
     dims, spec = ds[REGIME.name].dims, header.spec

@@ -85,7 +85,7 @@ class CurvesSummary:
 
 @with_fields
 def find_curves(
-    store: Given,
+    store: "Given | Header",
     settings: CurveSettings | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,

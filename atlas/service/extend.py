@@ -17,7 +17,7 @@ from atlas.spec.spec import Spec
 from atlas.store.location import Given, Place, beside, is_url, place_of
 from atlas.store.origin import Origin
 from atlas.store.store import Header, done_tiles, read_header
-from atlas.task.reuse import absent_results, count_shared
+from atlas.task.reuse import count_shared
 from atlas.text import plural
 from workers import SOLVER_VERSION
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @with_fields
 def extend(
-    store: Given,
+    store: "Given | Header",
     into: Given,
     spec: Spec | None = None,
     refine: int | Mapping[str, int] | None = None,
@@ -71,9 +71,9 @@ def extend(
         return complete(grown, place, client, options, Origin(str(old.place), old.run_id))
 
 
-def header_from(store: Given, storage_options: Mapping[str, Any] | None) -> Header:
+def header_from(store: "Given | Header", storage_options: Mapping[str, Any] | None) -> Header:
     """The header of a store that cells are taken from; the options are those of a new store at a URL too."""
-    return read_header(place_of(store, storage_options=storage_options if is_url(store) else None))
+    return read_header(store, storage_options if is_url(store) else None)
 
 
 def place_from(old: Header, into: Given, storage_options: Mapping[str, Any] | None = None) -> Place:
@@ -88,7 +88,4 @@ def place_from(old: Header, into: Given, storage_options: Mapping[str, Any] | No
             f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: compute the new atlas by atlas run"
         )
-    if absent := absent_results(old):
-        names = ", ".join(absent)
-        raise InputError(f"{old.place}: too old, it has no {names}: compute the new atlas by atlas run")
     return place

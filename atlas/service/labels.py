@@ -8,11 +8,11 @@ from atlas.labels.table import Count, labels_of, stored_count, write_labels
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.service.run import claimed_place
+from atlas.service.run import claimed_place, waiting_header
 from atlas.spec.system import refuse_drift
 from atlas.store.archive import refuse_packed
-from atlas.store.location import Given, place_of, waiting
-from atlas.store.store import read_header
+from atlas.store.location import Given
+from atlas.store.store import Header
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import duration, plural
 
@@ -48,7 +48,9 @@ class LabelSummary:
 
 
 @with_fields
-def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]) -> LabelSummary:
+def label_attractors(
+    store: "Given | Header", options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]
+) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
     Returns at once where the store has them. Raises InputError if the store is not a finished atlas of all
@@ -57,8 +59,7 @@ def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unp
     options = chosen(options, fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
-        place = place_of(store, storage_options=options.storage_options)
-        header = read_header(waiting(place, options.patience))
+        header = waiting_header(store, options)
         stored = stored_count(header)
         if stored is not None:
             return LabelSummary(str(header.place), stored)

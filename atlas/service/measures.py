@@ -88,7 +88,7 @@ class MeasureSummary:
 
 @with_fields
 def measure_attractors(
-    store: Given,
+    store: "Given | Header",
     *,
     shocks: bool = False,
     margin: bool = False,

@@ -32,7 +32,7 @@ DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.co
 
 @with_fields
 def retry(
-    store: Given,
+    store: "Given | Header",
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None = None,
@@ -80,7 +80,7 @@ def submit_retry(
 
 
 def asked(
-    store: Given,
+    store: "Given | Header",
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None,

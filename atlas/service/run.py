@@ -105,12 +105,13 @@ def complete(
             _check_index(options.tile, Tiling(spec.shape, tile).grid)
         claim = stack.enter_context(claimed_place(place, options))
         place = claim.guard(waiting(place, options.patience))
-        header = find(place)  # once more: before the claim another run may have made it
-        _check(spec, place, header, options, origin, run_id)
+        before = header  # before the claim another run may have made the store, or another one in its place
+        header = find(place) if before is None else before.at(place).current()
+        if header is None or before is None or header.run_id != before.run_id:
+            _check(spec, place, header, options, origin, run_id)
         if header is None:
             options.report(Progress("making the store"))
-            create(place, spec, _tile(spec, place, workers), origin, run_id)
-            header = read_header(place)
+            header = create(place, spec, _tile(spec, place, workers), origin, run_id)
         kernels, memory = kernels_of(header.spec), memory_of(math.prod(header.tile))
         crew = Crew(header, do_job, kernels, options, claim, stack, workers, client, memory)
         run = _Run(header, crew)
@@ -283,7 +284,7 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 
 @contextmanager
 def called(
-    store: Given, client: "Client | None", options: RunOptions
+    store: "Given | Header", client: "Client | None", options: RunOptions
 ) -> Iterator[tuple[Header, RunOptions, ExitStack]]:
     """A call that works on a store: its header, the options with what reports progress, and what ends with the call.
 
@@ -293,8 +294,14 @@ def called(
     check_client(client, options)
     with reporting(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
-        place = place_of(store, storage_options=options.storage_options)
-        yield read_header(waiting(place, options.patience)), options, stack
+        yield waiting_header(store, options), options, stack
+
+
+def waiting_header(store: "Given | Header", options: RunOptions) -> Header:
+    """The header of a store that a call works on, which waits for its server as long as the options say."""
+    if isinstance(store, Header):
+        return store.at(waiting(store.place, options.patience))
+    return read_header(waiting(place_of(store, storage_options=options.storage_options), options.patience))
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from workers.results import REASONS, REGIMES
 class Status:
     """Tiles and cells done of a store, the regimes of these cells, and the run at work on it.
 
-    ``reasons`` counts the cells without a certain result by the reason in words; a store may be too old to keep any.
+    ``reasons`` counts the cells without a certain result by the reason in words.
     ``trouble`` says why no run may be at work in spite of a claim (its holder is dead or silent, or it is damaged), or
     why the run at work makes no progress; ``ended``, how the last submitted run ended. Both are empty if all is well.
     """
@@ -206,7 +206,7 @@ class Census:
             if isinstance(row, ChunkError):
                 raise row
             total += row
-        return Holding(int(records.done.sum()), *by_name(total, self.header))
+        return Holding(int(records.done.sum()), *by_name(total))
 
 
 def _token(seen: Sighting | None) -> str:

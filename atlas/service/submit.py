@@ -16,8 +16,9 @@ from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.spec.spec import Spec
+from atlas.store.access import BY_ENVIRONMENT
 from atlas.store.archive import refuse_packed
-from atlas.store.location import Place, place_of
+from atlas.store.location import LocalPlace, Place, place_of
 from atlas.store.origin import Origin
 from atlas.store.sidecar import notes_of
 from atlas.store.store import find, read_header
@@ -71,7 +72,8 @@ def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOption
         raise InputError("submit: needs the address of a scheduler")
     place = place_of(store)
     refuse_packed(place)
-    if options.storage_options is not None or place_of(str(place)) != place:
+    known = isinstance(place, LocalPlace) or getattr(place, "access", None) == BY_ENVIRONMENT
+    if options.storage_options is not None or not known:
         raise InputError("submit: the coordinator reaches the store by its environment; give a path or a URL alone")
     options.report(Progress(f"connecting to {scheduler}", passing=True))
     with connected(scheduler, options.tls, timing) as client:

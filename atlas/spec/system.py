@@ -63,8 +63,8 @@ def _of_text(text: str) -> System | None:
 def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
     """Impacts of an orbit at the upper and at the lower stop, p-q; "sticks" where they are infinitely many.
 
-    With several contacts, the counts of each, in the order of the definition: p-q/r-s. An older store has the counts
-    of all together.
+    With several contacts, the counts of each, in the order of the definition, p-q/r-s; where the cell does not have
+    them, those of all together.
     """
     one_by_one = [(f"{contact.name}_upper", f"{contact.name}_lower") for contact in record.definition.contacts]
     if not record.has_modes or not any(name in cell for pair in one_by_one for name in pair):

@@ -8,7 +8,7 @@ import os
 import pickle
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +23,7 @@ from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
 from atlas.store.place import LocalPlace as LocalPlace
 from atlas.store.place import Place as Place
-from atlas.store.zarr_place import ZarrPlace, is_zarr_store
+from atlas.store.zarr_place import ZarrPlace, is_zarr_store, zarr_place
 
 if TYPE_CHECKING:
     from obstore import PutMode, UpdateVersion
@@ -41,6 +41,8 @@ _SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
 AT_ONCE = 64
 """Requests under way together where many objects of a server are read: it answers all as soon as one."""
 _T = TypeVar("_T")
+_beyond: Mapping[str, Any] = {}
+"""Storage options of URLs that are given without any: what this process is told beyond its environment."""
 
 
 def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str, Any] | None = None) -> Place:
@@ -57,7 +59,7 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
     if is_obstore(store):
         return _place_of_object(store, patience)
     if is_zarr_store(store):
-        return ZarrPlace(store)
+        return zarr_place(store)
     if not isinstance(store, str | os.PathLike):
         raise InputError(f"found {shown(store)}, must be a path, a URL, an obstore store or a Zarr store")
     if not is_url(store):
@@ -69,8 +71,20 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
         return _place_at(Path(url2pathname(urlsplit(store.rstrip("/")).path)).absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
-    access = access_by(storage_options, store) if storage_options else BY_ENVIRONMENT
+    options = storage_options or _beyond
+    access = access_by(options, store) if options else BY_ENVIRONMENT
     return _checked(ObjectPlace(store.rstrip("/"), access, patience))
+
+
+@contextmanager
+def reached_by(storage_options: Mapping[str, Any]) -> Iterator[None]:
+    """Within the block, also in threads that it starts, URLs that are given without storage options have these."""
+    global _beyond
+    before, _beyond = _beyond, storage_options
+    try:
+        yield
+    finally:
+        _beyond = before
 
 
 def _checked(place: "ObjectPlace") -> "ObjectPlace":

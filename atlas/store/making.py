@@ -70,9 +70,6 @@ def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
     # Without its values where the digest says so, since these may be damaged.
     if header.digest != spec.digest and header.spec.digest != spec.digest:
         raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
-    if header.unknown:
-        names = ", ".join(variable.name for variable in header.unknown)
-        raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")
     with refused(place, "written"):
         if place.local is not None:
             if not os.access(place.local, os.W_OK):

@@ -160,7 +160,7 @@ class RunRecords:
         """What the store holds: tiles done, cells by regime and by reason; None if some are not counted."""
         if self._uncounted.any():
             return None
-        regimes, reasons = by_name(self._total, self._header)
+        regimes, reasons = by_name(self._total)
         return {"tiles": int(self._done.sum()), "regimes": regimes, "reasons": reasons}
 
     @property
@@ -233,12 +233,12 @@ def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Rows | Chunk
         yield from readers.map(count_one, tiles)
 
 
-def by_name(total: Rows, header: Header) -> tuple[dict[str, int], dict[str, int]]:
-    """The counts above 0 in a sum of rows, by regime and, if the store keeps any, by reason in words."""
+def by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
+    """The counts above 0 in a sum of rows, by regime and by reason in words."""
     cells, reasons = total[CELLS].astype(int).tolist(), total[BY_REASON].astype(int).tolist()
     regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
     named = {r.text: count for r, count in zip(REASONS, reasons, strict=True) if count and r.code != NO_REASON}
-    return regimes, named if REASON.name in header.arrays else {}
+    return regimes, named
 
 
 def _compaction(header: Header) -> Any:

@@ -2,7 +2,7 @@
 
 import json
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,14 +106,6 @@ def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, A
     if named := " ".join(fixed):
         attributes["coordinates"] = named
     return attributes
-
-
-def variable_of(name: str, metadata: Mapping[str, Any], dims: int) -> Variable:
-    """A variable that is in no table, from the metadata of its array; its cells have that number of dimensions."""
-    attributes = metadata["attributes"]
-    extra = tuple(metadata["dimension_names"][dims:])
-    described = str(attributes.get("long_name", name)), str(attributes.get("units", "1"))
-    return Variable(name, metadata["data_type"], 0, *described, extra, sparse=True)  # not known to have all chunks
 
 
 def _described(parameter: Parameter) -> dict[str, Any]:

@@ -115,9 +115,10 @@ def root_fault(data: bytes | None, spare: Json) -> str:
     return next(_faults(data, spare, whole=False), "")
 
 
-def unlike_copy(own: Any, copy: Json) -> str:
+def unlike_copy(own: Any, copy: Json | None) -> str:
     """What is wrong with metadata that differ from the root's copy of them, in words; "" where they do not."""
-    return "" if isinstance(own, dict) and alone(own) == alone(copy) else f"differs from its copy in {ROOT}"
+    alike = isinstance(own, dict) and copy is not None and alone(own) == alone(copy)
+    return "" if alike else f"differs from its copy in {ROOT}"
 
 
 def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:

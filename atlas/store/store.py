@@ -1,12 +1,13 @@
 """A store: made whole and empty, found again, and what it says about itself."""
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from atlas.errors import ChunkError, InputError, RunError, message_of, shown
 from atlas.spec.axis import Values
@@ -17,9 +18,9 @@ from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
 from atlas.store.location import Given, Place, place_of
 from atlas.store.making import is_free, make_store, refused
-from atlas.store.origin import ALLOWANCES, Allowance, Origin, allowances_in
+from atlas.store.origin import Allowance, Origin, allowances_in
 from atlas.store.record import RECORD
-from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates, variable_of
+from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates
 from atlas.store.schema import ZOOM as ZOOM
 from atlas.store.spare import SPARE, remedy, root_fault, spare_by, unlike_copy
 from atlas.store.tiling import Tiling, chunk_index
@@ -28,8 +29,29 @@ from workers.results import ATTRACTOR, REGIME, Variable, leading
 if TYPE_CHECKING:
     import zarr
 
+_T = TypeVar("_T")
 READERS = 8
 """Tiles read at once: a disk or a network answers several as soon as one."""
+
+
+class _Kept(dict[str, Any]):
+    """What the views of a header have read and opened, by name; ``lock`` is held while that is done."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lock = RLock()
+
+
+class Shared(cached_property[_T]):
+    """A property that is made once for all views of a header."""
+
+    def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
+        name, kept = str(self.attrname), instance.kept
+        with kept.lock:  # the threads of a worker come at once
+            if name not in kept:
+                kept[name] = self.func(instance)
+            found: _T = kept[name]
+        return found
 
 
 @dataclass(frozen=True)
@@ -37,7 +59,8 @@ class Header:
     """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
 
     ``outline`` is its spec, without the values of axes and points. ``nodes`` are the root's copies of the metadata of
-    all its arrays and groups, by their paths.
+    all its arrays and groups, by their paths. ``state`` is a digest of the root's metadata as they were read. What else
+    it has is read or opened when it is first asked for, and ``kept`` in this process.
     """
 
     place: Place
@@ -47,11 +70,31 @@ class Header:
     solver_version: int
     nodes: Mapping[str, Mapping[str, Any]] = field(repr=False)
     origin: Origin | None = None
+    state: str = field(default="", repr=False, compare=False)
+    kept: _Kept = field(default_factory=_Kept, init=False, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {each.name: getattr(self, each.name) for each in fields(self)} | {"kept": None}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update(state, kept=_Kept())
+
+    def __deepcopy__(self, memo: object) -> "Header":
+        return self  # nothing of it changes
+
+    def current(self) -> "Header":
+        """This one if the store's root is still as it was read, else the store as it is; errors as of ``read_header``.
+
+        One request, in place of all that opening a store takes.
+        """
+        with refused(self.place, "read"):
+            same = self.state and _state(self.place.get(ROOT)) == self.state
+        return self if same else read_header(self.place)
 
     def at(self, place: Place) -> "Header":
-        """The same header, with all that is known of the store, for writing it through another view of its place."""
-        other = copy(self)
-        object.__setattr__(other, "place", place)
+        """The same header for another view of its place; what one of them has read and opened, the other has."""
+        other = object.__new__(Header)
+        vars(other).update(vars(self), place=place)
         return other
 
     @property
@@ -61,7 +104,7 @@ class Header:
             raise RunError(f"{self.place}: not a folder of this machine")
         return self.place.local
 
-    @cached_property
+    @Shared
     def arrays(self) -> Mapping[str, Mapping[str, Any]]:
         """The metadata of the root's arrays, by name."""
         return {name: node for name, node in self.nodes.items() if node["node_type"] == "array" and "/" not in name}
@@ -76,9 +119,9 @@ class Header:
         """The names of the root's groups."""
         return frozenset(name for name, node in self.nodes.items() if node["node_type"] == "group" and "/" not in name)
 
-    @cached_property
+    @Shared
     def spec(self) -> Spec:
-        """The spec that the store was made from; what has been added to specs since is at its default.
+        """The spec that the store was made from.
 
         The values of its axes are read when they are first asked for; ChunkError then where they are damaged.
         InputError if this version cannot read it, and where the store's cells differ from the spec's.
@@ -93,7 +136,7 @@ class Header:
             raise InputError(f"{self.place}: its metadata are damaged: {found}: {remedy(self.place)}")
         return spec
 
-    @cached_property
+    @Shared
     def values(self) -> Values:
         """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
         return read_values(self.place, self.outline, self.digest)
@@ -119,20 +162,20 @@ class Header:
         named = zip(regime["dimension_names"], sizes, strict=True)
         return tuple(size for name, size in named if name != ATTRACTOR)
 
-    @cached_property
+    @Shared
     def tiling(self) -> Tiling:
         """How the store's cells are cut into tiles."""
         return Tiling(self.spec.shape, self.tile)
 
-    @cached_property
+    @property
     def variables(self) -> tuple[Variable, ...]:
-        """The results that the store holds, ``regime`` last; an older store may lack some that a new one has."""
-        return tuple(variable for variable in self.spec.variables if variable.name in self.arrays)
+        """The results that the store holds, ``regime`` last."""
+        return self.spec.variables
 
-    @cached_property
+    @Shared
     def allowances(self) -> tuple[Allowance, ...]:
         """What its cells may have been given more of, if a retry made the store."""
-        return tuple(each for each in allowances_in(self.spec) if each.name in self.arrays)
+        return allowances_in(self.spec) if self.origin is not None and self.origin.retry is not None else ()
 
     @property
     def regime(self) -> Variable:
@@ -143,42 +186,28 @@ class Header:
         """Arrays with one result for each cell: of all attractors, the first."""
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
-    @cached_property
+    @Shared
     def readable(self) -> Mapping[str, Any]:
         """The Zarr arrays of cells and coordinates by name, opened once; errors as of ``open_arrays``."""
         return open_arrays(self)
 
-    @cached_property
+    @Shared
     def writable(self) -> Mapping[str, Any]:
         """The Zarr arrays of cells by name, opened once; RunError if it is another store."""
         group: Any = open_group(self.place, "r", consolidated=True)  # one request for all arrays
         if group.attrs.get("run_id") != self.run_id:
             raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
-        names = (each.name for each in (*self.allowances, *self.variables))
-        return {name: array for name in names if (array := group.get(name)) is not None}
+        return {each.name: group[each.name] for each in (*self.allowances, *self.variables)}
 
-    @cached_property
-    def unknown(self) -> tuple[Variable, ...]:
-        """Values of cells that the store holds and this program does not know: it was made by a newer version."""
-        dims = self.spec.dims
-        known = {each.name for each in (*self.variables, *ALLOWANCES)} | {*self.coordinate_names}
-        return tuple(
-            variable_of(name, array, len(dims))
-            for name, array in self.arrays.items()
-            if name not in known and tuple(array.get("dimension_names") or ())[: len(dims)] == dims
-        )
+    @property
+    def array_names(self) -> list[str]:
+        """The names of the arrays of its root that hold cells or coordinates."""
+        return [*(each.name for each in (*self.variables, *self.allowances)), *coordinate_names(self.spec)]
 
-    @cached_property
-    def coordinate_names(self) -> list[str]:
-        """The names of the coordinates that the store holds; none for a parameter that the system got later."""
-        added = self.spec.parameters.keys() - self.outline["parameters"].keys()
-        return [name for name in coordinate_names(self.spec) if name not in added]
-
-    @cached_property
+    @Shared
     def coordinates(self) -> dict[str, StoredArray]:
-        """The coordinates that the store holds."""
-        made = coordinates(self.spec)
-        return {name: made[name] for name in self.coordinate_names}
+        """The coordinates, by name."""
+        return coordinates(self.spec)
 
 
 def create(
@@ -198,13 +227,15 @@ def create(
     return read_header(place)
 
 
-def read_header(store: Given) -> Header:
-    """The header of a store; InputError if there is none, or it is not ours, or of an unknown format.
+def read_header(store: "Given | Header", storage_options: Mapping[str, Any] | None = None) -> Header:
+    """The header of a store, given or read; InputError if there is none, or it is not ours, or of an unknown format.
 
     Where the disk or the server refused, its OSError is that InputError's cause. NetworkError if the server does
     not answer.
     """
-    place = place_of(store)
+    if isinstance(store, Header):
+        return store
+    place = place_of(store, storage_options=storage_options)
     with refused(place, "read"):
         return _read_header(place)
 
@@ -233,9 +264,13 @@ def _read_header(place: Place) -> Header:
     if regime not in objects:
         raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
     try:
-        return header_by(place, root, json.loads(objects[regime]))
+        return replace(header_by(place, root, json.loads(objects[regime])), state=_state(content))
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: its metadata are damaged: {message_of(error)}: {remedy(place)}") from None
+
+
+def _state(content: bytes | None) -> str:
+    return hashlib.sha256(content or b"").hexdigest()
 
 
 def header_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) -> Header:
@@ -289,8 +324,8 @@ def open_arrays(header: Header) -> dict[str, Any]:
     ChunkError if their metadata are missing or damaged, or differ from the root's copy of them.
     """
     own, faults = own_nodes(header), dict[str, str]()
-    for name in _array_names(header):
-        if name in header.nodes and (fault := unlike_copy(own.get(name), header.nodes[name])):
+    for name in header.array_names:
+        if fault := unlike_copy(own.get(name), header.nodes.get(name)):
             faults[f"{name}/{ROOT}"] = fault if name in own else "is missing"
     if faults:
         raise ChunkError(header.place, faults)
@@ -300,7 +335,7 @@ def open_arrays(header: Header) -> dict[str, Any]:
 def arrays_by(header: Header, nodes: Mapping[str, Any]) -> dict[str, Any]:
     """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError if these are damaged."""
     found = {}
-    for name in _array_names(header):
+    for name in header.array_names:
         try:
             if name in nodes:
                 found[name] = array_by(header.place, name, nodes[name])
@@ -322,17 +357,12 @@ def array_by(place: Place, path: str, node: Any) -> Any:
 def own_nodes(header: Header) -> dict[str, Any]:
     """The metadata that the arrays of the store's root have themselves, by name. ChunkError if they are damaged."""
     found = {}
-    for key, data in header.place.get_all(f"{name}/{ROOT}" for name in _array_names(header)).items():
+    for key, data in header.place.get_all(f"{name}/{ROOT}" for name in header.array_names).items():
         try:
             found[key.removesuffix(f"/{ROOT}")] = json.loads(data)
         except (ValueError, RecursionError) as error:
             raise ChunkError(header.place, {key: f"is damaged ({message_of(error)})"}) from None
     return found
-
-
-def _array_names(header: Header) -> list[str]:
-    results = (*header.spec.variables, *header.unknown, *ALLOWANCES)
-    return [*(variable.name for variable in results), *coordinate_names(header.spec)]
 
 
 def open_group(place: Place, mode: Literal["r", "r+"], consolidated: bool = False) -> "zarr.Group":

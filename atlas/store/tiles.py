@@ -129,7 +129,7 @@ def read_tile(
 ) -> dict[str, np.ndarray]:
     """Arrays of a finished tile: the named ones, or all results and ``ALLOWANCES``.
 
-    They are read from ``arrays``, see ``open_arrays``. Names of results that the store lacks are left out.
+    They are read from ``arrays``, see ``open_arrays``.
 
     Raises ChunkError, which names every bad chunk; OSError if the place cannot be read at all.
     """
@@ -137,7 +137,7 @@ def read_tile(
     wanted = {each.name for each in (*header.variables, *ALLOWANCES)} if names is None else set(names)
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
-    for variable in (*header.variables, *header.unknown, *ALLOWANCES):
+    for variable in (*header.variables, *ALLOWANCES):
         if variable.name not in wanted:
             continue
         if isinstance(variable, Allowance) and variable.name not in arrays:
@@ -159,7 +159,7 @@ def read_tile(
 
 def covered_variables(header: Header, attributes: Mapping[str, Any]) -> list[Variable]:
     """The variables that digests cover, by the attributes of their array; KeyError for one that the store lacks."""
-    known = {variable.name: variable for variable in (*header.variables, *header.unknown, *ALLOWANCES)}
+    known = {variable.name: variable for variable in (*header.variables, *ALLOWANCES)}
     return [known[name] for name in attributes[COVERED]]
 
 

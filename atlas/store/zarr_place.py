@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from atlas.errors import InputError, message_of
 from atlas.store.place import Place
 
 
@@ -13,6 +14,18 @@ def is_zarr_store(store: object) -> bool:
     """Whether this is one of Zarr's stores, or of a class derived from theirs; Zarr is not loaded for it."""
     module = sys.modules.get("zarr.abc.store")
     return module is not None and isinstance(store, module.Store)
+
+
+def zarr_place(store: Any) -> "ZarrPlace":
+    """The place of one of Zarr's stores, opened as Zarr opens it; InputError if it cannot be."""
+    from zarr.core.sync import sync
+    from zarr.storage import StorePath
+
+    try:
+        sync(StorePath.open(store, ""))
+    except Exception as error:  # a store of somebody else's may raise anything
+        raise InputError(f"{store}: cannot be opened: {message_of(error)}") from None
+    return ZarrPlace(store)
 
 
 @dataclass(frozen=True, eq=False)

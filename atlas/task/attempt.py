@@ -52,7 +52,8 @@ def run_job(job: Job) -> Receipt:
             return replace(receipt, record=stored_record(header, job.index))
         attempt = put_attempt(notes, job.note, job.site.claim, DEATHS)
     try:
-        return solve_and_write(replace(job, attempt=attempt.token))
+        job = replace(job, attempt=attempt.token)
+        return solve_and_write(job, job.site.fenced(header, job.note, job.attempt))
     finally:
         if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
             with file_errors(job.site.store):

@@ -105,6 +105,9 @@ def _meetings(
 
 def _origin_of(header: Header) -> Header:
     assert header.origin is not None
+    done, otherwise = "extended", f"extend {header.place} into a new store"
+    if header.origin.retry is not None:
+        done, otherwise = "retried", "make it again by atlas run, and a new store of it by atlas retry"
     try:
         origin = known_header(beside(header.place, header.origin.store))
     except InputError as error:
@@ -112,16 +115,8 @@ def _origin_of(header: Header) -> Header:
     else:
         if origin.run_id == header.origin.run_id:
             return origin
-        found = f"{header.origin.store}: another store than the one that was extended"
-    raise RunError(
-        f"{found}; {header.place} copies cells of it: put it back, or extend {header.place} into a new store"
-    )
-
-
-def absent_results(origin: Header) -> list[str]:
-    """Results that an older store lacks and new cells have, so that none of its cells can be copied."""
-    present = {variable.name for variable in origin.variables}
-    return [variable.name for variable in origin.spec.variables if variable.name not in present and not variable.sparse]
+        found = f"{header.origin.store}: another store than the one that was {done}"
+    raise RunError(f"{found}; {header.place} copies cells of it: put it back, or {otherwise}")
 
 
 def count_shared(origin: Header, spec: Spec, done: set[tuple[int, ...]]) -> int:

@@ -48,8 +48,11 @@ class Site:
         """
         with file_errors(self.store):
             header = checked_header(self.store, self.run_id, self.solver_version, self.patience)
-            _ = header.spec, header.writable  # read once for all jobs
-            return header.at(self._guarded(header.place, note, attempt))
+            return self.fenced(header, note, attempt)
+
+    def fenced(self, header: Header, note: str = "", attempt: str = "") -> Header:
+        """The same header, behind these fences."""
+        return header.at(self._guarded(header.place, note, attempt))
 
     def keep(self, header: Header, group: str, name: str, data: bytes) -> None:
         """Keep a part of a group."""

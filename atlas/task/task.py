@@ -10,7 +10,6 @@ from atlas.overview.pyramid import opened
 from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
 from atlas.store.records import read_record, single_records
-from atlas.store.schema import extra_sizes
 from atlas.store.store import Header, is_done
 from atlas.store.tiles import read_tile, take_tile, write_tile
 from atlas.store.tiling import PART, Tiling
@@ -19,7 +18,7 @@ from atlas.task.compile import compile_once
 from atlas.task.reuse import known_cells
 from atlas.task.site import RefusedError, Site, file_errors
 from atlas.task.solving import kernels_of, solve_due
-from workers.results import PENDING, REASON, REGIME, REGIMES, empty_results, reason_counts
+from workers.results import PENDING, REASON, REGIME, REGIMES, reason_counts
 
 Arrays = dict[str, np.ndarray]
 
@@ -47,7 +46,7 @@ class Job:
         return "started-" + "-".join(map(str, self.index))
 
     def header(self) -> Header:
-        """The header of the store, behind the fences of the run and of the attempt."""
+        """The header of the store as it is now, behind the fences of the run and of the attempt."""
         return self.site.header(self.note, self.attempt)
 
 
@@ -110,10 +109,9 @@ def label_basins(job: Job) -> Made:
         return Made(job.index, tuple((index, stored_record(header, index)) for index in single_records(header)))
 
 
-def solve_and_write(job: Job) -> Receipt:
+def solve_and_write(job: Job, header: Header) -> Receipt:
     """Solve the cells of a tile that the store's origin does not give, and write it."""
     with file_errors(job.site.store):
-        header = job.header()
         slices = header.tiling.at(job.index).slices
         known = known_cells(header, slices)
     compile_once(*kernels_of(header.spec))  # its own disk may be full, which is not the store's
@@ -121,6 +119,7 @@ def solve_and_write(job: Job) -> Receipt:
     arrays = solve_cells(header.spec, slices, known.arrays, known.due)
     middle, processor = time.perf_counter(), time.thread_time() - busy
     with file_errors(job.site.store):
+        header = job.header()  # it may be another store by now
         if is_done(header, job.index):  # another attempt has finished meanwhile: what is stored stays
             arrays, record = stored_tile(header, job.index), stored_record(header, job.index)
         else:
@@ -156,17 +155,14 @@ def commit(header: Header, job: Job, arrays: Arrays, source: Header | None = Non
     ``source`` is a store that has the same tile, whose objects are taken over. A worker that stands still between a
     look at the notes and the write that follows writes later than it may, but the same bits as any other.
     """
-    header = job.header()  # it may be another store by now
     record = write_tile(header, job.index, arrays) if source is None else take_tile(header, source, job.index, arrays)
     opened(header, job.site.claim).make_over(job.index, arrays)
     return tuple(record.tolist())
 
 
 def stored_tile(header: Header, index: tuple[int, ...]) -> Arrays:
-    """All arrays of a finished tile: of results that an older store does not have, their fill values."""
-    shape = header.tiling.at(index).shape
-    blank = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
-    return blank | read_tile(header, index)
+    """All arrays of a finished tile."""
+    return read_tile(header, index)
 
 
 def stored_record(header: Header, index: tuple[int, ...]) -> tuple[float, ...]:

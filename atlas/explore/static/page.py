@@ -11,12 +11,12 @@ from string import Template
 from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_path
-from atlas.curves.asking import header_of
 from atlas.errors import InputError
 from atlas.explore.static import about
 from atlas.explore.static.numbers import Packed, fit, pack
 from atlas.query.attractors import leading, of_all, one
 from atlas.query.export import check_writable, written_whole
+from atlas.query.open import header_of
 from atlas.query.plane import rising
 from atlas.query.reads import counted
 from atlas.query.resample import view
