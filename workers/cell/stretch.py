@@ -7,8 +7,8 @@ import numpy as np
 from workers import results
 from workers.kernel.averages import LEVELS
 from workers.kernel.cells import physical_states, start_motions
-from workers.kernel.hybrid.lanes import run_through_modes
 from workers.kernel.lanes.layout import LANES
+from workers.kernel.lanes.modes import run_through_modes
 from workers.kernel.lanes.run import Batch, run_alone, run_batch
 from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at, slanted
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, each, many_of

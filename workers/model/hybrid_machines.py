@@ -84,9 +84,9 @@ class HybridMachines(NamedTuple):
     @property
     def signals(self) -> Rows:
         """The numbers (U,) of the signals that end a mode of any of them, see hybrid_modes.pieces_of; one at least."""
-        _, C, F = self.sizes
-        ends = [(np.isfinite(self.stops[:, c]).any(), bool(self.by_force[:, c].any())) for c in range(C)]
-        found = np.flatnonzero([*(end for both in ends for end in both), *[True] * F])
+        F = self.sizes[2]
+        ends = np.stack([np.isfinite(self.stops).any(axis=(0, 2)), self.by_force.any(axis=0)], axis=1)  # (C, 2)
+        found = np.flatnonzero(np.concatenate([ends.ravel(), np.ones(F, dtype=np.bool_)]))
         return found if len(found) else np.zeros(1, dtype=np.int64)
 
     @property

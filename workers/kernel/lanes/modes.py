@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
-from workers.kernel.hybrid.fields import LEG_FIELD, LEG_SIZE, board, move_lane, park, read_flow, record_size, take_round
 from workers.kernel.hybrid.motion import first_event, put_down, take_up
 from workers.kernel.hybrid.trip import (
     CLOCK,
@@ -29,6 +28,16 @@ from workers.kernel.hybrid.trip import (
 )
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import GAP_SIZE, LANE, LANES, LEFT, room_for_vectors
+from workers.kernel.lanes.legs import (
+    LEG_FIELD,
+    LEG_SIZE,
+    board,
+    copy_lane,
+    empty_lane,
+    read_flow,
+    record_size,
+    take_round,
+)
 from workers.kernel.lanes.run import keep_section, over
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.lend import lend, row_in
@@ -45,7 +54,7 @@ BEGINS, ARRIVES = 0, 1
 class Search(NamedTuple):
     """What lanes need to search for the events of legs of machines with n coordinates.
 
-    records, legs   fields of the lanes, see fields.py
+    records, legs   fields of the lanes, see legs.py
     signals (U,)    those that end a mode
     held, slots     the cell of each lane (LANES,), and where its trip is
     before          log of the length of the first tangent vector of each trip, at its last section
@@ -70,7 +79,7 @@ def search_for(n, harmonics, signals):
     U, size = len(signals), record_size(n, harmonics)
     records = room_for_vectors(U * size).reshape((U, size))
     for i in range(LANES):
-        park(records, i)
+        empty_lane(records, i)
     return Search(
         records, room_for_vectors(LEG_SIZE), signals, np.zeros(LANES, dtype=np.int64), np.arange(LANES),
         np.zeros(LANES), room_for_vectors(GAP_SIZE), np.empty(LANES, dtype=np.uint32), np.empty((n, 2)),
@@ -145,16 +154,16 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
         )  # fmt: skip
         count = list_lanes(legs, LEG_FIELD.event, active, search.chosen)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
-            i = np.int64(search.chosen[e])
-            if turn(batch, trips, search, held[i], i, ARRIVES, ending, more):
+            lane = np.int64(search.chosen[e])
+            if turn(batch, trips, search, held[lane], lane, ARRIVES, ending, more):
                 renewing = True
                 continue
             active -= 1
-            move_lane(search.records, active, i)
-            legs[LEG_FIELD.oscillates + i] = legs[LEG_FIELD.oscillates + active]
-            held[i] = held[active]
-            slots[i], slots[active] = slots[active], slots[i]
-            park(search.records, active)
+            copy_lane(search.records, active, lane)
+            legs[LEG_FIELD.oscillates + lane] = legs[LEG_FIELD.oscillates + active]
+            held[lane] = held[active]
+            slots[lane], slots[active] = slots[active], slots[lane]
+            empty_lane(search.records, active)
 
 
 @kernel

@@ -1,6 +1,6 @@
 """Legs of many motions side by side: the fields of lanes, and rounds that search for the first signal of each.
 
-Every signal of a lane has the fields that lanes have of a gap, see kernel/lanes/layout.py: it is searched by the same
+Every signal of a lane has the fields that lanes have of a gap, see layout.py: it is searched by the same
 passes, as if its ends were stops. ``records`` (U, size) are those of U signals, the first of which holds the blocks'
 flow and the time. What few lanes need (events) is done by the kernels of one motion.
 """
@@ -26,6 +26,7 @@ from workers.kernel.lanes.layout import (
     STRIDE,
     padded_blocks,
 )
+from workers.kernel.lanes.run import move_lane, park
 from workers.kernel.lanes.search import LONGEST_MARCH, safe_steps
 from workers.kernel.lanes.signal import (
     add_share,
@@ -71,24 +72,19 @@ def record_size(blocks, harmonics):
 
 
 @kernel
-def park(records, i):
-    """Give a lane that no motion needs signals that nothing moves, for the passes to run over."""
+def empty_lane(records, i):
+    """Park a lane that no motion needs."""
     records = borrowed(records)
     for u in range(records.shape[0]):
-        a = records[u]
-        for f in range(len(a) // STRIDE):
-            a[f * STRIDE + i] = 0.0
-        a[LANE.upper + i], a[LANE.lower + i], a[LANE.period + i] = 1.0, -1.0, 1.0
+        park(records[u], i)
 
 
 @kernel
-def move_lane(records, source, target):
+def copy_lane(records, source, target):
     """Copy a lane."""
     records = borrowed(records)
     for u in range(records.shape[0]):
-        a = records[u]
-        for f in range(len(a) // STRIDE):
-            a[f * STRIDE + target] = a[f * STRIDE + source]
+        move_lane(records[u], source, target)
 
 
 @inlined
