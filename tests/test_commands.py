@@ -64,8 +64,8 @@ def coarse(example: str) -> str:
 
 
 EXAMPLES = """
-bouncing-ball capsule chain-3 energy-harvester energy-sink friction-oscillator gear-mesh impact-damper impact-pair
-simpson-ghosh-2026 single-mass soft-impact soft-suspension stick-slip two-stops
+bistable-harvester bouncing-ball capsule chain-3 energy-harvester energy-sink friction-oscillator gear-mesh
+impact-damper impact-pair rotor-rub simpson-ghosh-2026 single-mass soft-impact soft-suspension stick-slip two-stops
 """
 """Of other systems, each with a plane of its own."""
 POINTS = """

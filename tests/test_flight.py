@@ -93,7 +93,7 @@ def test_the_bounds_hold_for_all_later_times_at_any_damping() -> None:
         h, phase = random_state(rng, signal), rng.uniform(0, 2 * math.pi)
         exact = naive.Exponentials.of(signal, h, phase)
         times = np.concatenate([[0.0], np.geomspace(1e-4, 30.0, 600)])
-        for order, bound in zip((0, 2, 3, 4), derivative_bounds(signal.blocks, signal.numbers, h), strict=True):
+        for order, bound in zip((0, 2, 3, 4), derivative_bounds(signal.blocks, signal.numbers, h, np.inf), strict=True):
             assert np.max(np.abs(exact.at(times, order))) <= bound * (1 + 1e-9)
 
 
@@ -106,7 +106,7 @@ def test_no_gap_closes_within_a_safe_step() -> None:
         exact = naive.Exponentials.of(signal, h, phase)
         y, v, a, j3 = (float(exact.at(np.zeros(1), k)[0]) for k in range(4))
         g = abs(rng.normal()) * 10.0 ** rng.uniform(-6, 0)
-        _, M2, M3, M4 = derivative_bounds(signal.blocks, signal.numbers, h)
+        _, M2, M3, M4 = derivative_bounds(signal.blocks, signal.numbers, h, np.inf)
         step = safe_step(g, v, a, j3, M2, M3, M4, 20.0)
         assert 0.0 < step <= 20.0
         assert np.max(exact.at(np.linspace(0.0, step, 400))) <= y + g + 1e-12
@@ -184,7 +184,7 @@ def test_a_stop_that_the_bound_excludes_costs_no_evaluation() -> None:
     rng = np.random.default_rng(7)
     signal = random_signal(rng, 2)
     h = random_state(rng, signal)
-    reach = derivative_bounds(signal.blocks, signal.numbers, h)[0]
+    reach = derivative_bounds(signal.blocks, signal.numbers, h, np.inf)[0]
     assert crossing(signal, h, 0.4, 1.001 * reach, -1.001 * reach, 9.0) == (9.0, 0, 0)
 
 

@@ -4,7 +4,7 @@ A share of them the solver stops at, and says why.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -29,6 +29,9 @@ def drawn(seed: int) -> Machine:
     return random_machine(seed, switched_elements=seed % 2 == 1)
 
 
+Draw = Callable[[int], Machine]
+
+
 def by_period(hybrid: Oscillator, start: list[float], periods: int) -> Iterator[Followed]:
     """The motion period by period, each with the derivative over it alone; the last one may have stopped."""
     state, number = np.array(start), None
@@ -40,9 +43,9 @@ def by_period(hybrid: Oscillator, start: list[float], periods: int) -> Iterator[
         state, number = found.state, found.number
 
 
-def compare(seed: int, periods: int) -> int:
+def compare(seed: int, periods: int, draw: Draw = drawn) -> int:
     """Hold states after each period against the oracle while errors do not grow too far; the status at the end."""
-    machine = drawn(seed)
+    machine = draw(seed)
     start = random_state(machine, seed)
     expected = simulate(machine, start, periods, digits=30, rest=1e-8).sections
     later: list[Array] = []  # derivatives of the state by that at each earlier section
@@ -101,9 +104,9 @@ def itinerary_of(found: Followed) -> list[tuple[str, int, int]]:
     return [(e.element, e.index, e.side) for e in found.events]
 
 
-def check_derivative(seed: int) -> bool:
+def check_derivative(seed: int, draw: Draw = drawn) -> bool:
     """Hold the derivative over a period against differences; whether there are any to compare."""
-    machine = drawn(seed)
+    machine = draw(seed)
     hybrid, start = built(machine), np.array(random_state(machine, seed))
     found = follow(hybrid, start)
     if found.status != RUNNING:
@@ -125,9 +128,9 @@ def test_derivatives_of_many_random_machines_are_those_of_their_motions() -> Non
     assert sum(check_derivative(seed) for seed in range(100, 600)) >= 375
 
 
-def check_volume(seed: int) -> bool:
+def check_volume(seed: int, draw: Draw = drawn) -> bool:
     """The sum law over a period, by the derivative and by orthonormal frames; whether no direction was lost."""
-    machine = drawn(seed)
+    machine = draw(seed)
     hybrid, start = built(machine), random_state(machine, seed)
     found, framed = follow(hybrid, start), follow(hybrid, start, framed=True)
     if found.status != RUNNING or found.tally[LOST] > 0.0:

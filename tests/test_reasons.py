@@ -30,6 +30,7 @@ from workers.results import (
     INVALID,
     LOCKING,
     LONG_PERIOD,
+    NO_OSCILLATOR,
     NO_REASON,
     NOT_STATIONARY,
     OUT_OF_RANGE,
@@ -106,7 +107,7 @@ def test_a_cell_given_up_for_its_cost_is_undetermined_and_says_so(monkeypatch: p
         ({"stiffness": np.zeros((2, 2))}, RIGID_MODE),
         ({"stiffness": np.diag([1.0, -1.0])}, UNSTABLE),
         ({"damping": np.diag([1.0, -0.1])}, UNSTABLE),
-        ({"damping": np.array([[0.0, 1.0], [1.0, 0.0]])}, UNSTABLE),
+        ({"mass": np.diag([-1.0, 1.0])}, NO_OSCILLATOR),
     ],
 )
 def test_an_oscillator_that_cannot_be_built_says_why(changes: dict[str, np.ndarray], reason: int) -> None:

@@ -22,7 +22,7 @@ from atlas.robustness.norm import weighted
 from workers.attractors.cell import FIRST
 from workers.attractors.record import STABLE, Attractor
 from workers.kernel.cells import physical_states
-from workers.kernel.hybrid.state import guard_value, shown_number, slot_of
+from workers.kernel.hybrid.state import guard_value, shown_number, slot_of, turned
 from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, Motion, axes, motions_at
 from workers.model.hybrid_modes import SIGNALS, code_of
 from workers.model.oscillator import Array, Oscillator, one_of
@@ -153,9 +153,9 @@ def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
     _, C, F = own.sizes
     for state in states:
         number = int(shown_number(table.elements, state))
-        k = int(slot_of(table.codes, number))
+        k, turn = int(slot_of(table.codes, number)), turned(table.tau, table.pieces.waves.shape[2])
         for e, sign in enumerate(code_of(number, C, F).slips if k >= 0 else ()):
-            force, _ = guard_value(table.pieces, k, SIGNALS * C + e, state, table.tau)
+            force, _ = guard_value(table.pieces, k, SIGNALS * C + e, state, turn)
             if sign == 0 and abs(force) > (1.0 + EVEN) * own.rub[0, 0, e, 0]:
                 return True
     return False

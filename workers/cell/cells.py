@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.stretch import batch_of, begin, ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
-from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows
+from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, taken
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
 from workers.settings import Settings
@@ -17,6 +17,10 @@ Results = dict[str, NDArray[Any]]
 
 RETURNS = 64
 """Returns of a motion that are known of each cell at least, whatever ``max_period``."""
+
+FAR = 1e6
+"""Size of a motion that grows, beside that of its start, of what forces move it by and of where stops are, from which
+on it counts as one that goes to infinity: all of these are nothing beside it then."""
 
 STEPS, SAME_STEP = 16, 1e-7
 """Periods over which what runs away gets faster by one step; and the share by which steps may differ for that, and that
@@ -46,6 +50,25 @@ class Average(NamedTuple):
     impacts: Array
 
 
+def energy_norms(metric: Array, h: Array) -> Array:
+    """Energy norms (...) of block states (..., n, 2), the metric (..., n)."""
+    return np.asarray(np.sqrt(np.sum(metric * h[..., 0] ** 2 + h[..., 1] ** 2, axis=-1)))
+
+
+def sizes(oscillators: Oscillator, h: Array) -> Array:
+    """Energy norms (N,) of block states h (N, n, 2), of what forces move, and of displacements to all stops, in sum."""
+    own, n, metric = oscillators, h.shape[1], oscillators.gap.metric
+    if own.has_modes:
+        rows, stops = own.table.machines.row, own.table.machines.stops
+    else:
+        rows, stops = own.gap_row[:, None], np.stack([own.lower, own.upper], axis=-1)[:, None]
+    reach = np.max(np.where(np.isfinite(stops), np.abs(stops), 0.0), axis=-1)
+    x = rows * (reach / np.maximum(np.vecdot(rows, rows), 1e-300))[..., None]
+    there = (own.to_blocks[:, None, :, :n] @ x[..., None]).reshape(*x.shape[:2], n, 2)
+    at_stops = np.sum(energy_norms(metric[:, None], there), axis=1)
+    return energy_norms(metric, h) + energy_norms(metric, own.gap.swing) + at_stops
+
+
 class Cells:
     """N cells and the stage of each; the batch has its motion and the periods of its present stretch.
 
@@ -64,6 +87,7 @@ class Cells:
     vectors: those carried along
     found      result arrays, written as the cells are done; contact (N,) that of their ``state``
     orbits     of the cells that were proved to fall into one
+    far        energy norm from which on a motion that grows counts as one without bound; infinite for others
     """
 
     def __init__(
@@ -94,6 +118,9 @@ class Cells:
         self.framed, self.averaging = np.zeros((2, N), dtype=np.bool_)
         self.used, self.flown, self.since, self.began, self.first, self.contact = np.zeros((6, N), dtype=np.int64)
         self.orbits = no_orbits(N, n)
+        self.far = np.full(N, np.inf)
+        grows = np.flatnonzero(oscillators.growth > 0.0)
+        self.far[grows] = FAR * sizes(taken(oscillators, grows), motions.h[grows]) if len(grows) else 0.0
         self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N))
         self.tallied = np.tile(NOTHING_COUNTED, (N, 1))
 
@@ -137,6 +164,14 @@ class Cells:
         low, high = np.min(np.abs(steps), axis=1), np.max(np.abs(steps), axis=1)
         away = np.all(steps * last[:, None] > 0.0, axis=1) & (low > SAME_STEP * np.abs(last))
         return np.asarray((kept > STEPS) & away & (high - low <= SAME_STEP * high))
+
+    def are_far(self, rows: Rows) -> Mask:
+        """Which of these cells move so far that nothing seems to hold them; also where that is beyond doubles."""
+        found = np.isfinite(self.far[rows])
+        some = rows[found]
+        size = energy_norms(self.oscillators.gap.metric[some], self.batch.motions.h[some])
+        found[found] = ~(size <= self.far[some])
+        return np.asarray(found)
 
     def budget(self) -> Rows:
         """Periods that each cell may still cost in all."""

@@ -60,11 +60,14 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Arra
 
     1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, take
     their part of one of the 2n squares that the energy is a sum of. Of machines with modes it is the mean time of all
-    modes with contacts open, friction left out. May be infinite.
+    modes with contacts open, friction left out. May be infinite. Where something grows, the rate is the least one at
+    which anything grows or decays.
     """
     if oscillators.has_modes:
         return np.asarray(1.0 / (2.0 * oscillators.gap.eta[rows].mean(axis=-1) * oscillators.period[rows]))
-    slowest = oscillators.gap.blocks[rows][..., COLUMN.slow].min(axis=-1)
+    slow, fast = (np.abs(oscillators.gap.blocks[rows][..., column]) for column in (COLUMN.slow, COLUMN.fast))
+    least = np.minimum(*(np.where(rate > 0.0, rate, np.inf) for rate in (slow, fast))).min(axis=-1)
+    slowest = np.where(oscillators.growth[rows] > 0.0, least, slow.min(axis=-1))
     freedoms = 2.0 * oscillators.gap_row.shape[1]
     rate = 2.0 * slowest * oscillators.period[rows] + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms
     return np.asarray(1.0 / rate)

@@ -89,7 +89,7 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     if cells.oscillators.has_modes:
         return np.asarray(cells.orbits.near[rows])
     osc = taken(cells.oscillators, rows)
-    damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1)
+    damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1) & (osc.growth == 0.0)
     stays_inside = osc.gap.amplitude < np.minimum(osc.b_upper, osc.b_lower)
     upper = np.isfinite(osc.b_upper) & (osc.held.mode.amplitude + osc.held.push[:, 0] > 0.0)
     lower = np.isfinite(osc.b_lower) & (osc.held.mode.amplitude - osc.held.push[:, 1] > 0.0)

@@ -25,6 +25,7 @@ from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.orbit.escape import escaping, escaping_in_modes
 from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orbits
 from workers.orbit.newton import Orbits, no_orbits
 
@@ -46,7 +47,9 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
 
     A cell whose work is spent is judged by its average, see ``put_by_average``.
     """
-    reasons = np.where(cells.run_away(rows), np.int8(results.RUNS_AWAY), stop_reasons(cells.batch.motions, rows))
+    reasons = stop_reasons(cells.batch.motions, rows)
+    away = cells.run_away(rows) | cells.are_far(rows) & np.isin(reasons, (results.NO_REASON, results.NOT_FINITE))
+    reasons = np.where(away, np.int8(results.RUNS_AWAY), reasons)
     spent = reasons == results.WORK_SPENT
     failed = (reasons != results.NO_REASON) & ~spent
     put_by_average(cells, rows[spent], results.WORK_SPENT)
@@ -58,6 +61,12 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
 def end_impact_free(cells: Cells, rows: Rows) -> Rows:
     """Write the results of those cells whose motion cannot impact any more; the others."""
     motions = cells.batch.motions
+    growing = rows[cells.oscillators.growth[rows] > 0.0]
+    if len(growing):
+        escapes = escaping_in_modes if cells.oscillators.has_modes else escaping
+        gone = growing[escapes(cells.oscillators, motions, growing)]
+        put(cells, gone, regime=results.FAILED, periods_used=cells.used[gone], reason=results.RUNS_AWAY)
+        rows = rows[cells.going[rows]]
     if cells.oscillators.has_modes:
         return _end_linear(cells, rows)
     free = impact_free(cells.oscillators, motions, rows)

@@ -52,7 +52,7 @@ class Recurrence:
 def _energy_ranges(cells: Cells, rows: Rows) -> tuple[Array, Array]:
     """The least and the greatest energy (rows,) at the last sections of these cells; of rigid modes that of motion."""
     blocks, sections = cells.oscillators.gap.blocks[rows], cells.batch.sections[rows, -RETURNS:]
-    weight = np.where(blocks[..., COLUMN.lam] > 0.0, blocks[..., COLUMN.metric], 0.0)
+    weight = np.where(blocks[..., COLUMN.lam] != 0.0, blocks[..., COLUMN.metric], 0.0)
     if cells.drifts:
         weight[:, -1] = 1.0  # this block has the velocity for its first number
     energy = np.sum(weight[:, None] * sections[..., 0] ** 2 + sections[..., 1] ** 2, axis=-1)

@@ -8,6 +8,7 @@ from workers import results
 from workers.kernel.averages import LEVELS
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.lanes.layout import LANES
+from workers.kernel.lanes.modes import run_through_modes
 from workers.kernel.lanes.run import Batch, run_alone, run_batch
 from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at, slanted
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, each, many_of
@@ -79,11 +80,17 @@ def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -
     """Take these cells of a batch on, in place, until each has ended; at most ``lanes`` <= LANES at a time.
 
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
-    place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others.
+    place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others. Cells whose free
+    flight may grow go one after the other.
     """
     if batch.oscillators.has_modes:
-        batch.oscillators.with_modes(lambda some: run_alone(batch, some), cells)
+        signals, enough = batch.oscillators.table.machines.signals, 0 if to_end else min(lanes, len(cells)) // 2
+        batch.oscillators.with_modes(lambda some: run_through_modes(batch, some, signals, enough, lanes), cells)
         return
+    grows = batch.oscillators.growth[cells] > 0.0
+    if np.any(grows):
+        run_alone(batch, cells[grows])
+        cells = cells[~grows]
     underdamped = np.all(batch.oscillators.gap.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
     for oscillates in (True, False):
         some = cells[underdamped == oscillates]

@@ -111,7 +111,8 @@ def _next_contact(
 ) -> Fault | None:
     """A contact on the flight from one contact, with block state h after it, to the next; None if there is none."""
     lin = motion.lin
-    H = duration - (_open_for(there, derivative_bounds(signal.blocks, signal.numbers, h)[2]) if there else 0.0)
+    M3 = derivative_bounds(signal.blocks, signal.numbers, h, duration)[2]
+    H = duration - (_open_for(there, M3) if there else 0.0)
     if H <= 0.0:
         return None
     phase = math.fmod(float(lin.omega[0]) * here.time + float(lin.tau[0]), 2.0 * math.pi)

@@ -102,7 +102,7 @@ class ImpactMotion(TurnMotion):
         forced = np.sum(np.abs([gap.sin_part, gap.cos_part]), axis=(0, 2))
         widest = np.max(gaps, axis=0, initial=1e-300, where=np.isfinite(gaps))
         least = 1e-3 * np.maximum(forced, widest) * self.lin.omega
-        weight = np.where(gap.lam > 0.0, gap.lam, self.lin.omega[:, None] ** 2)[..., None] ** [0.5, 0.0]
+        weight = np.where(gap.lam != 0.0, np.abs(gap.lam), self.lin.omega[:, None] ** 2)[..., None] ** [0.5, 0.0]
         speed = np.maximum(np.max(np.abs(self.turn.signals[:, 1]), axis=1, initial=0.0), least)
         kicks = (speed * (1.0 + self.lin.R))[:, None, None] * gap.kick
         sizes = np.maximum(*(np.linalg.norm(weight * of, axis=2) for of in (kicks, self.start)))

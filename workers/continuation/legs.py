@@ -10,7 +10,7 @@ import numpy as np
 from workers.kernel.borrow import row_of
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.hybrid.motion import first_event
-from workers.kernel.hybrid.state import enter, guard_rate, guard_value, leave, product, reset, right_hand_side
+from workers.kernel.hybrid.state import enter, guard_rate, guard_value, leave, product, reset, right_hand_side, turned
 from workers.kernel.jit import kernel
 from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.hybrid_modes import SIGNALS
@@ -26,12 +26,12 @@ NOTHING, REBOUNDS, RESTS, SLOWS = range(4)
 
 
 @kernel
-def fly_leg(modes, k, s, phase, later, z, W, h, V):
-    """Take a state z (2n,) and tangents W (m, 2n) on by s in mode k, from one phase of the force to another."""
+def fly_leg(modes, k, s, before, after, z, W, h, V):
+    """Take a state z (2n,) and tangents W (m, 2n) on by s in mode k; how the force turns then, see hybrid.turned."""
     if s != 0.0:
-        enter(modes, k, z, W, phase, h, V)
+        enter(modes, k, z, W, before, h, V)
         flow_with_tangent(modes.blocks[k, 0], s, h, V)
-        leave(modes, k, h, V, later, z, W)
+        leave(modes, k, h, V, after, z, W)
 
 
 @kernel
@@ -53,7 +53,7 @@ def act_on(elements, r, act, signal, z, W):
 
 
 @kernel
-def saltate(modes, elements, plan, leg, r, omega, z, phase, least, D, P):
+def saltate(modes, elements, plan, leg, r, omega, z, turn, least, D, P):
     """Take tangents D (m, 2n) at a time through the event at the end of a leg, S w = R w + (f+ - R f-) (r . w) / r'.
 
     All is taken where the guard is at its end, next to z if z is not: the map of a turn is smooth off the orbit too,
@@ -61,16 +61,16 @@ def saltate(modes, elements, plan, leg, r, omega, z, phase, least, D, P):
     """
     k, g, act, n = plan[leg, MODE], plan[leg, SIGNAL], plan[leg, ACT], len(z) // 2
     row, at, f, late = modes.rows[k, g, : 2 * n], P[0], P[1:2], P[2]
-    value, _ = guard_value(modes, k, g, z, phase)
+    value, _ = guard_value(modes, k, g, z, turn)
     miss, length = value - modes.ends[k, g, plan[leg, END]], product(row, row, 0)
     for j in range(2 * n):
         at[j] = z[j] - miss / length * row[j]
-    right_hand_side(modes, k, at, phase, f[0])
-    rate, shares = guard_rate(modes, k, g, f[0], omega, phase), np.empty(len(D))
+    right_hand_side(modes, k, at, turn, f[0])
+    rate, shares = guard_rate(modes, k, g, f[0], omega, turn), np.empty(len(D))
     for e in range(len(D)):
         shares[e] = 0.0 if act == SLOWS and abs(rate) < least else product(row, D[e], 0) / rate
     act_on(elements, r, act, g, at, f)
-    right_hand_side(modes, plan[leg + 1, MODE], at, phase, late)
+    right_hand_side(modes, plan[leg + 1, MODE], at, turn, late)
     act_on(elements, r, act, g, at, D)
     for e in range(len(D)):
         for j in range(2 * n):
@@ -90,21 +90,21 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
     signals, states = np.zeros((N, 3, m)), np.empty((N, legs, size))
     residuals, tangents, shifts = np.empty((N, M)), np.zeros((N, M, M)), np.zeros((N, M, M))
     h, V, f, late = np.empty((n, 2)), np.empty((size + M, n, 2)), np.empty(size), np.empty(size)
-    maps, room = np.empty((N, size, size)), np.empty((3, size))
+    maps, room, harmonics = np.empty((N, size, size)), np.empty((3, size)), pieces.waves.shape[3]
     for r in range(N):
         modes, z, every = row_of(pieces, r), start[r].copy(), np.zeros((size + M, size))
         D, W = every[:size], every[size:]
         D[:], W[:size] = np.eye(size), np.eye(size)
-        now, alive, k = 0.0, size, plan[0, MODE]
+        now, alive, k = 0.0 if m == 0 else t[r, 0], size if m == 0 else size + 1, plan[0, MODE]
+        later = turned(tau[r] + omega[r] * now, harmonics)
         if m > 0:
-            now, alive = t[r, 0], size + 1
-            right_hand_side(modes, k, z, tau[r] + omega[r] * now, f)
+            right_hand_side(modes, k, z, later, f)
             W[size] = -f
         for leg in range(legs):
             k, i, g, act = plan[leg, MODE], plan[leg, EVENT], plan[leg, SIGNAL], plan[leg, ACT]
             states[r, leg] = z
-            phase, later = tau[r] + omega[r] * now, tau[r] + omega[r] * ends[r, leg]
-            fly_leg(modes, k, ends[r, leg] - now, phase, later, z, every[: size + alive], h, V[: size + alive])
+            before, later = later, turned(tau[r] + omega[r] * ends[r, leg], harmonics)
+            fly_leg(modes, k, ends[r, leg] - now, before, later, z, every[: size + alive], h, V[: size + alive])
             now = ends[r, leg]
             right_hand_side(modes, k, z, later, f)
             if i == NO_EVENT:
@@ -149,8 +149,10 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
         here, leg = s[r, i] - turn * span[r], 0
         while leg + 1 < legs and begins[r, leg + 1] <= here:
             leg += 1
-        z, k, later = states[r, leg].copy(), plan[leg, MODE], tau[r] + omega[r] * here
-        fly_leg(modes, k, here - begins[r, leg], tau[r] + omega[r] * begins[r, leg], later, z, none, h, V)
+        z, k = states[r, leg].copy(), plan[leg, MODE]
+        before = turned(tau[r] + omega[r] * begins[r, leg], modes.waves.shape[2])
+        later = turned(tau[r] + omega[r] * here, modes.waves.shape[2])
+        fly_leg(modes, k, here - begins[r, leg], before, later, z, none, h, V)
         right_hand_side(modes, k, z, later, f)
         values[0, r, i], _ = guard_value(modes, k, signal, z, later)
         values[1, r, i] = guard_rate(modes, k, signal, f, omega[r], later)
@@ -166,7 +168,7 @@ def event_of_leg(pieces, r, k, z, phase, begun, H):
     modes, n = row_of(pieces, r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
-    enter(modes, k, z, none, phase, h, V)
+    enter(modes, k, z, none, turned(phase, modes.waves.shape[2]), h, V)
     s, hit, side = first_event(modes, k, h, phase, begun, H, np.empty((n, 2)), tally)
     return s, hit if tally[STATUS] == RUNNING else -2, side
 
@@ -175,8 +177,9 @@ def event_of_leg(pieces, r, k, z, phase, begun, H):
 def beyond_range(pieces, r, k, begun, z, phase, share):
     """(signal, side) of the first one that is beyond its range by a share of its terms in mode k; (-1, 0) for none."""
     modes = row_of(pieces, r)
+    turn = turned(phase, modes.waves.shape[2])
     for g in range(modes.ends.shape[1]):
-        value, size = guard_value(modes, k, g, z, phase)
+        value, size = guard_value(modes, k, g, z, turn)
         if begun[g] == 0 and value > modes.ends[k, g, 1] + share * size:
             return g, 1
         if begun[g] == 0 and value < modes.ends[k, g, 0] - share * size:

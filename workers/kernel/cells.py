@@ -72,7 +72,7 @@ def impact_free(oscillators, motions, cells):
     found = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        reach = derivative_bounds(gap.blocks[r], gap.numbers[r], motions.h[r])[0] * (1.0 + 1e-12)
+        reach = derivative_bounds(gap.blocks[r], gap.numbers[r], motions.h[r], np.inf)[0] * (1.0 + 1e-12)
         inside = reach < head[r, HEAD.top] and -reach > head[r, HEAD.bottom]
         found[e] = motions.contact[r, 0] == FREE and inside
     return found

@@ -65,10 +65,10 @@ def chatter_end(ends, left, R):
 
 @inlined
 def fastest_rate(blocks, waves, omega):
-    """How fast the fastest block or harmonic oscillates or decays, per time."""
+    """How fast the fastest block or harmonic oscillates, decays or grows, per time."""
     rate = omega * len(waves)
     for j in range(len(blocks)):
-        rate = max(rate, blocks[j, COLUMN.fast], np.sqrt(abs(blocks[j, COLUMN.lam])))
+        rate = max(rate, blocks[j, COLUMN.fast], -blocks[j, COLUMN.slow], np.sqrt(abs(blocks[j, COLUMN.lam])))
     return rate
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.contact import load_on_stop, to_held, wave
-from workers.kernel.hybrid.state import ROUNDING, show, shown_number, transform
+from workers.kernel.hybrid.state import ROUNDING, enter_frame, leave_frame, show, shown_number
 from workers.kernel.jit import for_modes, inline_always, kernel
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
 from workers.model.hybrid import FIRST_NUMBER
@@ -31,7 +31,7 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
 @kernel
 def start_hybrid(osc, state, h):
     """start_at of a machine with modes: the contact is the number of its mode."""
-    transform(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(state))))
+    enter_frame(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
     number = shown_number(osc.table.elements, state)
     return BEYOND if number < 0 else number + FIRST_NUMBER
 
@@ -102,7 +102,7 @@ def put_on_stop(row, stop, x):
 @kernel
 def leave_hybrid(osc, h, contact, state):
     """leave_blocks of a machine with modes."""
-    transform(osc.to_physical, h.reshape((1, len(state))), state.reshape((1, len(state))))
+    leave_frame(osc.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
     if contact >= FIRST_NUMBER:  # or the mode is not known
         show(osc.table.elements, contact - FIRST_NUMBER, state)
 

@@ -2,7 +2,8 @@
 
 The step rule: with a bound K on the curvature toward a stop, a point at gap g that approaches at v cannot
 arrive before g = v s + K s^2 / 2. Bounds on the second and third derivative of the signal hold for all
-later times, so a march of such steps cannot jump over an impact, however short it would be.
+later times, so a march of such steps cannot jump over an impact, however short it would be. Where the
+motion grows they hold until it may have doubled, and are made anew there.
 """
 
 import math
@@ -13,7 +14,7 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.flow import flow
 from workers.kernel.fma import fma
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.signal import derivative_bounds, evaluate
+from workers.kernel.signal import derivative_bounds, evaluate, growth_rate
 from workers.model.oscillator import NUMBER
 
 GAP_ROUNDING = 4e-16
@@ -27,6 +28,9 @@ LEAST_STEP = 4e-16
 
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""
+
+DOUBLED = math.log(2.0)
+"""Growth, as a logarithm, after which the derivative bounds of a motion that grows are renewed."""
 
 TRIALS = 4
 """Trial lengths at the end of a safe step."""
@@ -154,18 +158,22 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
     h, scratch = borrowed(h), borrowed(scratch)
     blocks, waves, numbers = mode.blocks, mode.waves, mode.numbers
     omega = numbers[NUMBER.omega]
-    M0, M2, M3, M4 = derivative_bounds(blocks, numbers, h)
+    growth = growth_rate(blocks)
+    horizon = DOUBLED / growth if growth > 0.0 else np.inf
+    end = min(H, horizon)  # until when the bounds hold
+    M0, M2, M3, M4 = derivative_bounds(blocks, numbers, h, end)
     s = 0.0
     for count in range(1, MAX_EVALUATIONS + 1):
         reach = M0 * (1.0 + 1e-12)
-        if offset + reach < upper and offset - reach > lower:
+        inside = offset + reach < upper and offset - reach > lower
+        if inside and end >= H:
             return H, 0, count - 1
         y, v, a, j3, scale = evaluate(blocks, waves, omega, h, s, phase, offset)
-        step = H - s
+        step = end - s
         ahead = 1 if v > 0.0 else -1
         for side in (ahead, -ahead):
             stop = upper if side == 1 else lower
-            if abs(stop) == np.inf or side * (offset - stop) + reach < 0.0:
+            if inside or abs(stop) == np.inf or side * (offset - stop) + reach < 0.0:
                 continue
             g, approach, push = side * (stop - y), side * v, side * a
             if count == 1 and start * side > 0:
@@ -173,7 +181,7 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
                 if abs(start) > 1:
                     step = min(step, _first_step(abs(start), side, a, j3, M3, M4))
                     continue
-            contact = meets(g, approach, push, side * j3, M3, M4, GAP_ROUNDING * (scale + abs(stop)), H - s)
+            contact = meets(g, approach, push, side * j3, M3, M4, GAP_ROUNDING * (scale + abs(stop)), end - s)
             if contact < np.inf:
                 return s + contact, side, count
             if side == ahead:
@@ -183,9 +191,10 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
         if s + step >= H:
             return H, 0, count
         s = max(s + step, s + LEAST_STEP * H)  # at rest but for rounding a flight would need any number of steps
-        if count % REFRESH == 0:
+        if count % REFRESH == 0 or s >= end:
             for j in range(h.shape[0]):
                 scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]
             flow(blocks, s, scratch)
-            M0, M2, M3, M4 = derivative_bounds(blocks, numbers, scratch)
+            end = min(H, s + horizon)
+            M0, M2, M3, M4 = derivative_bounds(blocks, numbers, scratch, end - s)
     return s, 2, MAX_EVALUATIONS

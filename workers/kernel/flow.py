@@ -1,9 +1,9 @@
-"""Free flight of the blocks: h'' + 2 eta h' + lam h = load in closed form, underdamped, overdamped and rigid."""
+"""Free flight of the blocks: h'' + 2 eta h' + lam h = load in closed form, underdamped, overdamped, rigid, growing."""
 
 import math
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.kernel.elementary import cosc_sinc, exp, exp_minus, sin_cos
 from workers.kernel.fma import fma, horner
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import COLUMN
@@ -52,10 +52,31 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
     )
 
 
+@kernel
+def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
+    """flow_entries of a block that grows, slow < 0: eta or lam is negative."""
+    x = d * s * s
+    if x > -0.1:
+        growth = exp(-eta * s)
+        C, S = cosc_sinc(min(x, 0.1))
+        S *= s
+        if d > 0.0:
+            S, C = sin_cos(w * s)
+            S *= inv_w
+        f12 = growth * S
+        return growth * fma(eta, S, C), f12, -lam * f12, growth * fma(-eta, S, C)
+    ratio = exp_minus(2.0 * w * s)
+    half = 0.5 * exp(-slow * s) * inv_w
+    f12 = half * (1.0 - ratio)
+    return half * fma(-slow, ratio, fast), f12, -lam * f12, half * fma(fast, ratio, -slow)
+
+
 @inlined
 def block_flow(block, s):
     """flow_entries of the constants of a block, a row of Mode.blocks."""
     eta, lam, w, inv_w = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.w], block[COLUMN.inv_w]
+    if block[COLUMN.slow] < 0.0:
+        return growing_flow(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
     if block[COLUMN.d] > 0.0:
         return oscillating_flow(s, eta, lam, w, inv_w)
     return flow_entries(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
@@ -68,6 +89,21 @@ def fall(s, eta):
     p = horner(FALL, -x)
     far = ((x - 1.0) + exp_minus(x)) / (x * x)
     return s * s * (p if x < 1.0 else far)
+
+
+@kernel
+def rise(s, eta):
+    """``fall`` for eta < 0."""
+    x = 2.0 * eta * s
+    return fall(s, eta) if x > -1.0 else s * s * (((x - 1.0) + exp(-x)) / (x * x))
+
+
+@inlined
+def moved_by_load(s, eta):
+    """How far a rigid mode moves from rest in s under a unit load, for either sign of eta."""
+    if eta < 0.0:
+        return rise(s, eta)
+    return fall(s, eta)
 
 
 @kernel
@@ -85,7 +121,7 @@ def flow_block(block, s, h):
     h0, h1, load = h[0], h[1], block[COLUMN.load]
     h[0], h[1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
     if load != 0.0:
-        h[0], h[1] = fma(load, fall(s, block[COLUMN.eta]), h[0]), fma(load, f12, h[1])
+        h[0], h[1] = fma(load, moved_by_load(s, block[COLUMN.eta]), h[0]), fma(load, f12, h[1])
     return f11, f12, f21, f22
 
 

@@ -16,6 +16,7 @@ from numba.extending import overload, typeof_impl
 from workers.kernel.apart import load
 from workers.kernel.cache import CACHE
 from workers.kernel.lend import Lent
+from workers.model.hybrid_modes import Spread
 from workers.model.oscillator import Block, Head, Numbers
 
 __all__ = ["for_modes", "inline_always", "inlined", "kernel", "named_constants"]
@@ -82,7 +83,7 @@ def named_constants(*kinds: Any) -> None:
         typeof_impl.register(kind)(module_of)
 
 
-named_constants(Block, Numbers, Head)
+named_constants(Block, Numbers, Head, Spread)
 
 kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""

@@ -7,14 +7,14 @@ that lent it: no function returns it.
 from typing import Any, TypeVar
 
 from numba import types
-from numba.core.cgutils import alloca_once_value
+from numba.core.cgutils import alloca_once_value, create_struct_proxy
 from numba.core.datamodel import models
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, register_model, type_callable
 
 from workers.kernel.borrow import row_of, row_type, row_value, without_counts
 
-__all__ = ["lend", "lend_value", "lent_as", "whole", "with_phase"]
+__all__ = ["lend", "lend_value", "lent_as", "row_in", "whole", "with_phase"]
 
 Given = TypeVar("Given")
 
@@ -22,6 +22,11 @@ Given = TypeVar("Given")
 def lend(given: Given) -> Given:
     """The same record; in kernels by where it lies, with the same fields."""
     return given
+
+
+def row_in(record: Given, r: int) -> Given:
+    """As row_of, of a record that is lent: its fields are looked up where they are used, which suits large records."""
+    return row_of(record, r)
 
 
 def whole(given: Given) -> Given:
@@ -45,6 +50,14 @@ class Lent(types.Type):
 def lent_as(kind: Any) -> Any:
     """How a value of this type is lent: records and arrays by where they lie, numbers as they are."""
     return Lent(kind) if isinstance(kind, types.BaseTuple | types.Array) else kind
+
+
+class LentRow(types.Type):
+    """The type of a row of a lent record of many, of this kind, that is known by where that lies and by its number."""
+
+    def __init__(self, kind: types.Type) -> None:
+        self.kind: Any = kind
+        super().__init__(f"LentRow({kind})")
 
 
 @register_model(Lent)
@@ -71,6 +84,52 @@ def _attribute(context: Any, builder: Any, lent: Lent, place: Any, name: str) ->
     at = builder.gep(place, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
     field = lent.kind[index]
     return at if isinstance(field, types.BaseTuple) else without_counts(context, builder, field, builder.load(at))
+
+
+@register_model(LentRow)
+class _LentRowModel(models.StructModel):
+    def __init__(self, manager: Any, row: LentRow) -> None:
+        super().__init__(manager, row, [("record", Lent(row.kind)), ("number", types.intp)])
+
+
+@infer_getattr
+class _LentRowAttributes(AttributeTemplate):
+    key = LentRow
+
+    def generic_resolve(self, row: LentRow, name: str) -> Any:  # type: ignore[override]
+        if name not in row.kind.fields:
+            return None
+        field = row.kind[row.kind.fields.index(name)]
+        return LentRow(field) if isinstance(field, types.BaseTuple) else row_type(field)
+
+
+@lower_getattr_generic(LentRow)
+def _row_attribute(context: Any, builder: Any, row: LentRow, value: Any, name: str) -> Any:
+    own = create_struct_proxy(row)(context, builder, value=value)
+    index = row.kind.fields.index(name)
+    at = builder.gep(own.record, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
+    field = row.kind[index]
+    if isinstance(field, types.BaseTuple):
+        return _row_at(context, builder, LentRow(field), at, own.number)
+    return row_value(context, builder, field, builder.load(at), own.number)
+
+
+def _row_at(context: Any, builder: Any, row: LentRow, record: Any, number: Any) -> Any:
+    """The value of a row of the lent record that lies there."""
+    own = create_struct_proxy(row)(context, builder)
+    own.record, own.number = record, number
+    return own._getvalue()
+
+
+@type_callable(row_in)
+def _row_in_typed(context: Any) -> Any:
+    return lambda record, r: LentRow(record.kind) if isinstance(record, Lent) else None
+
+
+@lower_builtin(row_in, types.Any, types.Integer)
+def _row_in_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    number = context.cast(builder, arguments[1], signature.args[1], types.intp)
+    return _row_at(context, builder, signature.return_type, arguments[0], number)
 
 
 @type_callable(lend)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from workers.kernel.elementary import sin_cos
-from workers.kernel.flow import block_flow, fall
+from workers.kernel.elementary import exp, sin_cos
+from workers.kernel.flow import block_flow, moved_by_load
 from workers.kernel.fma import fma
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import COLUMN, NUMBER
@@ -64,7 +64,7 @@ def evaluate(blocks, waves, omega, h, s, phase, offset):
             f11, f12, f21, f22 = block_flow(block, s)
             h0, h1 = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
             if load != 0.0:
-                h0, h1 = fma(load, fall(s, eta), h0), fma(load, f12, h1)
+                h0, h1 = fma(load, moved_by_load(s, eta), h0), fma(load, f12, h1)
         c0, c1, cA0, cA1 = block[COLUMN.c0], block[COLUMN.c1], block[COLUMN.cA0], block[COLUMN.cA1]
         q0, q1, q2, q3 = loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
         y += q0
@@ -121,22 +121,129 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
     return b0, a2 if oscillates else b2, a3 if oscillates else b3, a4 if oscillates else b4
 
 
-@kernel
-def derivative_bounds(blocks, numbers, h):
-    """Bounds M0, M2, M3, M4 of a guard's modulus and of its second to fourth derivative, for all times after h (n, 2).
+ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+"""Share of its terms by which a derivative of a signal may be wrong: on a direction that a block seems not to move in,
+what is lost grows by its rate in each derivative."""
 
-    Of a mode of these blocks and numbers.
+FINEST = 1e6
+"""Ratio of the frequency of a norm to those of its block that is of use: any frequency makes a bound."""
+
+
+@kernel
+def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H):
+    """Bounds of one block's share q of the signal and of its second to fourth derivative, for times up to H after.
+
+    Of a block that grows, slow < 0. q' is its rate, size0 and size1 the sums of moduli that add up to both, and pull
+    what a load adds to q''. The k-th derivative is at most each of
+
+        d > 0:   sqrt(q^2 + (q' + eta q)^2 / d) lam^(k/2) e^(-eta H)
+        d < 0:   |a| |r+|^k e^(max(0, r+) H) + |b| |r-|^k e^(max(0, r-) H),  q = a e^(r+ s) + b e^(r- s)
+        any nu:  sqrt(q(k)^2 + (q(k+1) / nu)^2) e^(max(0, m) H),  m = -eta + sqrt(eta^2 + (nu - lam / nu)^2 / 4)
+        d >= 0:  (|q(k)| + |q(k+1) + eta q(k)| H) e^(-eta H)
+
+    with what rounding may have lost in each.
     """
+    if size0 + size1 == 0.0 and pull == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    if math.isinf(H):
+        return np.inf, np.inf, np.inf, np.inf
+    q2 = pull - 2.0 * eta * q1 - lam * q0
+    e0, e1 = ROUNDING * size0, ROUNDING * size1
+    e2 = 2.0 * abs(eta) * e1 + abs(lam) * e0 + ROUNDING * (abs(pull) + abs(2.0 * eta * q1) + abs(lam * q0))
+    if pull != 0.0:  # lam = 0: q'' grows by e^(-2 eta s)
+        b2 = (abs(q2) + e2) * exp(-2.0 * eta * H)
+        b0 = abs(q0) + e0 + (abs(q1) + e1) * H + 0.5 * b2 * H * H
+        return b0, b2, 2.0 * abs(eta) * b2, 4.0 * eta * eta * b2
+    b0, b2, b3, b4 = np.inf, np.inf, np.inf, np.inf
+    if d > 0.0:
+        turned = (abs(q1 + eta * q0) + e1 + abs(eta) * e0) * inv_w
+        b0 = math.sqrt((abs(q0) + e0) ** 2 + turned * turned) * exp(-eta * H)
+        b2, b3, b4 = lam * b0, lam * math.sqrt(lam) * b0, lam * lam * b0
+    elif d < 0.0:
+        alpha = 0.5 * inv_w * (abs(q1 + fast * q0) + e1 + abs(fast) * e0) * exp(-slow * H)
+        beta = 0.5 * inv_w * (abs(q1 + slow * q0) + e1 + abs(slow) * e0) * exp(max(0.0, -fast) * H)
+        b0, b2 = alpha + beta, alpha * slow**2 + beta * fast**2
+        b3, b4 = alpha * abs(slow) ** 3 + beta * abs(fast) ** 3, alpha * slow**4 + beta * fast**4
+    largest = max(math.sqrt(abs(lam)), abs(eta))
+    first = math.sqrt(abs(lam)) if lam != 0.0 else largest
+    second = min(max(largest, 1.0 / max(H, 1e-300)), FINEST * largest)
+    for nu in (first, second):
+        m = -eta + math.sqrt(eta * eta + 0.25 * (nu - lam / nu) ** 2)
+        growth = exp(max(0.0, m) * H)
+        k0, k1, r0, r1 = q0, q1, e0, e1
+        for order in range(5):
+            size, rate = abs(k0) + r0, abs(k1) + r1
+            bound = math.sqrt(size * size + (rate / nu) ** 2) * growth
+            if d >= 0.0:
+                bound = min(bound, (size + (abs(k1 + eta * k0) + r1 + abs(eta) * r0) * H) * exp(-eta * H))
+            if order == 0:
+                b0 = min(b0, bound)
+            elif order == 2:
+                b2 = min(b2, bound)
+            elif order == 3:
+                b3 = min(b3, bound)
+            elif order == 4:
+                b4 = min(b4, bound)
+            following = -2.0 * eta * k1 - lam * k0
+            lost = 2.0 * abs(eta) * r1 + abs(lam) * r0 + ROUNDING * (abs(2.0 * eta * k1) + abs(lam * k0))
+            k0, k1, r0, r1 = k1, following, r1, lost
+    return b0, b2, b3, b4
+
+
+@inlined
+def growth_rate(blocks):
+    """The largest rate at which any of the blocks grows, 0 where none does."""
+    rate = 0.0
+    for j in range(len(blocks)):
+        rate = max(rate, -blocks[j, COLUMN.slow])
+    return rate
+
+
+@kernel
+def bounds_while_growing(blocks, numbers, h, H):
+    """derivative_bounds where some block grows."""
     M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
     for j in range(len(blocks)):
         block = blocks[j]
-        load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
-        q0 = c0 * h[j, 0] + c1 * h[j, 1]
-        q1 = block[COLUMN.cA0] * h[j, 0] + block[COLUMN.cA1] * h[j, 1] + c1 * load
-        b0, b2, b3, b4 = block_bounds(
-            q0, q1, c0 * load, block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.d], block[COLUMN.inv_w],
-            block[COLUMN.slow], block[COLUMN.fast], block[COLUMN.tilt], block[COLUMN.weight],
-            block[COLUMN.grow2], block[COLUMN.grow3], block[COLUMN.grow4],
+        load, c0, c1, d0, d1 = (
+            block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1], block[COLUMN.cA0], block[COLUMN.cA1]
         )  # fmt: skip
+        if block[COLUMN.slow] < 0.0:
+            b0, b2, b3, b4 = growing_bounds(
+                c0 * h[j, 0] + c1 * h[j, 1], d0 * h[j, 0] + d1 * h[j, 1] + c1 * load,
+                abs(c0 * h[j, 0]) + abs(c1 * h[j, 1]), abs(d0 * h[j, 0]) + abs(d1 * h[j, 1]) + abs(c1 * load),
+                c0 * load, block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.d], block[COLUMN.inv_w],
+                block[COLUMN.slow], block[COLUMN.fast], H,
+            )  # fmt: skip
+        else:
+            b0, b2, b3, b4 = bounds_of(block, h[j, 0], h[j, 1])
+        M0, M2, M3, M4 = M0 + b0, M2 + b2, M3 + b3, M4 + b4
+    return M0, M2, M3, M4
+
+
+@inlined
+def bounds_of(block, h0, h1):
+    """block_bounds of a block, a row of Mode.blocks, that does not grow, in the state (h0, h1)."""
+    load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
+    q0 = c0 * h0 + c1 * h1
+    q1 = block[COLUMN.cA0] * h0 + block[COLUMN.cA1] * h1 + c1 * load
+    return block_bounds(
+        q0, q1, c0 * load, block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.d], block[COLUMN.inv_w],
+        block[COLUMN.slow], block[COLUMN.fast], block[COLUMN.tilt], block[COLUMN.weight],
+        block[COLUMN.grow2], block[COLUMN.grow3], block[COLUMN.grow4],
+    )  # fmt: skip
+
+
+@kernel
+def derivative_bounds(blocks, numbers, h, H):
+    """Bounds M0, M2, M3, M4 of a guard's modulus and of its second to fourth derivative, for times up to H after h.
+
+    Of a mode of these blocks and numbers, h (n, 2); where no block grows, for all later times.
+    """
+    if growth_rate(blocks) > 0.0:
+        return bounds_while_growing(blocks, numbers, h, H)
+    M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
+    for j in range(len(blocks)):
+        b0, b2, b3, b4 = bounds_of(blocks[j], h[j, 0], h[j, 1])
         M0, M2, M3, M4 = M0 + b0, M2 + b2, M3 + b3, M4 + b4
     return M0, M2, M3, M4

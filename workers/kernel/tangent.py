@@ -122,8 +122,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
         w2 = eta * eta - lam
         w = math.sqrt(max(w2, 0.0))
         if w * s > 1.0:
-            fast = eta + w
-            slow = lam / fast
+            slow, fast = blocks[j, COLUMN.slow], blocks[j, COLUMN.fast]
             # h = a (1, -slow) + b (1, -fast)
             for i in range(m):
                 h0, h1 = V[i, j, 0], V[i, j, 1]
@@ -186,15 +185,20 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
 
 @kernel
 def spread_rate(blocks):
-    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks.
+    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks and that of growth.
 
-    The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time.
+    The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time;
+    that of a block that grows is one in the norm of metric = nu^2, by at most |nu - lam / nu| / 2 besides eta.
     """
-    rate = 0.0
+    rate, growth = 0.0, 0.0
     for j in range(len(blocks)):
-        shear = math.sqrt(blocks[j, COLUMN.metric]) if blocks[j, COLUMN.lam] == 0.0 else 0.0
-        rate = max(rate, blocks[j, COLUMN.fast] + shear)
-    return rate
+        eta, lam, root = blocks[j, COLUMN.eta], blocks[j, COLUMN.lam], math.sqrt(blocks[j, COLUMN.metric])
+        if blocks[j, COLUMN.slow] < 0.0:
+            reach = math.sqrt(eta * eta + 0.25 * (root - lam / root) ** 2)
+            rate, growth = max(rate, reach + eta), max(growth, reach - eta)
+        else:
+            rate = max(rate, blocks[j, COLUMN.fast] + (root if lam == 0.0 else 0.0))
+    return rate + growth
 
 
 @inline_always

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.definition import MATRICES
 from workers.model.elements import NO_STOP
 from workers.model.free import (
     OF_STRUCTURE,
@@ -31,8 +30,8 @@ from workers.model.free import (
     structure_of,
     times,
 )
-from workers.model.modes import FREE, stacked
-from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Mask, Oscillator, Rows, each, taken
+from workers.model.modes import FREE, stacked, symmetric
+from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Mask, Oscillator, Rows, each, growth_of, taken
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = (*OF_STRUCTURE, "upper", "lower")
@@ -50,7 +49,7 @@ class HeldStructure(NamedTuple):
 
     flow of q, its loading by the force, and direct (N, H): what the force adds to the acceleration of y itself;
     null (N, n, n - 1), d (N, n); down, up: see Held, without what rest positions add; pulls (N, n), the acceleration of
-    y that each displacement makes.
+    y that each displacement makes, pushes (N, n) that each force makes, g M^-1.
     """
 
     flow: Flow
@@ -61,16 +60,18 @@ class HeldStructure(NamedTuple):
     down: Array
     up: Array
     pulls: Array
+    pushes: Array
 
 
 @np.errstate(all="ignore")
 def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """The oscillators of many machines, and the reason why there is none, or NO_REASON, of each.
 
-    Reasons are a rigid mode that the gap does not see, or more than one; motion that grows; damping whose planes cannot
-    be told apart in double precision; undamped resonance, where no periodic forced response exists; a forcing period
-    of more free oscillations than double precision keeps the phase of; and numbers beyond its range. Those of
-    ``faults`` are reported there alone.
+    Reasons are a rigid mode that the gap does not see, or more than one; motion that grows and that the gap does not
+    see; planes that cannot be told apart in double precision; undamped resonance, where no periodic forced response
+    exists; a forcing period of more free oscillations than double precision keeps the phase of; a gap that a push at
+    the stop does not open, g.M^-1 g <= 0; and numbers beyond the range of doubles. Those of ``faults`` are reported
+    there alone.
     """
     few, kind = _kinds(machines)
     structure, held_structure = _structures_of(few)
@@ -92,6 +93,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         symmetric=np.where((b_upper == b_lower) & ~even & np.all(at_rest.loading.load == 0.0, axis=1), 1.0, 0.0),
         gap_mass=1.0 / structure.inverse_gap_mass,
         trace=2.0 * np.sum(modes.eta, axis=1),
+        growth=growth_of(gap.blocks),
     )
     oscillators = Oscillator(
         gap=gap,
@@ -105,6 +107,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
     reasons = np.where(finite(oscillators._replace(head=near)), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
+    reasons[structure.inverse_gap_mass <= 0.0] = NO_OSCILLATOR
     for reason, holds in against_free.items():
         reasons[holds | against_held.get(reason, False)] = reason
     return each(oscillators, np.ascontiguousarray), reasons
@@ -113,11 +116,9 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
 def faults(machines: Machines, fields: Collection[str] = Machines._fields) -> NDArray[np.int8]:
     """The reason against each of N machines, or NO_REASON, as far as the numbers of these fields alone tell.
 
-    Matrices have to be symmetric to rounding, the lower stop below the upper one, and 0 <= R <= 1.
+    The lower stop has to be below the upper one, and 0 <= R <= 1.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
-    for matrix in (getattr(machines, name) for name in MATRICES if name in fields):
-        reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
     if not {"upper", "lower", "R"}.isdisjoint(fields):
         reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
     others = [getattr(machines, name) for name in fields if name not in NO_STOP]
@@ -184,7 +185,8 @@ def _held_structure(machines: Machines, structure: Structure) -> HeldStructure:
     accelerance, free = structure.accelerance, structure.flow.modes
     null = _null_space(gap_row)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
-    pulls, drags = times(accelerance, stiffness), times(accelerance, damping)
+    pushes = _left(mass, gap_row, accelerance)
+    pulls, drags = times(pushes, stiffness), times(pushes, damping)
     flow = flow_of(
         across @ mass @ null,
         _seen_along(damping, null),
@@ -197,13 +199,26 @@ def _held_structure(machines: Machines, structure: Structure) -> HeldStructure:
     return HeldStructure(
         flow=flow,
         loading=loading_of(flow, machines.force @ null, np.zeros((N, n - 1))),
-        direct=(machines.force @ accelerance[..., None])[..., 0],
+        direct=(machines.force @ pushes[..., None])[..., 0],
         null=null,
         d=accelerance / structure.inverse_gap_mass[:, None],
         down=flow.modes.to_blocks @ gather @ free.to_physical,
         up=free.to_blocks @ spread @ flow.modes.to_physical,
         pulls=pulls,
+        pushes=pushes,
     )
+
+
+def _left(mass: Array, row: Array, accelerance: Array) -> Array:
+    """row M^-1 (N, n) of rows of which M^-1 row is the accelerance: the same where M is symmetric."""
+    if np.all(symmetric(mass)):
+        return accelerance
+    return np.asarray(stacked(np.linalg.solve, (*row.shape, 1), _turned(mass), row[..., None])[..., 0])
+
+
+def _turned(matrix: Array) -> Array:
+    """The transposes of matrices (N, n, n), in the order of the matrices."""
+    return np.ascontiguousarray(matrix.swapaxes(1, 2))
 
 
 def _held(
@@ -221,22 +236,22 @@ def _held(
     """
     mass, damping, stiffness = machines.mass, machines.damping, machines.stiffness
     N, n = machines.gap_row.shape
-    accelerance, free = structure.accelerance, structure.flow.modes
-    flow, loading, direct, null, d, down, up, pulls = held
+    free = structure.flow.modes
+    flow, loading, direct, null, d, down, up, pulls, pushed = held
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]  # what no rest position balances
-    load = times(drift[:, n:], mass) + times(drift[:, :n], damping)  # both are symmetric
+    load = times(drift[:, n:], _turned(mass)) + times(drift[:, :n], _turned(damping))
     coasts = free.to_blocks[:, :, n:] @ drift[:, :n, None]
     position = np.array([at_rest.b_upper, -at_rest.b_lower])  # of either stop; so all that follows
     y = np.where(np.isfinite(position), position, 0.0)[..., None]
-    pull = load - times(d, stiffness) * y  # K is symmetric
+    pull = load - times(d, _turned(stiffness)) * y
     held_by = np.array([across @ stiffness @ null] * 2).reshape(2 * N, n - 1, n - 1)
     q = stacked(np.linalg.solve, (2 * N, n - 1, 1), held_by, (across @ pull[..., None]).reshape(2 * N, n - 1, 1))
     q = q.reshape(2, N, n - 1, 1)
     rest = flow.modes.to_blocks[:, :, : n - 1] @ q
     into = down @ coasts - rest
     out = up @ rest + free.to_blocks[:, :, :n] @ (d * y)[..., None] - coasts
-    pushes = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q)[..., 0])
+    pushes = np.vecdot(pushed, load) - np.vecdot(pulls, d * y + (null @ q)[..., 0])
     flow = _of_kind(flow, kind)
     mode, resonant = mode_of(flow, _of_kind(loading, kind), omega, direct[kind])
     ways = np.concatenate([down, *into], axis=2), np.concatenate([up, *out], axis=2)

@@ -9,11 +9,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from workers.model.modes import Modes, split, stacked
-from workers.model.oscillator import COLUMN, LARGEST_ANGLE, OF_FLOW, OF_GUARD, Array, Machines, Mask, Mode, make_blocks
+from workers.model.oscillator import (
+    COLUMN,
+    LARGEST_ANGLE,
+    OF_FLOW,
+    OF_GUARD,
+    Array,
+    Machines,
+    Mask,
+    Mode,
+    make_blocks,
+    rates_of,
+)
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
 UNSEEN = 1e-9
-"""Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
+"""Share of a rigid mode, or of a motion that grows, in the gap coordinate, of what it could have at most, below which
+the gap misses it."""
 
 OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
 """The fields of machines that decide their structure and their loading."""
@@ -52,13 +64,14 @@ class Loading(NamedTuple):
 class Structure(NamedTuple):
     """What matrices, force and load alone decide of the free flight of N machines.
 
-    flow, loading; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g.
+    flow, loading; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; unheld (N,): see grows_unseen.
     """
 
     flow: Flow
     loading: Loading
     accelerance: Array
     inverse_gap_mass: Array
+    unheld: Mask
 
     def gap(self, blocks: Array) -> Array:
         """y (N,) at these coordinates of blocks (N, n, 2)."""
@@ -85,7 +98,29 @@ def structure_of(machines: Machines) -> Structure:
     row = np.concatenate([gap_row, none], axis=1)
     kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
     flow = flow_of(mass, machines.damping, machines.stiffness, row, kick)
-    return Structure(flow, loading_of(flow, machines.force, machines.load), accelerance, inverse_gap_mass)
+    unheld = grows_unseen(flow.blocks, flow.modes.to_physical, row[:, None])
+    loading = loading_of(flow, machines.force, machines.load)
+    return Structure(flow, loading, accelerance, inverse_gap_mass, unheld)
+
+
+def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
+    """Of which machines (N,) a motion of the blocks (N, n, columns) grows that none of rows (N, R, 2n) on (x, x') sees.
+
+    It is h = e^(r s), h' = r h in one block, and a row sees it by its terms' sum beside the sum of their moduli.
+    """
+    N, n = blocks.shape[:2]
+    rates = rates_of(blocks)
+    found = np.zeros(N, dtype=np.bool_)
+    (some,) = np.nonzero(np.any(rates.real > 0.0, axis=(1, 2)))
+    if len(some):
+        terms = rows[some, :, :, None] * to_physical[some, None]
+        shares, sizes = (of.reshape(len(some), rows.shape[1], n, 2, 1) for of in (terms.sum(2), np.abs(terms).sum(2)))
+        rate = rates[some, None]
+        seen = np.abs(shares[..., 0, :] + rate * shares[..., 1, :])
+        most = sizes[..., 0, :] + np.abs(rate) * sizes[..., 1, :]
+        missed = np.all(seen <= UNSEEN * most, axis=1)
+        found[some] = np.any(missed & (rates[some].real > 0.0), axis=(1, 2))
+    return found
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> Flow:
@@ -125,7 +160,9 @@ def mode_of(flow: Flow, loading: Loading, omega: Array, direct: Any = 0.0) -> tu
     w = omega[:, None] * np.arange(1.0, H + 1.0)
     forced, resonant = _response(flow.modes, loading.waves, w)
     blocks, lam = flow.blocks.copy(), flow.modes.lam
-    blocks[..., COLUMN.metric], blocks[..., COLUMN.load] = np.where(lam == 0.0, omega[:, None] ** 2, lam), loading.load
+    rigid = (lam == 0.0) & (blocks[..., COLUMN.slow] >= 0.0)
+    blocks[..., COLUMN.metric] = np.where(rigid, omega[:, None] ** 2, blocks[..., COLUMN.metric])
+    blocks[..., COLUMN.load] = loading.load
     swing = np.sum(np.hypot(forced[..., 0], forced[..., 1]), axis=-1)
     still = ~np.any(swing > 0.0, axis=(1, 2))[:, None, None]
     fallen = np.abs(loading.load)[..., None] / np.stack([omega**2, omega], axis=-1)[:, None]
@@ -153,7 +190,7 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask
     unit = np.where(size > 0.0, size, 1.0)
     re, im = re / unit, im / unit
     square = re * re + im * im
-    resonant = (push != 0.0) & (size * np.sqrt(square) < RESONANT * (lam + w**2))
+    resonant = (push != 0.0) & (size * np.sqrt(square) < RESONANT * (np.abs(lam) + w**2))
     Z = np.where(push != 0.0, push / (square * unit), 0.0) * (re - 1j * im)
     rate = 1j * w * Z - l0
     response = np.empty((len(w), lam.shape[2], 2, w.shape[1]), dtype=np.complex128)
@@ -163,7 +200,7 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask
 
 def against(modes: Modes, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
     """The reasons why motion in these modes is none, the weightiest last, and of which machines (N,) each holds."""
-    return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid, UNSTABLE: modes.unstable}
+    return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid}
 
 
 def free_motion(structure: Structure, at_rest: AtRest, omega: Array) -> tuple[Mode, dict[int, Mask]]:
@@ -171,7 +208,8 @@ def free_motion(structure: Structure, at_rest: AtRest, omega: Array) -> tuple[Mo
     modes = structure.flow.modes
     gap, resonant = mode_of(structure.flow, at_rest.loading, omega)
     too_long = {LONG_PERIOD: turns_too_far(gap.d, gap.w, omega)}
-    return gap, too_long | against(modes, resonant, at_rest.unseen | (modes.rigid > 1))
+    rigid = at_rest.unseen | (modes.rigid > 1)
+    return gap, too_long | against(modes, resonant, rigid) | {UNSTABLE: structure.unheld}
 
 
 def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:

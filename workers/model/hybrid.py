@@ -8,13 +8,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import finite, phase_of, turns_too_far
+from workers.model.free import finite, grows_unseen, phase_of, turns_too_far
 from workers.model.hybrid_machines import HybridMachines, along_contacts, hybrid_faults
 from workers.model.hybrid_modes import OPEN, Code, Pieces, code_of, null_space, pieces_of
 from workers.model.modes import FREE as RIGID
-from workers.model.modes import interleaved, undamped_modes
-from workers.model.oscillator import COLUMN, NUMBER, Array, Head, Mode, Oscillator, Rows, make_blocks, taken
-from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES
+from workers.model.modes import interleaved, stacked, symmetric, undamped_modes
+from workers.model.oscillator import (
+    COLUMN,
+    NUMBER,
+    Array,
+    Head,
+    Mask,
+    Mode,
+    Oscillator,
+    Rows,
+    growth_of,
+    make_blocks,
+    rates_of,
+    taken,
+)
+from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
 
 class Elements(NamedTuple):
@@ -101,22 +114,24 @@ ROOM = 64
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
     """Machines with modes as the kernels run them, without a mode yet, and the reason against each, or NO_REASON."""
     (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
-    mass, stiffness = machines.mass, machines.stiffness[:, 0]
+    mass, stiffness = _definite(_measuring(machines.mass)), _measuring(machines.stiffness[:, 0])
     lam, modes = _section_modes(mass, stiffness, machines.drifting)
     lam = np.where(np.abs(lam) <= RIGID * np.max(np.abs(lam), axis=1, initial=0.0)[:, None], 0.0, np.abs(lam))
     turned = np.ascontiguousarray(modes.swapaxes(1, 2))
     eta = 0.5 * np.maximum(np.diagonal(turned @ machines.damping[:, 0] @ modes, axis1=1, axis2=2), 0.0)
-    blocks = make_blocks(eta, lam)
     metric = np.where(lam == 0.0, machines.omega[:, None] ** 2, lam)
     to_blocks = interleaved(turned @ mass)
     to_physical = np.ascontiguousarray(interleaved(turned).swapaxes(1, 2))
     if machines.drifting >= 0:
         _count_from_drift(to_blocks, to_physical, machines.drifting, machines.omega)
         metric[:, -1] = 1.0
-    blocks[..., COLUMN.metric] = metric
     still, wrong = pieces_of(machines, Code(0, (OPEN,) * C, (1,) * F))
     others = [pieces_of(machines, Code(p, (OPEN,) * C, (1,) * F))[0] for p in range(1, P)]
     flows = [found.blocks[:, 0] for found in (still, *others)]
+    growth = np.max([growth_of(flow) for flow in flows], axis=0)
+    eta = np.where((growth > 0.0)[:, None], _slowest(flows[0])[:, None], eta)
+    blocks = make_blocks(eta, lam)
+    blocks[..., COLUMN.metric] = metric
     too_far = [turns_too_far(flow[..., COLUMN.d], flow[..., COLUMN.w], machines.omega) for flow in flows]
     size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
     swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
@@ -132,7 +147,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
         time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), symmetric=none,
         upper=machines.stops[:, 0, 1] if C else endless, lower=machines.stops[:, 0, 0] if C else -endless,
-        gap_mass=np.where(keeps, 1.0, np.nan), trace=np.full(N, np.nan),
+        gap_mass=np.where(keeps, 1.0, np.nan), trace=np.full(N, np.nan), growth=growth,
     )  # fmt: skip
     numbers = np.zeros((N, len(NUMBER)))
     numbers[:, NUMBER.omega] = machines.omega
@@ -156,8 +171,37 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     )
     reasons = hybrid_faults(machines)
     reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
+    if P == 1:
+        reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
     fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
     return found, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
+
+
+def _measuring(matrices: Array) -> Array:
+    """Symmetric matrices (N, n, n) by which states of machines are measured: the symmetric parts of ``matrices``."""
+    even = symmetric(matrices)[:, None, None]
+    return matrices if np.all(even) else np.where(even, matrices, 0.5 * matrices + 0.5 * matrices.swapaxes(1, 2))
+
+
+def _definite(mass: Array) -> Array:
+    """Symmetric matrices (N, n, n), unity in place of those that are not positive definite."""
+    least = np.min(stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1)
+    return np.where((least <= 0.0)[:, None, None], np.eye(mass.shape[1]), mass)
+
+
+def _slowest(flow: Array) -> Array:
+    """The least rate (N,) at which anything in blocks (N, n, columns) grows or decays; 0 where nothing does."""
+    rates = np.abs(rates_of(flow).real).reshape(len(flow), -1)
+    least = np.min(np.where(rates > 0.0, rates, np.inf), axis=1, initial=np.inf)
+    return np.where(np.isfinite(least), least, 0.0)
+
+
+def _unheld(machines: HybridMachines, open_pieces: Pieces) -> Mask:
+    """Of which machines a motion grows while nothing holds it that neither a contact nor friction sees."""
+    row, slide = machines.row, machines.slide
+    rows = np.concatenate([np.pad(row, ((0, 0), (0, 0), (0, row.shape[2]))),
+                           np.pad(slide, ((0, 0), (0, 0), (slide.shape[2], 0)))], axis=1)  # fmt: skip
+    return grows_unseen(open_pieces.blocks[:, 0], open_pieces.to_physical, rows)
 
 
 def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:

@@ -1,14 +1,15 @@
 """Machines whose law changes, as numbers: what values of parameters make of contacts, friction and phases."""
 
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import finite
-from workers.model.modes import split, stacked
-from workers.model.oscillator import Array, Mask
-from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE, UNSTABLE
+from workers.model.modes import stacked, symmetric
+from workers.model.oscillator import Array, Mask, Rows, taken
+from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 INDEPENDENT = 1e-12
 """Least singular value of rows of length 1 from which on they do not depend on each other."""
@@ -81,6 +82,14 @@ class HybridMachines(NamedTuple):
         return [(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)) for a, b, c in fields]
 
     @property
+    def signals(self) -> Rows:
+        """The numbers (U,) of the signals that end a mode of any of them, see hybrid_modes.pieces_of; one at least."""
+        F = self.sizes[2]
+        ends = np.stack([np.isfinite(self.stops).any(axis=(0, 2)), self.by_force.any(axis=0)], axis=1)  # (C, 2)
+        found = np.flatnonzero(np.concatenate([ends.ravel(), np.ones(F, dtype=np.bool_)]))
+        return found if len(found) else np.zeros(1, dtype=np.int64)
+
+    @property
     def drifting(self) -> int:
         """The coordinate that may drift, -1 for none."""
         return int(self.drift[0]) if len(self.drift) else -1
@@ -90,16 +99,14 @@ class HybridMachines(NamedTuple):
 def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     """The reason against each of N machines, or NO_REASON, as far as its numbers alone tell.
 
-    Matrices have to be symmetric; each lower stop below the upper one, 0 <= R <= 1, and no stiffness, damping or
-    preload of a contact negative; 0 <= kinetic <= static; starts rising from 0 and below 1; rows that can be held
-    at once independent, see ``held_rows``; and no motion that grows while friction slides, see ``grows_sliding``.
-    Nothing ties down what drifts.
+    Each lower stop has to be below the upper one, 0 <= R <= 1, and no stiffness, damping or preload of a contact
+    negative; 0 <= kinetic <= static; starts rising from 0 and below 1; rows that can be held at once independent, see
+    ``held_rows``, and such that a force along each moves it that way, see ``yields``. Nothing ties down what drifts.
     """
     own = machines
     lower, upper = own.stops[..., 0], own.stops[..., 1]
     reasons = np.full(len(own.omega), NO_REASON, dtype=np.int8)
-    for matrix in (own.mass, own.damping, own.stiffness):
-        reasons[_any(matrix != matrix.swapaxes(-1, -2))] = NO_OSCILLATOR
+    reasons[~yields(machines)] = NO_OSCILLATOR
     fine = (
         (lower < upper) & (own.R >= 0.0) & (own.R <= 1.0),
         own.pad >= 0.0,
@@ -110,7 +117,6 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     for each in fine:
         reasons[_any(~each)] = OUT_OF_RANGE
     reasons[dependent(held_rows(machines)) | dependent(own.slide)] = OUT_OF_RANGE
-    reasons[grows_sliding(machines)] = UNSTABLE
     if own.drifting >= 0:
         ties = own.stiffness[..., own.drifting], own.row[..., own.drifting]
         reasons[_any(ties[0] != 0.0) | _any(ties[1] != 0.0)] = NO_OSCILLATOR
@@ -162,20 +168,33 @@ def _scaled(rows: Array) -> tuple[Array, Array]:
     return rows / size[..., None], size
 
 
-def grows_sliding(machines: HybridMachines) -> Mask:
-    """Of which machines motion grows in a phase while all friction slides that falls with speed: negative slopes.
+def yields(machines: HybridMachines) -> Mask:
+    """Of which machines a force along any row moves it that way, g.M^-1 g > 0, also while others are held.
 
-    Such friction gives what the dampers take: in all it must not give more.
+    That is where all principal minors of G M^-1 G' are positive, G the rows of contacts and those that can be held; it
+    is so where M is symmetric and positive definite.
     """
-    found = np.zeros(len(machines.omega), dtype=np.bool_)
-    falls = np.minimum(machines.rub[..., 2], 0.0)  # (N, P, F)
-    for p in range(machines.sizes[0]):
-        (some,) = np.nonzero(np.any(falls[:, p] < 0.0, axis=1))
-        if len(some):
-            slide, damping = machines.slide[some], machines.damping[some, p].copy()
-            for f in range(slide.shape[1]):
-                damping += falls[some, p, f][:, None, None] * slide[:, f, :, None] * slide[:, f, None, :]
-            found[some] |= split(machines.mass[some], damping, machines.stiffness[some, p]).unstable
+    least = np.min(stacked(np.linalg.eigvalsh, machines.mass.shape[:2], machines.mass), axis=1)
+    found = symmetric(machines.mass) & (least > 0.0)
+    (others,) = np.nonzero(~found)
+    if len(others):
+        found[others] = _yield_along(taken(machines, others))
+    return found
+
+
+def _yield_along(machines: HybridMachines) -> Mask:
+    """``yields`` by the principal minors."""
+    own, held = machines, held_rows(machines)
+    inverse = stacked(np.linalg.inv, own.mass.shape, own.mass)
+    singles = np.concatenate([own.row, own.slide], axis=1)
+    along = np.vecdot(singles, (inverse[:, None] @ singles[..., None])[..., 0])
+    found = np.asarray(np.all(along > 0.0, axis=1))
+    between = held @ inverse @ np.ascontiguousarray(held.swapaxes(1, 2))
+    absent = ~np.any(held != 0.0, axis=-1)
+    between = between + absent[:, :, None] * np.eye(held.shape[1])
+    for size in range(2, held.shape[1] + 1):
+        for chosen in combinations(range(held.shape[1]), size):
+            found &= np.linalg.det(between[:, chosen][:, :, chosen]) > 0.0
     return found
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from workers.model.free import Flow, derivative_of, loading_of
 from workers.model.free import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines, along_contacts
-from workers.model.modes import split, stacked
+from workers.model.modes import split, stacked, symmetric
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, make_blocks, taken
 
 OPEN, ON, DETACHED = 0, 1, 2
@@ -70,6 +70,21 @@ def code_of(number: int, contacts: int, slips: int) -> Code:
     return Code(number, tuple(reversed(states)), tuple(reversed(signs)))
 
 
+class Spread(NamedTuple):
+    """Columns of Pieces.spread: what bounds how far a mode stretches or contracts tangent vectors, in its energy norm.
+
+    low, high   half the logarithms of the least and the greatest weight of its blocks, see oscillator.Block
+    time_unit   1 / sqrt(least weight)
+    """
+
+    low: int
+    high: int
+    time_unit: int
+
+
+SPREAD_OF = Spread(*range(len(Spread._fields)))
+
+
 class Pieces(NamedTuple):
     """A mode of N machines with n blocks, G signals and H harmonics.
 
@@ -84,6 +99,7 @@ class Pieces(NamedTuple):
     to_blocks    (N, 2n, 2n)           blocks of (x, v), counted from where they rest; to_physical the way back
     acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) and what the force adds to it
     lost, trace  (N,)                  dimensions that the flow does not have; trace of M^-1 C, as it contracts volume
+    spread       (N, SPREADS)          how it spreads tangent vectors, see Spread
     """
 
     blocks: Array
@@ -100,14 +116,15 @@ class Pieces(NamedTuple):
     drive: Array
     lost: Array
     trace: Array
+    spread: Array
 
 
 @np.errstate(all="ignore")
 def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.int64]]:
     """A mode of machines, and why it is none of each of them, 0 where it is one.
 
-    RESONANT where it resonates undamped. NO_FORM where held rows depend on each other, motion grows, planes cannot be
-    separated, or a load drives a free motion that what is held leaves. Machines of which other friction sticks on the
+    RESONANT where it resonates undamped. NO_FORM where held rows depend on each other, planes cannot be separated, or a
+    load drives a free motion that what is held leaves. Machines of which other friction sticks on the
     row of a contact that is held are made apart from each other: what holds them is not the same.
     """
     along = along_contacts(machines)
@@ -153,7 +170,7 @@ def _pieces_alike(
     if held or stuck:
         G, moves = np.stack([*held, *stuck], axis=1), np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0
     inverse_mass = np.asarray(np.linalg.inv(mass), np.float64)
-    D, hold = _holding(G, inverse_mass)
+    D, hold = _holding(G, inverse_mass, symmetric(mass))
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
     kept = inverse_mass - D @ G @ inverse_mass
     acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
@@ -181,8 +198,16 @@ def _pieces_alike(
         blocks, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, acceleration,
         np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
         np.full(N, float(2 * len(held) + len(stuck))), np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
+        _spread_of(flow),
     )  # fmt: skip
     return Pieces(*map(np.ascontiguousarray, found)), wrong
+
+
+def _spread_of(flow: Array) -> Array:
+    """Pieces.spread of a mode with this flow (N, n, columns); nothing is known, infinity, where a weight is zero."""
+    weight = flow[..., COLUMN.metric]
+    low, high = 0.5 * np.log(np.min(weight, axis=1)), 0.5 * np.log(np.max(weight, axis=1))
+    return np.stack([low, np.where(np.isfinite(low), high, np.inf), np.exp(-low)], axis=-1)
 
 
 def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
@@ -200,12 +225,19 @@ def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[d
     return [{f: c for (f, c), holds in zip(pairs, each, strict=True) if holds} for each in kinds], kind.reshape(-1)
 
 
-def _holding(G: Array, inverse_mass: Array) -> tuple[Array, Array]:
-    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of rows G (N, r, n) that are held."""
+def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
+    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of rows G (N, r, n) that are held.
+
+    Where M is symmetric the one is the other, turned.
+    """
     turned = np.ascontiguousarray(G.swapaxes(1, 2))
     compliance = G @ inverse_mass @ turned
     hold = stacked(np.linalg.solve, (*G.shape,), compliance, G @ inverse_mass)
-    return np.ascontiguousarray(hold.swapaxes(1, 2)), hold
+    D = hold
+    if not np.all(even):
+        mirrored = (np.ascontiguousarray(of.swapaxes(1, 2)) for of in (compliance, inverse_mass @ turned))
+        D = np.where(even[:, None, None], hold, stacked(np.linalg.solve, (*G.shape,), *mirrored))
+    return np.ascontiguousarray(D.swapaxes(1, 2)), hold
 
 
 def _signals(
@@ -313,7 +345,7 @@ def _reduced(
     still[..., COLUMN.metric] = omega[:, None] ** 2
     blocks = np.concatenate([mode.blocks, still], axis=1)
     forced = np.concatenate([mode.forced, np.zeros((N, r, *mode.forced.shape[2:]))], axis=1)
-    wrong = undriven | modes.unstable | modes.inseparable
+    wrong = undriven | modes.inseparable
     wrong |= ~resonant & ~(np.isfinite(down) & np.isfinite(up)).all(axis=(1, 2))
     return (blocks, forced), down, up, np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
@@ -323,7 +355,10 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
     safe = np.where(singular[:, None, None], np.eye(matrix.shape[1]), matrix)
     found = np.asarray(stacked(np.linalg.solve, right.shape, safe, right))
     if np.any(singular):
-        inverse = np.linalg.pinv(matrix[singular], rcond=ROUNDING, hermitian=True)
+        some, even = matrix[singular], symmetric(matrix[singular])
+        inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ROUNDING, hermitian=True)
+        if not np.all(even):
+            inverse[~even] = np.linalg.pinv(some[~even], rcond=ROUNDING)
         found[singular] = inverse @ right[singular]
     return found
 

@@ -1,26 +1,26 @@
 """Blocks h'' + 2 eta h' + lam h of linear oscillators M x'' + C x' + K x: classical modes, or invariant planes.
 
-Damping is classical where the undamped modes stay modes: then they are the blocks. Else the real Schur form splits the
-state space into planes, one for each pair of eigenvalues.
+M is invertible, C and K are any. Damping is classical where the undamped modes of symmetric matrices stay modes: then
+they are the blocks. Else the real Schur form splits the state space into planes, one for each pair of eigenvalues.
 """
 
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.oscillator import Array
+from workers.model.oscillator import Array, Mask
+from workers.model.planes import SINGULAR, condition_of, planes_of, refined
 
 COUPLED = 1e-13
 """Coupling of the modes by the damping, relative to the largest damping, that is more than rounding."""
 
 LIGHT = 1e-9
 """Coupling below which modes stay the blocks where planes nearly coincide: it changes less than rounding of these does.
-Negative damping below it is none."""
+"""
 
 GRADED = 1e3
 """Ratio of squared frequencies from which on modes are refined: rounding of the largest one shows in the least."""
@@ -29,9 +29,14 @@ FREE = 8.0 * np.finfo(np.float64).eps
 """Squared frequency, relative to the largest one and for each coordinate, below which a mode is rigid; likewise damping
 below which it is undamped: what rounding leaves of zero."""
 
-SINGULAR = 1e-10
-"""Determinant, relative to its size, below which a plane's coordinates are no h and h'; its inverse bounds how much
-larger than its eigenvalues' the entries of the transformation may be."""
+INSEPARABLE = 1e5
+"""Condition of the rows of planes from which on they cannot be told apart, unless M, C and K are symmetric and C and K
+take no energy in. The flow has an error of about 3e-16 times it up to there, 1e-9 at 2e5, and rounding holds the
+condition of equal planes near 1e8."""
+
+REFINED = 100.0
+"""Condition of the rows of planes up to which refinement takes more error off than rounding, which the square of the
+condition multiplies, puts in."""
 
 NEIGHBOUR = 1e-3
 """Mixing of two modes up to which refinement takes it off."""
@@ -41,8 +46,8 @@ class Modes(NamedTuple):
     """N oscillators of n coordinates as blocks.
 
     eta, lam (N, n); to_blocks and to_physical (N, 2n, 2n) between (x, x') and (h_1, h_1', h_2, ...).
-    rigid (N,): how many modes have no stiffness. unstable, inseparable (N,): where there are no such blocks, because
-    motion grows, or because their planes nearly coincide.
+    rigid (N,): how many modes have no stiffness. inseparable (N,): where there are no such blocks, because their planes
+    nearly coincide. A block of eta < 0 or lam < 0 grows.
     """
 
     eta: Array
@@ -50,35 +55,62 @@ class Modes(NamedTuple):
     to_blocks: Array
     to_physical: Array
     rigid: NDArray[np.int64]
-    unstable: NDArray[np.bool_]
-    inseparable: NDArray[np.bool_]
+    inseparable: Mask
 
 
 def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     """The blocks of these oscillators (N, n, n); each depends on its own matrices only, to the bit."""
     N, n = mass.shape[:2]
+    given, modal = (mass, stiffness), symmetric(mass) & symmetric(stiffness)
+    if not np.all(modal):  # those that have no modes get some, which are written over
+        mass, stiffness = (np.where(modal[:, None, None], of, np.eye(n)) for of in given)
     lam, modes = _refined(mass, stiffness, *undamped_modes(mass, stiffness))
     largest = np.max(np.abs(lam), axis=1, initial=0.0)
     lam = np.where(np.abs(lam) <= FREE * n * largest[:, None], 0.0, lam)
-    modal = np.ascontiguousarray(modes.swapaxes(1, 2)) @ damping @ modes
-    eta = np.diagonal(modal, axis1=1, axis2=2) / 2.0
-    size = np.max(np.abs(modal), axis=(1, 2), initial=0.0)
-    beside = np.abs(modal) * (1.0 - np.eye(n))
+    between = np.ascontiguousarray(modes.swapaxes(1, 2)) @ damping @ modes
+    eta = np.diagonal(between, axis1=1, axis2=2) / 2.0
+    size = np.max(np.abs(between), axis=(1, 2), initial=0.0)
+    beside = np.abs(between) * (1.0 - np.eye(n))
     coupled = np.max(beside, axis=(1, 2), initial=0.0) > COUPLED * size
-    unstable = np.any(lam < 0.0, axis=1) | np.any(eta < -LIGHT * size[:, None], axis=1)
+    passive = np.all(lam >= 0.0, axis=1)
+    doubtful = np.flatnonzero(passive & (coupled | np.any(eta < 0.0, axis=1)))
+    passive[doubtful] = _resists(damping[doubtful])
+    none = (eta <= FREE * n * size[:, None]) & (passive[:, None] | (eta >= -_rounding(n, size, largest)[:, None]))
     weighted = np.ascontiguousarray(modes.swapaxes(1, 2)) @ mass
     found = Modes(
-        eta=np.where(eta <= FREE * n * size[:, None], 0.0, eta),
+        eta=np.where(none, 0.0, eta),
         lam=lam,
         to_blocks=interleaved(weighted),
         to_physical=np.ascontiguousarray(interleaved(modes.swapaxes(1, 2)).swapaxes(1, 2)),
         rigid=np.sum(lam == 0.0, axis=1),
-        unstable=unstable,
         inseparable=np.zeros(N, dtype=np.bool_),
     )
-    for r in np.flatnonzero(coupled & ~unstable & np.isfinite(modal).all(axis=(1, 2))).tolist():
-        _split_planes(found, r, lam[r], modal[r], modes[r], weighted[r])
+    known = np.isfinite(between).all(axis=(1, 2)) & modal
+    for r in np.flatnonzero(coupled & known).tolist():
+        _split_planes(found, r, lam[r], between[r], modes[r], weighted[r], bool(passive[r]))
+    mass, stiffness = given
+    for r in np.flatnonzero(~known).tolist():
+        if not modal[r] or np.isfinite([mass[r], damping[r], stiffness[r]]).all():
+            _split_any(found, r, mass[r], damping[r], stiffness[r])
     return found
+
+
+def symmetric(matrices: Array) -> Mask:
+    """Which of many matrices (N, n, n) are symmetric."""
+    return np.asarray(np.all(matrices == matrices.swapaxes(1, 2), axis=(1, 2)))
+
+
+def _resists(damping: Array) -> Mask:
+    """Which of many symmetric matrices (N, n, n) are positive semidefinite to rounding; none that is not symmetric."""
+    values = stacked(np.linalg.eigvalsh, damping.shape[:2], damping)
+    least, largest = np.min(values, axis=1, initial=np.inf), np.max(np.abs(values), axis=1, initial=0.0)
+    return np.asarray(symmetric(damping) & (least >= -FREE * damping.shape[1] * largest))
+
+
+def _rounding(n: int, damping: Any, stiffness: Any) -> Any:
+    """What rounding may leave of a rate of growth that is zero, of n coordinates with damping and squared frequencies
+    of these sizes."""
+    return FREE * n * np.maximum(damping, np.sqrt(stiffness))
 
 
 def stacked(act: Callable[..., Any], shape: tuple[int, ...], *matrices: Array) -> Any:
@@ -112,8 +144,8 @@ def _refined(mass: Array, stiffness: Array, lam: Array, modes: Array) -> tuple[A
     """
     n = lam.shape[1]
     largest = np.max(np.abs(lam), axis=1, initial=0.0)
-    elastic = lam > FREE * n * largest[:, None]
-    ratio = largest / np.min(lam, axis=1, where=elastic, initial=np.inf)
+    elastic = np.abs(lam) > FREE * n * largest[:, None]
+    ratio = largest / np.min(np.abs(lam), axis=1, where=elastic, initial=np.inf)
     rows = np.flatnonzero((ratio > GRADED) & np.isfinite(modes).all(axis=(1, 2)))
     lam, modes = lam.copy(), modes.copy()
     for _ in range(2 if len(rows) else 0):
@@ -141,24 +173,32 @@ def interleaved(rows: Array) -> Array:
     return both
 
 
-def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array, weighted: Array) -> None:
+def _split_planes(
+    found: Modes, r: int, lam: Array, damping: Array, modes: Array, weighted: Array, passive: bool
+) -> None:
     """Write the blocks of oscillator r, whose damping (n, n) couples its undamped modes.
 
     A rigid mode that no damping reaches is split off first: its double eigenvalue zero has one eigenvector only.
+    passive: nothing takes energy in, so that no block grows.
     """
     n = len(lam)
     size = np.max(np.abs(damping))
-    idle = int(lam[0] == 0.0 and np.max(np.abs(damping[0])) <= COUPLED * size)
+    reached = np.maximum(np.max(np.abs(damping), axis=0), np.max(np.abs(damping), axis=1)) > COUPLED * size
+    first = np.argsort((lam != 0.0) | reached, kind="stable")
+    lam, damping, modes, weighted = lam[first], damping[np.ix_(first, first)], modes[:, first], weighted[first]
+    idle = int(lam[0] == 0.0 and not reached[first[0]])
     inner, coupled = lam[idle:], damping[idle:, idle:]
     k = n - idle
-    fastest = max(math.sqrt(np.max(inner)), float(np.max(np.abs(coupled))))
+    fastest = max(math.sqrt(np.max(np.abs(inner))), float(np.max(np.abs(coupled))))
     unit = math.ldexp(1.0, -math.frexp(fastest)[1])  # a power of two: no number of a mode is lost in another's rounding
-    w = np.where(inner > 0.0, np.sqrt(np.maximum(inner, 0.0)) * unit, 1.0)  # of (w q, q') neither outweighs the other
+    w = np.where(inner != 0.0, np.sqrt(np.abs(inner)) * unit, 1.0)  # of (w q, q') neither outweighs the other
     A = np.zeros((2 * k, 2 * k))
     A[:k, k:], A[k:, k:] = np.diag(w), -coupled * unit
-    A[k:, :k] = -np.diag(np.where(inner > 0.0, w, 0.0))
-    eta, stiffness, planes = _refined_planes(A, *_planes(A))
-    condition = _condition(planes)
+    A[k:, :k] = -np.diag(np.sign(inner) * w)
+    eta, stiffness, planes = planes_of(A, grows=not passive)
+    if passive or condition_of(planes) < REFINED:
+        eta, stiffness, planes = refined(A, eta, stiffness, planes)
+    condition = condition_of(planes)
     planes[:, :k] *= w
     coupling = np.max(np.abs(damping) * (1.0 - np.eye(n)))
     if coupling <= min(LIGHT, FREE * n * condition) * size:
@@ -170,88 +210,46 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     for j in range(idle):
         to_blocks[2 * j, j] = to_blocks[2 * j + 1, n + j] = 1.0
     to_blocks[2 * idle :, idle:n], to_blocks[2 * idle :, n + idle :] = planes[:, :k], planes[:, k:]
-    if inner[0] == 0.0:
-        stiffness[np.argmin(stiffness)] = 0.0
+    if np.any(inner == 0.0):
+        stiffness[np.argmin(np.abs(stiffness))] = 0.0
+    none = (eta <= 0.0) & (passive | (eta >= -_rounding(n, size, np.max(np.abs(lam))) * condition))
     found.eta[r, :idle], found.lam[r, :idle] = 0.0, 0.0
-    found.eta[r, idle:], found.lam[r, idle:] = np.maximum(eta, 0.0), stiffness
+    found.eta[r, idle:], found.lam[r, idle:] = np.where(none, 0.0, eta), stiffness
     found.to_blocks[r] = to_blocks @ np.kron(np.eye(2), weighted)
-    found.inseparable[r] = not condition < 1.0 / SINGULAR
-    found.unstable[r] |= bool(np.any(eta < -LIGHT * size) or np.any(stiffness < 0.0))
+    found.inseparable[r] = not condition < (1.0 / SINGULAR if passive else INSEPARABLE)
     if not found.inseparable[r]:
         found.to_physical[r] = np.kron(np.eye(2), modes) @ np.linalg.inv(to_blocks)
 
 
-def _condition(planes: Array) -> float:
-    """How nearly planes coincide, whose rows these are: the condition of the matrix of rows of unit length."""
-    unit = planes / np.linalg.norm(planes, axis=1, keepdims=True)
-    return float(np.linalg.cond(unit)) if np.isfinite(unit).all() else math.inf
+def _split_any(found: Modes, r: int, mass: Array, damping: Array, stiffness: Array) -> None:
+    """Write the blocks of oscillator r of any matrices (n, n), as invariant planes of z' = A z with z = (x, x').
 
-
-def _planes(A: Array) -> tuple[Array, Array, Array]:
-    """eta and lam (n,) of the planes of z' = A z and the rows (2n, 2n) that take z to their coordinates (h, h').
-
-    The rows W of a plane, orthonormal, satisfy W A = B W; h = alpha W z with the unit vector alpha that makes
-    h and h' = alpha B W z most independent, scaled so that h' has a velocity row of unit length.
+    Coordinates are balanced first, by powers of two, and time is counted in one. The blocks of the free motions,
+    K x = 0, have no stiffness.
     """
-    from scipy.linalg import schur  # here, since it takes longer to import than all else that most machines need
-    from scipy.linalg.lapack import dtrsen
+    from scipy.linalg import matrix_balance  # see planes.planes_of
 
-    T, Q = schur(A.T, output="real")
-    n = len(A) // 2
-    eta, lam, rows = np.empty(n), np.empty(n), np.full((2 * n, 2 * n), np.nan)
-    for j, pair in enumerate(_pairs(T)):
-        select = np.zeros(2 * n, dtype=np.int32)
-        select[list(pair)] = 1
-        moved, vectors = dtrsen(select, T, Q, job="N")[:2]
-        W, B = vectors[:, :2].T, moved[:2, :2].T
-        eta[j], lam[j] = -0.5 * np.trace(B), np.linalg.det(B)
-        mixed = 0.5 * (B[1, 1] - B[0, 0])
-        values, vectors = np.linalg.eigh(np.array([[B[0, 1], mixed], [mixed, -B[1, 0]]]))
-        best = int(np.argmax(np.abs(values)))
-        if not abs(values[best]) > SINGULAR * np.max(np.abs(B)):
-            continue  # twice the same eigenvalue with a plane of eigenvectors
-        alpha = vectors[:, best]
-        h, rate = alpha @ W, alpha @ B @ W
-        scale = 1.0 / np.linalg.norm(rate[n:])
-        rows[2 * j], rows[2 * j + 1] = scale * h, scale * rate
-    return eta, lam, rows
-
-
-def _refined_planes(A: Array, eta: Array, lam: Array, planes: Array) -> tuple[Array, Array, Array]:
-    """Planes whose eta and lam have errors of their own size, not of the largest one's: one step of Newton's method.
-
-    With P A P^-1 = B + E, B the blocks [[0, 1], [-lam, -2 eta]], the rows (I + X) P are first order in E where
-    X_ij B_j - B_i X_ij = E_ij for i != j; B_i + E_ii is then the plane's, which b11 h + b12 h' takes to h'.
-    """
-    n = len(eta)
-    if not _condition(planes) < 1.0 / SINGULAR:
-        return eta, lam, planes
-    B = np.zeros((n, 2, 2))
-    B[:, 0, 1], B[:, 1, 0], B[:, 1, 1] = 1.0, -lam, -2.0 * eta
-    E = (planes @ A @ np.linalg.inv(planes)).reshape(n, 2, n, 2).swapaxes(1, 2)  # [i, j] is the block of both
-    E[np.arange(n), np.arange(n)] -= B
-    B += E[np.arange(n), np.arange(n)]
-    X, unit = np.zeros((n, n, 2, 2)), np.eye(2)
-    for i, j in permutations(range(n), 2):
-        X[i, j] = np.linalg.solve(np.kron(unit, B[j].T) - np.kron(B[i], unit), E[i, j].ravel()).reshape(2, 2)
-    found = planes + X.swapaxes(1, 2).reshape(2 * n, 2 * n) @ planes
-    h = found[0::2]
-    found[1::2] = B[:, 0, :1] * h + B[:, 0, 1:] * found[1::2]
-    return -0.5 * np.trace(B, axis1=1, axis2=2), np.linalg.det(B), found
-
-
-def _pairs(T: Array) -> list[tuple[int, int]]:
-    """Positions on the diagonal of a real Schur form of the eigenvalues of each plane.
-
-    Complex pairs; real ones sorted, neighbours of the smallest relative gap first, since nearly equal ones have to stay
-    together.
-    """
-    pairs = [(i, i + 1) for i in np.flatnonzero(np.diagonal(T, -1)).tolist()]
-    reals = sorted(set(range(len(T))).difference(*pairs), key=lambda position: (T[position, position], position))
-    while reals:
-        values = np.array([T[position, position] for position in reals])
-        gaps = np.diff(values) / np.maximum(np.maximum(np.abs(values[1:]), np.abs(values[:-1])), 1e-300)
-        k = int(np.argmin(gaps))
-        pairs.append((reals[k], reals[k + 1]))
-        del reals[k : k + 2]
-    return pairs
+    n = len(mass)
+    found.to_blocks[r] = found.to_physical[r] = np.nan
+    found.eta[r] = found.lam[r] = 0.0
+    A = np.zeros((2 * n, 2 * n))
+    with suppress(np.linalg.LinAlgError):
+        A[:n, n:], A[n:, :n], A[n:, n:] = np.eye(n), -np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)
+    if not (np.isfinite(A).all() and A[:n, n:].any()):
+        return
+    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    unit = math.ldexp(1.0, -math.frexp(float(np.max(np.abs(A))))[1])
+    eta, lam, planes = planes_of(A * unit, grows=True)
+    if condition_of(planes) < REFINED:
+        eta, lam, planes = refined(A * unit, eta, lam, planes)
+    condition = condition_of(planes)
+    found.inseparable[r] = not condition < INSEPARABLE
+    if found.inseparable[r]:
+        return
+    values = np.linalg.svd(A[n:, :n], compute_uv=False)
+    free = int(np.sum(values <= FREE * n * values[0]))
+    lam[np.argsort(np.abs(lam), kind="stable")[:free]] = 0.0
+    eta[np.abs(eta) <= FREE * n * condition] = 0.0
+    planes[1::2] /= unit
+    found.eta[r], found.lam[r], found.rigid[r] = eta / unit, lam / unit / unit, free
+    found.to_blocks[r], found.to_physical[r] = planes / scale, scale[:, None] * np.linalg.inv(planes)

@@ -24,10 +24,10 @@ class Block(NamedTuple):
     """One block h'' + 2 eta h' + lam h = load, and what its flow, bounds and guard need: columns of Mode.blocks.
 
     d, w, inv_w      d = lam - eta^2, w = sqrt|d| and its inverse, 0 for w = 0
-    slow, fast       decay rates, both eta unless the block is overdamped
+    slow, fast       decay rates, both eta unless the eigenvalues are real; slow < 0 in a block that grows
     tilt ... grow4   see signal.amplitude_bounds
     metric           weight of h^2 beside h'^2 in the energy norm: lam, which undamped flight keeps, or omega^2 for a
-                     rigid mode, lam = 0
+                     rigid mode, lam = 0; in a block that grows the larger one of |lam| and eta^2
     load             of a rigid mode; a load on any other mode moves its rest position instead
     c, cA, cAA       rows of the guard and of its first two derivatives on (h, h')
     k, Ak            column that a reset kicks along, and its derivative
@@ -80,16 +80,19 @@ OF_FLOW, OF_GUARD = COLUMN.c0, COLUMN.swing0
 
 
 def make_blocks(eta: Array, lam: Array) -> Array:
-    """Blocks (..., columns) of that damping and stiffness (...), lam >= 0, with metric lam, and all else zero.
+    """Blocks (..., columns) of that damping and stiffness (...), with their metric but for rigid modes, and else zero.
 
     The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping, where that
-    is large, its energy and q'' = -2 eta q' - lam q bound it better.
+    is large, its energy and q'' = -2 eta q' - lam q bound it better. Those bounds are of blocks that do not grow.
     """
     d = lam - eta * eta
     w = np.sqrt(np.abs(d))
-    fast = np.where(d < 0.0, eta + w, eta)
-    slow = np.where(d < 0.0, lam / np.where(d < 0.0, fast, 1.0), eta)
-    root = np.sqrt(lam)
+    rises = (d < 0.0) & (eta < 0.0)
+    larger = np.where(rises, w - eta, eta + w)  # of both rates, without cancellation
+    smaller = lam / np.where(d < 0.0, larger, 1.0)
+    fast = np.where(d < 0.0, np.where(rises, -smaller, larger), eta)
+    slow = np.where(d < 0.0, np.where(rises, -larger, smaller), eta)
+    root = np.sqrt(np.maximum(lam, 0.0))
     weak = d > 0.05 * lam
     bounded = np.where(weak, d, lam)
     tilt, twice = np.where(weak, eta, 0.0), np.where(weak, 0.0, 2.0 * eta)
@@ -98,10 +101,23 @@ def make_blocks(eta: Array, lam: Array) -> Array:
     grow3 = lam * root + twice * grow2
     grow4 = lam * grow2 + twice * grow3
     inv_w = np.where(w > 0.0, 1.0 / np.where(w > 0.0, w, 1.0), 0.0)
+    metric = np.where(slow < 0.0, np.maximum(np.abs(lam), eta * eta), lam)
     blocks = np.zeros((*lam.shape, len(COLUMN)))
-    for column, field in enumerate((eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, lam)):
+    for column, field in enumerate((eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, metric)):
         blocks[..., column] = field
     return blocks
+
+
+def rates_of(blocks: Array) -> Any:
+    """The complex rates (..., n, 2) of blocks (..., n, columns): each motion in a block is a sum of e^(rate s)."""
+    eta, w, slow, fast = (blocks[..., k] for k in (COLUMN.eta, COLUMN.w, COLUMN.slow, COLUMN.fast))
+    real = blocks[..., COLUMN.d] < 0.0
+    return np.stack([np.where(real, -slow, -eta + 1j * w), np.where(real, -fast, -eta - 1j * w)], axis=-1)
+
+
+def growth_of(blocks: Array) -> Array:
+    """The largest rate (...) at which any of blocks (..., n, columns) grows, 0 where none does."""
+    return np.asarray(np.max(-blocks[..., COLUMN.slow], axis=-1, initial=0.0))
 
 
 class Numbers(NamedTuple):
@@ -184,6 +200,7 @@ class Head(NamedTuple):
     symmetric       1 where z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
     gap_mass        1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
     trace           trace of M^-1 C, the rate at which a flight contracts volume
+    growth          largest rate at which anything grows while no rigid stop holds it and nothing sticks, 0 for none
     """
 
     top: Any
@@ -197,6 +214,7 @@ class Head(NamedTuple):
     symmetric: Any
     gap_mass: Any
     trace: Any
+    growth: Any
 
 
 HEAD = Head(*range(len(Head._fields)))

@@ -9,7 +9,7 @@ from workers.model.definition import Definition
 from workers.model.elements import ALWAYS, PAD, RUB, Changes
 from workers.model.entries import DefinitionError
 from workers.model.free import UNSEEN
-from workers.model.hybrid_machines import HybridMachines, dependent, grows_sliding, held_rows
+from workers.model.hybrid_machines import HybridMachines, dependent, held_rows, yields
 from workers.model.modes import undamped_modes
 from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
@@ -21,10 +21,10 @@ ROUNDING = 1e-12
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """DefinitionError in one line unless the machine of the defaults is one.
 
-    M symmetric and positive definite; C and K symmetric and positive semidefinite; phases that begin one after the
-    other within the period. Of contacts 0 <= R <= 1, no negative stiffness, damping or preload, the lower stop below
-    the upper one; of friction 0 <= kinetic <= static; rows other than zero, independent where they can be held at once.
-    Contacts see every free motion, K x = 0, but that of the coordinate that may drift, which nothing ties down.
+    M invertible; phases that begin one after the other within the period. Of contacts 0 <= R <= 1, no negative
+    stiffness, damping or preload, the lower stop below the upper one; of friction 0 <= kinetic <= static; rows other
+    than zero, independent where they can be held at once, and such that a force along a row moves it that way. Contacts
+    see every free motion, K x = 0, but that of the coordinate that may drift, which nothing ties down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
     many = definition.hybrid(defaults)
@@ -39,8 +39,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
         if not np.isfinite(entries).all():
             raise DefinitionError(f"{where}: found {_shown(entries)} at the defaults, must be finite numbers")
     _check_measures(definition, definition.outputs(defaults))
-    for where, matrix in matrices.items():
-        _check_matrix(where, matrix, definite=where == "system.mass")
+    _check_mass(machine.mass)
     for where, number in constants.items():
         _check_constant(where, float(number))
     _check_static(definition, machine)
@@ -52,7 +51,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
             raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
     _check_independent(list(rows), held_rows(many))
     _check_independent(list(rows)[len(machine.row) :], many.slide)
-    _check_slopes(definition, many)
+    _check_yields(rows, many)
     for where in (name for name in matrices if name.endswith("stiffness")):
         _check_free_motions(definition, machine, where, matrices[where])
 
@@ -161,38 +160,35 @@ def _check_independent(named: list[str], held: Array) -> None:
             )
 
 
-def _check_slopes(definition: Definition, many: HybridMachines) -> None:
-    if grows_sliding(many)[0]:
-        p, f = map(int, np.argwhere(many.rub[0, ..., 2] < 0.0)[0])
-        changes = (definition.phases or ALWAYS)[p].friction
-        where = _constant_in(changes, p, "friction", definition.friction[f].name, "slope", f"system.friction[{f}]")
-        raise DefinitionError(
-            f"{where}: found {many.rub[0, p, f, 2]:g} at the defaults, motion grows while it slides; "
-            "friction must not fall with speed faster than the force of the dampers rises"
-        )
+def _check_mass(mass: Array) -> None:
+    size = np.abs(mass).max(axis=1, keepdims=True)
+    values = np.linalg.svd(mass / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    if not values[-1] > ROUNDING * values[0]:
+        raise DefinitionError(f"system.mass: found {_shown(mass)} at the defaults, is singular; must have an inverse")
 
 
-def _check_matrix(where: str, matrix: Array, definite: bool) -> None:
-    unequal = np.argwhere(matrix != matrix.T)
-    if unequal.size:
-        i, k = map(int, unequal[0])
-        raise DefinitionError(
-            f"{where}: found [{i}][{k}] = {matrix[i, k]:.17g} and [{k}][{i}] = {matrix[k, i]:.17g} at the defaults, "
-            "must be symmetric"
-        )
-    values = np.linalg.eigvalsh(matrix)
-    least, size = float(values[0]), float(np.max(np.abs(values)))
-    if definite and not least > ROUNDING * size:
-        raise DefinitionError(f"{where}: its least eigenvalue is {least:g} at the defaults, must be positive definite")
-    if least < -ROUNDING * size:
-        raise DefinitionError(f"{where}: its least eigenvalue is {least:g} at the defaults, must be 0 or more")
+def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
+    if yields(many)[0]:
+        return
+    for where, row in rows.items():
+        along = float(row @ np.linalg.solve(many.mass[0], row))
+        if not along > 0.0:
+            raise DefinitionError(
+                f"{where}: found {_shown(row)} at the defaults, g.M^-1 g = {along:g}; must be above 0, so that a force "
+                "along the row moves it that way"
+            )
+    raise DefinitionError(
+        f"system.mass: found {_shown(many.mass[0])} at the defaults, with rows of rigid contacts and friction G; "
+        "the principal minors of G M^-1 G' must be above 0, so that a force along a row moves it that way while others "
+        "are held"
+    )
 
 
 def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
     """Contacts and what drifts see each free motion: of two that one gap sees, some combination leaves y as it is."""
     with np.errstate(all="ignore"):
-        squares, modes = (of[0] for of in undamped_modes(machine.mass[None], stiffness[None]))
-    if not np.isfinite(modes).all():
+        free, over_mass = _free_motions(machine.mass, stiffness)
+    if not np.isfinite(over_mass).all():
         raise DefinitionError(
             f"system.mass: found {_shown(machine.mass)} at the defaults, with stiffness {_shown(stiffness)}, "
             "must be large enough that stiffness over mass is within double precision"
@@ -207,7 +203,6 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
                 )
         rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
     rows = rows / np.abs(rows).max(axis=1, keepdims=True)  # whose squares might be beyond double precision
-    free = modes[:, squares <= ROUNDING * max(float(squares[-1]), 1e-300)]
     most = np.sqrt(np.vecdot(rows, np.linalg.solve(machine.mass, rows.T).T))  # of a mode in each of them
     seen = (rows @ free) / np.where(most > 0.0, most, 1.0)[:, None]
     if free.shape[1] and np.linalg.matrix_rank(seen, tol=UNSEEN) < free.shape[1]:
@@ -216,6 +211,19 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
             f"{where}: leaves a free motion that the gap does not see; tie it down by a spring, or take the "
             f"relative displacement as the coordinate{others}"
         )
+
+
+def _free_motions(mass: Array, stiffness: Array) -> tuple[Array, Array]:
+    """What K sends to zero, in columns, and M^-1 K or, of symmetric matrices, the undamped modes."""
+    even = all(np.array_equal(of, of.T) for of in (mass, stiffness))
+    squares, modes = (of[0] for of in undamped_modes(mass[None], stiffness[None]))
+    if even and np.isfinite(modes).all():
+        return modes[:, np.abs(squares) <= ROUNDING * max(float(np.max(np.abs(squares))), 1e-300)], modes
+    over_mass: Array = np.asarray(np.linalg.solve(mass, stiffness), np.float64)
+    if not np.isfinite(over_mass).all():
+        return over_mass, over_mass
+    _, values, turned = np.linalg.svd(over_mass)
+    return np.asarray(turned[values <= ROUNDING * max(float(values[0]), 1e-300)].T, np.float64), over_mass
 
 
 def _shown(entries: Array) -> str:

@@ -9,22 +9,25 @@ Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 
-def random_machine(seed: int, *, switched_elements: bool = False) -> Machine:
+def random_machine(seed: int, *, switched_elements: bool = False, general: bool = False) -> Machine:
     """A damped machine of one to three masses with at least one contact, friction element or switch.
 
     Matrices are full as often as not. Forces (one to three harmonics) are scaled so that the answer without elements
     is about 1; stops are on either side or both of outputs within that reach, rigid and soft together. The rows of
     all elements are independent but for friction on a contact's row. A machine that hops on the edge of a preload
     makes the simulator raise ArithmeticError; none does so in four periods from ``random_state`` below seed 900.
-    ``switched_elements``: phases may change the stiffness of soft contacts and kinetic friction too.
+    ``switched_elements``: phases may change the stiffness of soft contacts and kinetic friction too. ``general``: C
+    and K are any, M hardly symmetric in some draws, and friction may fall with speed faster than damping rises.
     """
-    rng = np.random.default_rng([seed, 32])
+    rng = np.random.default_rng([seed, 32 + 2 * general])
     n = int(rng.choice([1, 2, 3], p=[0.4, 0.4, 0.2]))
     mass = _positive(rng, n, 0.5, 2.0)
     stiffness = _positive(rng, n, 0.5, 8.0)
     damping = rng.uniform(0.02, 0.3) * mass + rng.uniform(0.0, 0.1) * stiffness
     if rng.random() < 0.5:
         damping += _positive(rng, n, 0.01, 0.3)
+    if general:
+        mass, damping, stiffness = _general(rng, mass, damping, stiffness)
     omega = float(rng.uniform(0.5, 3.0))
     orders = [1] if rng.random() < 0.6 else sorted(rng.choice([1, 2, 3], 2, replace=False).tolist())
     rows = _rows(rng, n)
@@ -36,7 +39,7 @@ def random_machine(seed: int, *, switched_elements: bool = False) -> Machine:
         omega=omega,
         forces=_forces(rng, orders, mass, damping, stiffness, omega),
         contacts=_contacts(rng, rows),
-        friction=_friction(rng, rows),
+        friction=_friction(rng, rows, least_slope=-0.4 if general else -0.01),
     )
     bare = not machine.contacts and not machine.friction
     return _with_phases(rng, machine, switched_elements) if bare or rng.random() < 0.4 else machine
@@ -59,6 +62,22 @@ def _positive(rng: Generator, n: int, low: float, high: float) -> Array:
     axes = np.linalg.qr(rng.normal(size=(n, n)))[0] if rng.random() < 0.5 else np.eye(n)
     matrix: Array = axes @ np.diag(values) @ axes.T
     return (matrix + matrix.T) / 2
+
+
+def _general(rng: Generator, mass: Array, damping: Array, stiffness: Array) -> tuple[Array, Array, Array]:
+    """The matrices with a gyroscopic, a circulatory, a negative part, or several of them."""
+    n = len(mass)
+
+    def skew(size: float) -> Array:
+        part: Array = rng.normal(size=(n, n)) * size
+        return part - part.T
+
+    kinds = rng.random(5) < [0.5, 0.5, 0.4, 0.4, 0.2]
+    damping = damping + skew(1.0) * kinds[0]
+    stiffness = stiffness + skew(1.5) * kinds[1]
+    damping = damping - rng.uniform(0.05, 0.6) * mass * kinds[2]
+    stiffness = stiffness - rng.uniform(0.5, 5.0) * mass * kinds[3]
+    return mass + skew(0.1) * kinds[4], damping, stiffness
 
 
 def _rows(rng: Generator, n: int) -> list[list[float]]:
@@ -108,7 +127,7 @@ def _contact(rng: Generator, row: list[float]) -> Contact:
     )
 
 
-def _friction(rng: Generator, rows: list[list[float]]) -> tuple[Friction, ...]:
+def _friction(rng: Generator, rows: list[list[float]], least_slope: float) -> tuple[Friction, ...]:
     count = int(rng.integers(0, min(len(rows), 2) + 1))
     chosen = [rows[i] for i in rng.permutation(len(rows))[:count]]
     elements = []
@@ -116,7 +135,7 @@ def _friction(rng: Generator, rows: list[list[float]]) -> tuple[Friction, ...]:
         kinetic = float(rng.uniform(0.02, 0.5))
         static = kinetic * float(rng.uniform(1.0, 1.6) if rng.random() < 0.6 else 1.0)
         belt = float(rng.uniform(-0.5, 0.5)) if rng.random() < 0.3 else 0.0
-        slope = float(rng.uniform(-0.01, 0.2)) if rng.random() < 0.4 else 0.0
+        slope = float(rng.uniform(least_slope, 0.2)) if rng.random() < 0.4 else 0.0
         elements.append(Friction(row, kinetic, static, belt, slope))
     return tuple(elements)
 

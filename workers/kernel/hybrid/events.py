@@ -13,7 +13,7 @@ import numpy as np
 from workers.kernel.chatter import chatter_left
 from workers.kernel.contact import REBOUND, load_at_rest, outcome
 from workers.kernel.hybrid.state import damping_along, guard_value, number_of, product, reset, right_hand_side, slot_of
-from workers.kernel.jit import kernel
+from workers.kernel.jit import inlined, kernel
 from workers.kernel.signal import evaluate
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, RESONANT, SIGNALS
 
@@ -27,7 +27,7 @@ CHANGES = 4
 """Changes of mode at one time for each element, after which they are taken to have no end."""
 
 
-@kernel
+@inlined
 def mode_of(table, states, slips, where):
     """Where the mode of these contacts and slips in this phase is, MISSING, WRONG or RESONATES; and its number."""
     number = number_of(states, slips, where)
@@ -37,27 +37,27 @@ def mode_of(table, states, slips, where):
     return k, number
 
 
-@kernel
-def follow_jumps(table, states, slips, where, z, phase, begun):
+@inlined
+def follow_jumps(table, states, slips, where, z, turn, begun):
     """Let what a jump has taken beyond its guard follow: what sticks slips, what pushes engages. See mode_of."""
     number = np.int64(0)
     for _ in range(CHANGES * (len(states) + len(slips) + 1)):
         k, number = mode_of(table, states, slips, where)
-        if k < 0 or not follow_one(table.pieces, table.elements, k, where, states, slips, z, phase, begun):
+        if k < 0 or not follow_one(table.pieces, table.elements, k, where, states, slips, z, turn, begun):
             return k, number
     return ENDLESS, number
 
 
-@kernel
-def follow_one(pieces, elements, k, where, states, slips, z, phase, begun):
+@inlined
+def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
     """Change what the first signal of mode k that is beyond its range asks for; whether there is one."""
     C = len(states)
     for g in range(SIGNALS * C + len(slips)):
-        if begun[g] != 0:
+        low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
+        if begun[g] != 0 or (low == -np.inf and high == np.inf):
             continue
-        value, size = guard_value(pieces, k, g, z, phase)
-        above = value > pieces.ends[k, g, 1] + JUMPED * size
-        below = value < pieces.ends[k, g, 0] - JUMPED * size
+        value, size = guard_value(pieces, k, g, z, turn)
+        above, below = value > high + JUMPED * size, value < low - JUMPED * size
         if not (above or below):
             continue
         side = 1 if above else -1
@@ -76,7 +76,7 @@ def follow_one(pieces, elements, k, where, states, slips, z, phase, begun):
     return False
 
 
-@kernel
+@inlined
 def release(elements, g, c, where, states, slips, begun, order):
     """A rigid stop lets go; ``order`` is that of the first derivative of y that is not zero then.
 
@@ -94,7 +94,7 @@ def release(elements, g, c, where, states, slips, begun, order):
 
 
 @kernel
-def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begun):
+def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun):
     """Friction e begins to slip, or slides no more: then it sticks where it can, else it slides the other way.
 
     Where the mode is in which it sticks and its number, as of mode_of: that has to be built to know.
@@ -109,7 +109,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begu
     if k < 0:
         return k, number
     n, row, brake = len(z) // 2, elements.slide[e], elements.brake[e]
-    force, _ = guard_value(table.pieces, k, g, z, phase)
+    force, _ = guard_value(table.pieces, k, g, z, turn)
     if abs(force) <= table.pieces.ends[k, g, 1]:
         reset(z, n, row, brake, elements.belt[e], 1.0)
         reset(f, n, row, brake, 0.0, 1.0)
@@ -122,7 +122,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begu
     return k, number
 
 
-@kernel
+@inlined
 def soft_event(g, c, side, states, begun):
     """A soft contact engages or opens, or its force begins or ceases to push. Nothing jumps."""
     state = states[c]
@@ -138,7 +138,7 @@ def soft_event(g, c, side, states, begun):
 
 
 @kernel
-def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, begun):
+def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, turn, begun):
     """A rigid contact is reached at this rate of y: what follows, see contact.outcome; what is left of a chatter.
 
     Friction that it jerks slides from then on. The end of chatter is to leading order one impact with R = 0; a load
@@ -160,7 +160,7 @@ def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, 
         reset(W[i], n, row, kick, 0.0, share)
     left = 0.0
     if load > 0.0 and 0.0 < R < 1.0:
-        away = load_away(table, c, side, load, states, slips, where, z, phase)
+        away = load_away(table, c, side, load, states, slips, where, z, turn)
         even = away == load
         left = chatter_left(load, side * jerk, cA2k, w, R) if even else uneven_chatter(away, load, w, R)
     if rests:
@@ -178,7 +178,7 @@ def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, 
 
 
 @kernel
-def load_away(table, c, side, load, states, slips, where, z, phase):
+def load_away(table, c, side, load, states, slips, where, z, turn):
     """The load on stop ``side`` while the mass moves away from it: other than ``load``, if friction turns at hops."""
     n, kick, turned = len(z) // 2, table.elements.kick[c], slips.copy()
     for e in range(len(slips)):
@@ -191,7 +191,7 @@ def load_away(table, c, side, load, states, slips, where, z, phase):
     if k < 0:
         return load
     f = np.empty(2 * n)
-    right_hand_side(table.pieces, k, z, phase, f)
+    right_hand_side(table.pieces, k, z, turn, f)
     return side * product(table.elements.row[c], f, n)
 
 

@@ -15,7 +15,7 @@ from workers.kernel.flow import flow
 from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
-from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side
+from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side, turn_to, turned
 from workers.kernel.jit import kernel
 from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
@@ -83,7 +83,7 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
     blocks, n = pieces.blocks[k, 0], len(h)
     top = table.omega * pieces.waves.shape[2]
     there, nothing, flat = h.copy(), np.empty((0, n, 2)), np.empty((0, 2 * n))
-    z, f, since = np.empty(2 * n), np.empty(2 * n), 0.0
+    z, f, turn, since = np.empty(2 * n), np.empty(2 * n), np.empty((pieces.waves.shape[2], 2)), 0.0
     accelerates = np.any(meter.orders == ACCELERATION)
     while since < s and tally[STATUS] == RUNNING:
         step = min(s - since, longest_panel(blocks, top, since))
@@ -92,9 +92,10 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
             at, weight = since + 0.5 * step * (1.0 + NODES[g]), 0.5 * step * WEIGHTS[g]
             there[:] = h
             flow(blocks, at, there)
-            leave(pieces, k, there, nothing, phase + table.omega * at, z, flat)
+            turn_to(phase + table.omega * at, turn)
+            leave(pieces, k, there, nothing, turn, z, flat)
             if accelerates:
-                right_hand_side(pieces, k, z, phase + table.omega * at, f)
+                right_hand_side(pieces, k, z, turn, f)
             for m in range(len(meter.rows)):
                 order = int(meter.orders[m])
                 y = product(meter.rows[m], f, n) if order == ACCELERATION else product(meter.rows[m], z, order * n)
@@ -127,7 +128,7 @@ def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, 
     z, flying, held = np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
     for node in range(3):
         since, weight = 0.5 * node * chatter, chatter * (4.0 if node == 1 else 1.0) / 6.0
-        moved, at = h.copy(), phase + omega * since
+        moved, at = h.copy(), turned(phase + omega * since, pieces.waves.shape[2])
         flow(pieces.blocks[k, 0], since, moved)
         leave(pieces, k, moved, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
         right_hand_side(pieces, before, z, at, flying)
@@ -195,17 +196,18 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
     states = np.zeros(len(elements.row), dtype=np.int64)
     slips = np.zeros(len(elements.slide), dtype=np.int64)
     where = read_number(table.codes[k], states, slips)
-    phase = table.tau + table.omega * t
+    phase, harmonics = table.tau + table.omega * t, pieces.waves.shape[2]
     h, nothing, flat, end = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), np.empty(2 * n)
-    enter(pieces, k, z, flat, phase, h, nothing)
+    enter(pieces, k, z, flat, turned(phase, harmonics), h, nothing)
     for m in range(2):
         if t <= marks[m] <= t + s:
             there = h.copy()
             flow(pieces.blocks[k, 0], marks[m] - t, there)
-            leave(pieces, k, there, nothing, table.tau + table.omega * marks[m], reading.halves[m], flat)
+            turn = turned(table.tau + table.omega * marks[m], harmonics)
+            leave(pieces, k, there, nothing, turn, reading.halves[m], flat)
     there = h.copy()
     flow(pieces.blocks[k, 0], s, there)
-    leave(pieces, k, there, nothing, phase + table.omega * s, end, flat)
+    leave(pieces, k, there, nothing, turned(phase + table.omega * s, harmonics), end, flat)
     c = signal // SIGNALS
     if signal >= 0 and c < len(states) and signal % SIGNALS == 0 and states[c] == OPEN:
         read_impact(elements, reading, c, end, following, t + s > begins)

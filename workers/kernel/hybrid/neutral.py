@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from workers.kernel.hybrid.state import product, read_number, slot_of, transform
+from workers.kernel.hybrid.state import enter_frame, leave_frame, product, read_number, slot_of
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.linalg import identity
 from workers.kernel.motion import LOST, NEUTRAL, PROGRESS, SLID
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON
@@ -51,8 +50,8 @@ def freeze(osc, motion):
     read_number(number, states, slips)
     k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
     W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
-    transform(osc.to_physical, motion.V, W)
-    transform(table.pieces.to_blocks[k], W, V)
+    leave_frame(osc.to_physical, motion.V, W)
+    enter_frame(table.pieces.to_blocks[k], W, V)
     place, neutral = n, 0
     for e in range(len(slips) - 1, -1, -1):
         if slips[e] != 0 or rests_on_stop(elements, e, states):
@@ -64,8 +63,8 @@ def freeze(osc, motion):
             for i in range(m):
                 V[i, place, 0] = 0.0
     if neutral > 0:
-        transform(table.pieces.to_physical[k], V, W)
-        transform(osc.to_blocks, W, motion.V)
+        leave_frame(table.pieces.to_physical[k], V, W)
+        enter_frame(osc.to_blocks, W, motion.V)
         motion.tally[NEUTRAL] = neutral
         motion.tally[LOST] += neutral
 
@@ -77,24 +76,6 @@ def rests_on_stop(elements, e, states):
         if abs(states[c]) == ON and elements.soft[c] == 0.0 and elements.along[e, c] != 0.0:
             return True
     return False
-
-
-@kernel
-def with_drift(motion, more):
-    """Tangent vectors, growth and triangle of a motion, with the direction that drifts before them if ``more`` is 1.
-
-    That direction stays as it is, growth 0. What all others have of it says where they are, and counts for nothing: as
-    the first vector of a frame it is taken off them, however little else is left of them.
-    """
-    m, n = motion.V.shape[0], motion.h.shape[0]
-    V, growth, triangle = np.zeros((m + more, n, 2)), np.zeros(len(motion.growth) + more), motion.triangle.copy()
-    V[more:], growth[more:] = motion.V, motion.growth
-    if more > 0:
-        V[0, n - 1, 1] = 1.0
-    if more > 0 and len(triangle) > 0:
-        triangle = identity(m + 1)
-        triangle[1:, 1:] = motion.triangle
-    return V, growth, triangle
 
 
 @inline_always

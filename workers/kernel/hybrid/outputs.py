@@ -41,8 +41,8 @@ def longest_panel(blocks, top, since):
             longest = min(longest, REACH / math.sqrt(lam) / exp_minus(max(eta, 0.0) * since / DEGREE))
             continue
         for rate in (blocks[j, COLUMN.slow], blocks[j, COLUMN.fast]):
-            if rate > 0.0:
-                longest = min(longest, REACH / rate / exp_minus(rate * since / DEGREE))
+            if rate != 0.0:
+                longest = min(longest, REACH / abs(rate) / exp_minus(max(rate, 0.0) * since / DEGREE))
     return longest
 
 
@@ -103,7 +103,7 @@ def extremes(pieces, k, row, direct, h, phase, s, tally):
     there = evaluate(mode.blocks, mode.waves, omega, h, s, phase, 0.0)[0]
     low, high = min(here, there), max(here, there)
     velocity, drift = velocity_of(mode)
-    rate = abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h)[0]
+    rate = abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
     if not rate * s <= LEVEL * (size + abs(offset)):
         low, high, evaluations = turning_points(mode, h, phase, s, 0, low, high)
         spend(tally, evaluations)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from workers.kernel.contact import wave
-from workers.kernel.jit import inline_always, kernel
+from workers.kernel.elementary import sin_cos
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import CONTACT_DIGIT, ON, SLIP_DIGIT
 from workers.model.oscillator import COLUMN
@@ -12,7 +12,7 @@ ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 """Rounding of y = row . x as a share of sum |row_i x_i|, and of y' likewise: 16 units in the last place."""
 
 
-@kernel
+@inlined
 def number_of(states, slips, where):
     """The number of the mode of these contacts and slips in this phase, see model.hybrid.Code."""
     number = where
@@ -23,7 +23,7 @@ def number_of(states, slips, where):
     return number
 
 
-@kernel
+@inlined
 def read_number(number, states, slips):
     """Write what contacts and slips do in the mode of this number; its phase."""
     for f in range(len(slips) - 1, -1, -1):
@@ -44,11 +44,37 @@ def slot_of(codes, number):
     return -1
 
 
+@inlined
+def turn_to(phase, turn):
+    """Write sine and cosine of each harmonic of the force at a phase to turn (H, 2)."""
+    for w in range(len(turn)):
+        turn[w, 0], turn[w, 1] = sin_cos((w + 1.0) * phase)
+
+
 @kernel
-def guard_value(pieces, k, g, z, phase):
-    """Signal g of mode k at a physical state z (2n,), and the sum of the moduli that add up to it."""
+def turned(phase, harmonics):
+    """Sine and cosine (H, 2) of each of so many harmonics of the force at a phase."""
+    turn = np.empty((harmonics, 2))
+    turn_to(phase, turn)
+    return turn
+
+
+@inlined
+def wave(parts, turn):
+    """sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian; see turned."""
+    value, rate = 0.0, 0.0
+    for k in range(len(turn)):
+        sin, cos = turn[k, 0], turn[k, 1]
+        value += parts[k, 0] * sin + parts[k, 1] * cos
+        rate += (k + 1.0) * (parts[k, 0] * cos - parts[k, 1] * sin)
+    return value, rate
+
+
+@inlined
+def guard_value(pieces, k, g, z, turn):
+    """Signal g of mode k at a physical state z (2n,), and the sum of the moduli that add up to it; see turned."""
     row = pieces.rows[k, g]
-    value, _ = wave(pieces.direct[k, g], phase)
+    value, _ = wave(pieces.direct[k, g], turn)
     size = abs(value) + abs(row[len(z)])
     value += row[len(z)]
     for i in range(len(z)):
@@ -57,22 +83,22 @@ def guard_value(pieces, k, g, z, phase):
     return value, size
 
 
-@kernel
-def guard_rate(pieces, k, g, f, omega, phase):
+@inlined
+def guard_rate(pieces, k, g, f, omega, turn):
     """The rate of signal g of mode k where the state has the rates f (2n,)."""
-    _, rate = wave(pieces.direct[k, g], phase)
+    _, rate = wave(pieces.direct[k, g], turn)
     rate *= omega
     for i in range(len(f)):
         rate += pieces.rows[k, g, i] * f[i]
     return rate
 
 
-@kernel
-def right_hand_side(pieces, k, z, phase, f):
+@inlined
+def right_hand_side(pieces, k, z, turn, f):
     """Write z' (2n,) in mode k."""
     n = len(z) // 2
     for i in range(n):
-        total, _ = wave(pieces.drive[k, i], phase)
+        total, _ = wave(pieces.drive[k, i], turn)
         row = pieces.acceleration[k, i]
         total += row[2 * n]
         for j in range(2 * n):
@@ -80,44 +106,65 @@ def right_hand_side(pieces, k, z, phase, f):
         f[i], f[n + i] = z[n + i], total
 
 
-@kernel
-def enter(pieces, k, z, W, phase, h, V):
+@inlined
+def enter(pieces, k, z, W, turn, h, V):
     """Write the block state h (n, 2), forced response taken off, and the tangent vectors V (m, n, 2) in mode k."""
     matrix, blocks, forced = pieces.to_blocks[k], pieces.blocks[k, 0], pieces.forced[k]
     size = len(z)
     for i in range(size):
-        total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], phase)[0]
+        total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], turn)[0]
         for j in range(size):
             total += matrix[i, j] * z[j]
         h[i // 2, i % 2] = total
-    transform(matrix, W, V)
+    enter_frame(matrix, W, V)
 
 
-@kernel
-def leave(pieces, k, h, V, phase, z, W):
+@inlined
+def leave(pieces, k, h, V, turn, z, W):
     """Write the physical state z (2n,) and the tangent vectors W (m, 2n) of those of mode k."""
     matrix, blocks, forced = pieces.to_physical[k], pieces.blocks[k, 0], pieces.forced[k]
     size = len(z)
     z[:] = 0.0
     for j in range(size):
         rest = blocks[j // 2, COLUMN.rest0 + j % 2]
-        full = h[j // 2, j % 2] + wave(forced[j // 2, j % 2], phase)[0] + rest
+        full = h[j // 2, j % 2] + wave(forced[j // 2, j % 2], turn)[0] + rest
         for i in range(size):
             z[i] += matrix[i, j] * full
-    transform(matrix, V, W)
+    leave_frame(matrix, V, W)
 
 
-@kernel
-def transform(matrix, given, found):
-    """Write the m vectors that a matrix (2n, 2n) makes of given ones, each (m, 2n), or (m, n, 2) in blocks."""
-    m, size = len(given), len(matrix)
-    given, found = given.reshape((m, size)), found.reshape((m, size))
-    for e in range(m):
-        for i in range(size):
-            found[e, i] = product(matrix[i], given[e], 0)
+@inlined
+def enter_frame(matrix, W, V):
+    """Write the vectors V (m, n, 2) in blocks that a matrix (2n, 2n) makes of physical ones W (m, 2n)."""
+    for e in range(len(V)):
+        for i in range(len(matrix)):
+            total = 0.0
+            for j in range(len(matrix)):
+                total += matrix[i, j] * W[e, j]
+            V[e, i // 2, i % 2] = total
 
 
-@kernel
+@inlined
+def leave_frame(matrix, V, W):
+    """Write the physical vectors W (m, 2n) that a matrix (2n, 2n) makes of those in blocks V (m, n, 2)."""
+    for e in range(len(V)):
+        for i in range(len(matrix)):
+            total = 0.0
+            for j in range(len(matrix)):
+                total += matrix[i, j] * V[e, j // 2, j % 2]
+            W[e, i] = total
+
+
+@inlined
+def row_product(row, z):
+    """row . z of as many terms as z has."""
+    total = 0.0
+    for i in range(len(z)):
+        total += row[i] * z[i]
+    return total
+
+
+@inlined
 def product(row, z, first):
     """row . z[first:], as many terms as the row has."""
     total = 0.0
@@ -135,7 +182,7 @@ def size_of(row, z, first):
     return total
 
 
-@kernel
+@inlined
 def reset(z, first, row, kick, target, factor):
     """Take row . z[first:] by ``factor`` of its distance to ``target`` nearer to it, along ``kick``, row . kick = 1."""
     change = factor * (target - product(row, z, first))

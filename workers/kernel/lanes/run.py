@@ -36,7 +36,6 @@ from workers.kernel.motion import (
     LOWER,
     MAX_SPEED,
     MIN_SPEED,
-    MODE_MISSING,
     RECORDED,
     RUNNING,
     SPEEDS,
@@ -186,17 +185,13 @@ def go_alone(batch, r):
 
 @kernel
 def run_alone(batch, cells):
-    """Advance these cells of a batch by their periods, one after the other, as run_batch does.
-
-    Those that missed a mode have it now.
-    """
+    """Advance these cells of a batch by their periods, one after the other, as run_batch does: those that may grow."""
     batch = lend(batch)
     for r in cells:
-        if batch.motions.tally[r, STATUS] == MODE_MISSING:
-            batch.motions.tally[r, STATUS] = RUNNING
         if batch.done[r] == 0:
             batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
-        go_alone(batch, r)
+        while not over(r, batch.done, batch.periods, batch.motions.tally):
+            go_alone(batch, r)
 
 
 @kernel

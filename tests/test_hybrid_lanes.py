@@ -1,0 +1,120 @@
+"""Machines with modes side by side: each has the bits that it has alone, and follows the map of one motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.hybrids import machines_of
+from tests.oracle.pieces import Machine
+from tests.oracle.pieces.draw import random_machine, random_state
+from workers import Settings, solve_tile
+from workers.cell.stretch import batch_of, begin, ended, run
+from workers.kernel.lanes.run import Batch
+from workers.kernel.motion import RUNNING, STATUS
+from workers.kernel.period import advance
+from workers.model.hybrid import build_hybrid
+from workers.model.oscillator import each, one_of
+from workers.model.system import find_system
+from workers.results import NO_REASON
+
+CELLS, PERIODS, KEPT = 12, 6, 3
+
+SEEDS = range(24)
+
+SENSITIVE = 1e3
+"""Growth of errors beyond which states are not compared any more."""
+
+
+def family(seed: int) -> list[Machine]:
+    """Machines of one random kind, each with a frequency of its own."""
+    machine = random_machine(seed, switched_elements=seed % 2 == 1)
+    return [replace(machine, omega=machine.omega * (1.0 + 1e-3 * k)) for k in range(CELLS)]
+
+
+def starting(seed: int, cells: np.ndarray, vectors: bool = True) -> Batch:
+    """These machines of a family, on their way from one state."""
+    machines = family(seed)
+    oscillators, reasons = build_hybrid(machines_of([machines[k] for k in cells]))
+    assert np.all(reasons == NO_REASON)
+    states = np.tile(random_state(machines[0], seed), (len(cells), 1))
+    motions, reasons = begin(oscillators, reasons, states, vectors=states.shape[1] if vectors else 0)
+    assert np.all(reasons == NO_REASON)
+    batch = batch_of(oscillators, motions, KEPT)
+    batch.periods[:], batch.motions.tally[:, :] = PERIODS, batch.motions.tally
+    return batch
+
+
+def finished(batch: Batch, cells: np.ndarray, **how: int) -> Batch:
+    run(batch, cells, **how)
+    return batch
+
+
+def assert_same_bits(one: Batch, rows: np.ndarray, other: Batch) -> None:
+    for name in ("done", "levels", "weighted", "sections"):
+        np.testing.assert_array_equal(getattr(one, name)[rows], getattr(other, name), err_msg=name)
+    for name in ("h", "contact", "V", "growth", "tally"):
+        found, expected = getattr(one.motions, name)[rows], getattr(other.motions, name)
+        np.testing.assert_array_equal(found, expected, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_cells_of_every_kind_have_the_bits_of_each_alone(seed: int) -> None:
+    together = finished(starting(seed, np.arange(CELLS)), np.arange(CELLS))
+    for k in range(CELLS):
+        alone = finished(starting(seed, np.array([k])), np.array([0]))
+        assert_same_bits(together, np.array([k]), alone)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_order_and_number_of_lanes_do_not_matter(seed: int) -> None:
+    order = np.random.default_rng(seed).permutation(CELLS)
+    whole = finished(starting(seed, np.arange(CELLS)), np.arange(CELLS))
+    few = finished(starting(seed, order), np.arange(CELLS)[::-1], lanes=3)
+    assert_same_bits(whole, order, few)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_stops_for_others_to_take_its_place_goes_on_to_the_same_bits(seed: int) -> None:
+    whole = finished(starting(seed, np.arange(CELLS)), np.arange(CELLS))
+    parts = starting(seed, np.arange(CELLS))
+    while not np.all(ended(parts)):
+        run(parts, np.flatnonzero(~ended(parts)), to_end=False, lanes=8)
+    assert_same_bits(whole, np.arange(CELLS), parts)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_period_is_that_of_the_map_of_one_motion(seed: int) -> None:
+    """As far as errors do not grow too much: both search for the same events on other ways."""
+    together, single = starting(seed, np.arange(CELLS)), starting(seed, np.arange(CELLS))
+    together.periods[:] = 1
+    run(together, np.arange(CELLS))
+
+    def go_on(rows: np.ndarray) -> None:
+        for k in rows:
+            motion = each(single.motions, lambda field: field[k])  # noqa: B023
+            motion.tally[STATUS] = RUNNING
+            advance(one_of(single.oscillators, k), motion)
+
+    single.oscillators.with_modes(go_on, np.arange(CELLS))
+    np.testing.assert_array_equal(together.motions.tally[:, STATUS], single.motions.tally[:, STATUS])
+    runs = together.motions.tally[:, STATUS] == RUNNING
+    growth = np.max(single.motions.growth, axis=1, where=np.isfinite(single.motions.growth), initial=0.0)
+    tame = runs & (np.exp(growth) < SENSITIVE)
+    scale = 1.0 + np.max(np.abs(single.motions.h[tame]), axis=(1, 2), initial=0.0)
+    away = np.max(np.abs(together.motions.h - single.motions.h)[tame], axis=(1, 2), initial=0.0)
+    assert np.all(away <= 1e-10 * scale * SENSITIVE)
+    np.testing.assert_array_equal(together.motions.contact[tame], single.motions.contact[tame])
+
+
+@pytest.mark.parametrize("name", ["soft-impact", "soft-suspension", "two-stops", "stick-slip", "gear-mesh", "capsule"])
+def test_cells_of_a_tile_have_the_bits_of_each_alone(name: str) -> None:
+    (first, low, high), (second, low_, high_) = find_system(name).axes[:2]
+    rng = np.random.default_rng(1)
+    cells = {first: rng.uniform(low, high, 10), second: rng.uniform(low_, high_, 10)}
+    settings = Settings(max_periods=400)
+    whole = solve_tile(name, cells, settings)
+    for k in range(10):
+        alone = solve_tile(name, {axis: values[k] for axis, values in cells.items()}, settings)
+        for result, values in whole.items():
+            np.testing.assert_array_equal(alone[result], values[k], err_msg=result)

@@ -1,0 +1,454 @@
+"""A motion of a hybrid machine between its events: what begins a period, a leg, and what ends it."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.chatter import UNKNOWN, chatter_end, fastest_rate, hop, with_estimate
+from workers.kernel.contact import REBOUND, REST
+from workers.kernel.crossing import TINY
+from workers.kernel.elementary import log
+from workers.kernel.flow import flow, flow_block
+from workers.kernel.fma import fma
+from workers.kernel.hybrid.events import (
+    ENDLESS,
+    MISSING,
+    RESONATES,
+    follow_jumps,
+    friction_event,
+    impact,
+    release,
+    soft_event,
+    strikes_while_held,
+)
+from workers.kernel.hybrid.neutral import keep_neighbours, note_slips
+from workers.kernel.hybrid.notes import note
+from workers.kernel.hybrid.state import (
+    enter,
+    guard_rate,
+    leave,
+    read_number,
+    reset,
+    right_hand_side,
+    row_product,
+    turn_to,
+)
+from workers.kernel.jit import inline_always, inlined, kernel, named_constants
+from workers.kernel.motion import (
+    CONTRACTION,
+    ENDLESS_EVENTS,
+    LOSS,
+    LOST,
+    MAX_SPEED,
+    MIN_SPEED,
+    MODE_MISSING,
+    NO_MODE,
+    RESONANT_MODE,
+    RUNNING,
+    SIMULTANEOUS,
+    SPREAD,
+    STATUS,
+    STUCK,
+    count_contact,
+    write_down_rest,
+)
+from workers.kernel.tangent import (
+    MAX_SPREAD,
+    drop_dependent,
+    graded_flow,
+    impact_spread,
+    needs_reset,
+    orthonormalise,
+    spread_rate,
+)
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS, SPREAD_OF
+from workers.model.oscillator import Array
+
+AT_SECTION = 1e-13
+"""Share of a period after a section within which an event counts as at the section, and past there: rounding would
+decide, from turn to turn, in which mode an orbit is where it changes its mode."""
+
+
+class TripClock(NamedTuple):
+    """Numbers of a trip.
+
+    time, phase   since the section, and of the force, where the leg begins
+    until         when the phase of the machine ends, or the trip
+    horizon       for how long the leg's first event is sought
+    rate          of the signal that the leg begins with
+    end1 ... end3 the last estimates of when a chatter ends, see chatter.chatter_end
+    chatter       how long the leg still hops, where it begins at the end of a chatter
+    hop           speed of the rebound that the leg begins with in a chatter, 0 elsewhere
+    """
+
+    time: int
+    phase: int
+    until: int
+    horizon: int
+    rate: int
+    end1: int
+    end2: int
+    end3: int
+    chatter: int
+    hop: int
+
+
+class TripPlace(NamedTuple):
+    """Whole numbers of a trip.
+
+    mode, number  where the mode is in the table, or why it is none, see events.mode_of; its number
+    where         the phase of the machine
+    hit, side     signal that the leg begins with, -1 for none, and the end of its range
+    legs          legs so far
+    """
+
+    mode: int
+    number: int
+    where: int
+    hit: int
+    side: int
+    legs: int
+
+
+CLOCKS, PLACES = len(TripClock._fields), len(TripPlace._fields)
+CLOCK, PLACE = TripClock(*range(len(TripClock._fields))), TripPlace(*range(len(TripPlace._fields)))
+named_constants(TripClock, TripPlace)
+
+
+class Trip(NamedTuple):
+    """A motion of n coordinates on its way from a section, with m tangent vectors; G signals.
+
+    clock, place              see TripClock and TripPlace
+    h (n, 2), V (m, n, 2)     where the leg begins, in the blocks of its mode
+    flow (n, 6)               of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
+    z (2n,), W (m, 2n)        at an event, physical
+    turn (H, 2)               of the force there, see state.turned
+    before, after (2n,)       rates of z there
+    slopes (m,)               by how much each vector is early there
+    states (C,), slips (F,)   what contacts and friction do
+    begun (G,)                how each signal begins, see events.py
+    growth (m,), triangle     see tangent.orthonormalise; of no length where the vectors are not to be orthonormal
+    tally (TALLIES,)          see motion.Motion
+    """
+
+    clock: Array
+    place: NDArray[np.int64]
+    h: Array
+    V: Array
+    flow: Array
+    z: Array
+    W: Array
+    turn: Array
+    before: Array
+    after: Array
+    slopes: Array
+    states: NDArray[np.int64]
+    slips: NDArray[np.int64]
+    begun: NDArray[np.int64]
+    growth: Array
+    triangle: Array
+    tally: Array
+
+
+@inline_always
+def stop_at(table, tally, k, number):
+    """Write why a motion cannot go on into a mode that is none, see events.mode_of."""
+    if k == MISSING:
+        tally[STATUS] = MODE_MISSING
+        table.missing[0] = number
+    else:
+        tally[STATUS] = ENDLESS_EVENTS if k == ENDLESS else RESONANT_MODE if k == RESONATES else NO_MODE
+
+
+@inlined
+def fly(pieces, k, s, trip, drifts, flown):
+    """Move the block state and the tangent vectors on by s in mode k; ``flown`` says that trip.flow is that flow.
+
+    A frame is orthonormal before it flies where an event has taken directions of it, which is to be seen before the
+    flight turns rounding into directions, and where the flight might spread it too far, see tangent.MAX_SPREAD.
+    """
+    blocks, h, V, growth, tally, flows = pieces.blocks[k, 0], trip.h, trip.V, trip.growth, trip.tally, trip.flow
+    if growth.shape[0] > 0:
+        lost = tally[LOST] - drifts
+        rank, spread = 2 * h.shape[0] - int(lost), s * spread_rate(blocks)
+        far = spread > MAX_SPREAD
+        if lost > 0.0:
+            drop_dependent(blocks, V, rank)
+        if lost > 0.0 or drifts > 0.0 or far or needs_reset(tally[SPREAD], spread, MAX_SPREAD):
+            orthonormalise(blocks, V, growth, trip.triangle, rank)
+            tally[SPREAD] = 0.0
+        tally[SPREAD] += spread
+        if far:
+            flow(blocks, s, h)
+            graded_flow(blocks, s, V, growth, trip.triangle, rank)
+            return
+    for j in range(h.shape[0]):
+        if flown:
+            f11, f12, f21, f22 = flows[j, 0], flows[j, 1], flows[j, 2], flows[j, 3]
+            h[j, 0], h[j, 1] = flows[j, 4], flows[j, 5]
+        else:
+            f11, f12, f21, f22 = flow_block(blocks[j], s, h[j])
+        for i in range(V.shape[0]):
+            v0, v1 = V[i, j, 0], V[i, j, 1]
+            V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
+
+
+@inline_always
+def count_rest(elements, states, lost, s, chatter, tally):
+    """Count a flight of s in a mode that has lost dimensions as time at rest, but for the end of a chatter in it."""
+    held = 0.0
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            held += 1.0
+    if held > 0.0:
+        tally[MIN_SPEED] = 0.0
+    if lost > 0.0:
+        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # a rest counts, however short
+
+
+@inline_always
+def keep_held(elements, states, slips, z):
+    """Take off what rounding has moved of what a stop holds or of what sticks."""
+    n = len(z) // 2
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            row, kick, stop = elements.row[c], elements.kick[c], elements.stops[c, 1 if states[c] > 0 else 0]
+            reset(z, 0, row, kick, stop, 1.0)
+            reset(z, n, row, kick, 0.0, 1.0)
+    for e in range(len(slips)):
+        if slips[e] == 0:
+            reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
+
+
+@inlined
+def follow(table, trip):
+    """Find the mode that the motion goes on in, see events.follow_jumps."""
+    place = trip.place
+    k, number = follow_jumps(
+        table, trip.states, trip.slips, place[PLACE.where], trip.z, trip.turn, trip.begun
+    )  # fmt: skip
+    place[PLACE.mode], place[PLACE.number] = k, number
+
+
+@kernel
+def begin_trip(table, trip, number):
+    """Begin a trip at a section, from its physical state and tangent vectors, in the mode of this number."""
+    clock, place = trip.clock, trip.place
+    read_number(number, trip.states, trip.slips)
+    trip.begun[:] = 0
+    clock[:] = 0.0
+    clock[CLOCK.phase] = table.tau
+    turn_to(table.tau, trip.turn)
+    clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
+    place[:] = 0
+    place[PLACE.hit] = -1
+    keep_held(table.elements, trip.states, trip.slips, trip.z)
+    follow(table, trip)
+
+
+@inlined
+def begin_leg(table, trip, duration):
+    """Begin a leg, of a trip that takes ``duration``; for how long its first event is to be sought.
+
+    tally[STATUS] says where it cannot go on.
+    """
+    clock, place, tally = trip.clock, trip.place, trip.tally
+    k, t, period = place[PLACE.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
+    if k < 0:
+        stop_at(table, tally, k, place[PLACE.number])
+    if tally[STATUS] != RUNNING:
+        return 0.0
+    lost = table.pieces.lost[k]
+    tally[LOST] = max(tally[LOST], lost + table.drifts)
+    until = min(duration, period, table.elements.starts[place[PLACE.where] + 1] * period)
+    clock[CLOCK.until] = until
+    enter(table.pieces, k, trip.z, trip.W, trip.turn, trip.h, trip.V)
+    if t == 0.0:
+        keep_neighbours(table.elements, trip.states, lost, trip.V)
+    note_slips(trip.slips, tally)
+    return until - t + (AT_SECTION * period if until >= min(duration, period) else 0.0)
+
+
+@inlined
+def leave_leg(table, trip, s, reached, end, duration, legs, flown):
+    """End a leg after s, where signal ``reached`` is at this end of its range, -1 for none; see motion.through_modes.
+
+    Whether the trip is over. An event is yet to be passed, see strike_soft. flown: trip.flow is that over s.
+    """
+    clock, place, tally, pieces, h = trip.clock, trip.place, trip.tally, table.pieces, trip.h
+    k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
+    phase, hit, last = clock[CLOCK.phase], place[PLACE.hit], until >= min(duration, 2.0 * math.pi / table.omega)
+    searched, again, speed = s, w > 0.0 and reached == hit and end == place[PLACE.side], 0.0
+    if again:
+        blocks, waves = pieces.blocks[k, hit], pieces.waves[k, hit]
+        fastest = fastest_rate(blocks, waves, table.omega)
+        s, speed = hop(blocks, waves, table.omega, h, phase, end, w, s, fastest)
+    else:
+        clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
+    s = min(s, until - t)
+    seen, chatter = place[PLACE.legs], clock[CLOCK.chatter]
+    if seen < legs.shape[0]:
+        rate, number = clock[CLOCK.rate], place[PLACE.number]
+        note(legs[seen], t, hit, place[PLACE.side], rate, number, k, s, chatter, trip.z, trip.begun)
+        place[PLACE.legs] += 1
+    fly(pieces, k, s, trip, table.drifts, flown and s == searched)
+    tally[CONTRACTION] -= pieces.trace[k] * s
+    count_rest(table.elements, trip.states, pieces.lost[k], s, chatter, tally)
+    if s > 0.0:
+        trip.begun[:] = 0
+    t = until if reached < 0 else min(t + s, until)
+    phase = table.tau + table.omega * t
+    clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, phase, 0.0
+    place[PLACE.hit], place[PLACE.side] = reached, end
+    turn_to(phase, trip.turn)
+    leave(pieces, k, h, trip.V, trip.turn, trip.z, trip.W)
+    if reached < 0:
+        clock[CLOCK.rate], clock[CLOCK.hop] = 0.0, 0.0
+        if not last:
+            place[PLACE.where] += 1
+            follow(table, trip)
+        return last
+    right_hand_side(pieces, k, trip.z, trip.turn, trip.before)
+    rate = speed if speed > 0.0 else end * guard_rate(pieces, k, reached, trip.before, table.omega, trip.turn)
+    rate = end * max(rate, TINY)
+    clock[CLOCK.rate] = rate
+    row = pieces.rows[k, reached]
+    for e in range(len(trip.W)):
+        trip.slopes[e] = row_product(row, trip.W[e]) / rate
+    return False
+
+
+@inlined
+def is_soft(table, reached):
+    """Whether a signal is that of a soft contact."""
+    c = reached // SIGNALS
+    return c < len(table.elements.soft) and table.elements.soft[c] > 0.0
+
+
+@inlined
+def strike_soft(table, trip, hits):
+    """Pass the event of a soft contact, see events.soft_event, and count it."""
+    clock, place = trip.clock, trip.place
+    g, side = place[PLACE.hit], place[PLACE.side]
+    c = g // SIGNALS
+    if trip.states[c] == OPEN:
+        count_contact(trip.tally, hits, clock[CLOCK.time], side * (1.0 + c), abs(clock[CLOCK.rate]))
+    soft_event(g, c, side, trip.states, trip.begun)
+    clock[CLOCK.hop] = 0.0
+    follow(table, trip)
+
+
+@inline_always
+def strike_hard(table, trip, hits):
+    """Pass the event of friction or of a rigid contact."""
+    elements, clock, place = table.elements, trip.clock, trip.place
+    g, side, C = place[PLACE.hit], place[PLACE.side], len(trip.states)
+    c = g // SIGNALS
+    if c >= C:
+        clock[CLOCK.hop] = 0.0
+        k, number = friction_event(
+            table, g, g - SIGNALS * C, side, trip.states, trip.slips, place[PLACE.where], trip.z, trip.before, trip.W,
+            trip.turn, trip.begun,
+        )  # fmt: skip
+        if k < 0:
+            place[PLACE.mode], place[PLACE.number] = k, number
+            return
+    elif strikes_while_held(elements, c, trip.states):
+        trip.tally[STATUS] = SIMULTANEOUS
+        return
+    elif trip.states[c] != OPEN:
+        release(elements, g, c, place[PLACE.where], trip.states, trip.slips, trip.begun, 3)
+        clock[CLOCK.hop] = 0.0
+    else:
+        strike_stop(table, trip, g, c, side, hits)
+    follow(table, trip)
+
+
+@inline_always
+def strike_stop(table, trip, g, c, side, hits):
+    """Pass an impact on a rigid contact: what is counted of it, and what is left of a chatter that it is part of."""
+    clock, tally, t, rate = trip.clock, trip.tally, trip.clock[CLOCK.time], trip.clock[CLOCK.rate]
+    R, energy = table.elements.R[c], table.elements.weight[c] * rate * rate
+    following, left = impact(
+        table, trip.place[PLACE.mode], g, c, side, rate, trip.h, trip.states, trip.slips, trip.place[PLACE.where],
+        trip.z, trip.before, trip.W, clock[CLOCK.phase], trip.turn, trip.begun,
+    )  # fmt: skip
+    clock[CLOCK.hop] = 0.0
+    ends = with_estimate((clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3]), t + left)
+    clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = ends
+    if following != REBOUND:
+        tally[LOST] = max(tally[LOST], 1.0 + table.drifts)
+    if following == REST:  # at the end of a chatter, whose impacts cannot be counted
+        tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
+        tally[LOSS] += energy
+        clock[CLOCK.chatter] = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
+        write_down_rest(tally, hits, t, side * (1.0 + c), abs(rate), clock[CLOCK.chatter])
+        return
+    count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
+    tally[LOSS] += (1.0 - R * R) * energy
+    tally[CONTRACTION] += 2.0 * log(max(R, TINY))
+    clock[CLOCK.hop] = R * abs(rate) if left > 0.0 else 0.0
+
+
+@inlined
+def carry(table, trip, mode):
+    """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix.
+
+    With q = |r.(f+ - f-) / r'|, in time units of the mode where r is a row on positions, it spreads them by at most
+    2 ln(1 + q) - ln det, see tangent.impact_spread; and the energy norm is that of another mode from then on.
+    """
+    place, pieces, tally = trip.place, table.pieces, trip.tally
+    f, after, k, g = trip.before, trip.after, place[PLACE.mode], place[PLACE.hit]
+    if k < 0:
+        return
+    right_hand_side(pieces, k, trip.z, trip.turn, after)
+    for i in range(len(after)):
+        after[i] -= f[i]
+        for e in range(len(trip.W)):
+            trip.W[e, i] += after[i] * trip.slopes[e]
+    soft = is_soft(table, g)
+    if not soft:
+        tally[SPREAD] = np.inf
+    if not soft and g < SIGNALS * len(trip.states):
+        return
+    rate, row, n = trip.clock[CLOCK.rate], pieces.rows[mode, g], len(trip.h)
+    change = row_product(row, after) / rate  # det S = 1 + r.(f+ - f-) / r'
+    if change != 0.0:
+        tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
+    if len(trip.growth) == 0:
+        return
+    if soft and change == 0.0:
+        jump = 0.0
+        for i in range(n):
+            jump += row[i] * after[n + i]
+        ratio, (low, high), (low_, high_) = jump / rate, edges(pieces, mode), edges(pieces, k)
+        tally[SPREAD] += impact_spread(ratio, pieces.spread[mode, SPREAD_OF.time_unit], 0.0)
+        tally[SPREAD] += max(high - low_, high_ - low, 0.0)
+    else:
+        tally[SPREAD] = np.inf
+
+
+@inlined
+def edges(pieces, k):
+    """Half the logarithms of the least and the greatest weight of the blocks of mode k."""
+    return pieces.spread[k, SPREAD_OF.low], pieces.spread[k, SPREAD_OF.high]
+
+
+@kernel
+def end_leg(table, trip, s, reached, end, duration, hits, legs):
+    """End a leg after s and go through the event that it ends with, if there is one: see leave_leg.
+
+    Whether the trip is over; hits and legs as of motion.through_modes.
+    """
+    mode = trip.place[PLACE.mode]
+    over = leave_leg(table, trip, s, reached, end, duration, legs, False)
+    if reached >= 0:
+        if is_soft(table, reached):
+            strike_soft(table, trip, hits)
+        else:
+            strike_hard(table, trip, hits)
+        if trip.tally[STATUS] == RUNNING:
+            carry(table, trip, mode)
+    return over

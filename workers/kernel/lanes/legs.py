@@ -1,0 +1,245 @@
+"""Legs of many motions side by side: the fields of lanes, and rounds that search for the first signal of each.
+
+Every signal of a lane has the fields that lanes have of a gap, see layout.py: it is searched by the same
+passes, as if its ends were stops. ``records`` (U, size) are those of U signals, the first of which holds the blocks'
+flow and the time. What few lanes need (events) is done by the kernels of one motion.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.kernel.borrow import borrowed
+from workers.kernel.crossing import LEAST_STEP, REFRESH
+from workers.kernel.fma import fma
+from workers.kernel.jit import inline_always, inlined, kernel, named_constants
+from workers.kernel.lanes.layout import (
+    BLOCK,
+    BLOCK_SIZE,
+    FLYING,
+    HARMONIC,
+    HARMONIC_SIZE,
+    LANE,
+    LANE_SIZE,
+    LEFT,
+    STRIDE,
+    padded_blocks,
+)
+from workers.kernel.lanes.run import move_lane, park
+from workers.kernel.lanes.search import LONGEST_MARCH, safe_steps
+from workers.kernel.lanes.signal import (
+    add_share,
+    block_pass,
+    bounds_pass,
+    fields_of,
+    fields_of_harmonic,
+    forced_pass,
+    harmonic_pass,
+    loaded_output_of,
+    oscillating_block_pass,
+    oscillating_bounds_pass,
+    output_of,
+    restart_pass,
+)
+from workers.model.oscillator import COLUMN, NUMBER
+
+REACHED, OVER = 1.0, 2.0
+"""Events of a lane, besides FLYING and LEFT: a signal has reached an end of its range; the leg is over without that."""
+
+RENEWAL = float(REFRESH)
+
+
+class LegFields(NamedTuple):
+    """Fields of a lane besides those of its signals."""
+
+    event: int  # FLYING, REACHED, OVER, or LEFT: the search needs very many steps
+    hit: int  # which of the signals is first to reach an end of its range, -1 for none
+    side: int  # which end, +-1
+    step: int  # the least step
+    oscillates: int  # 1 where all blocks are underdamped, else 0
+
+
+LEG_FIELD = LegFields(*(k * STRIDE for k in range(len(LegFields._fields))))
+named_constants(LegFields)
+LEG_SIZE = len(LegFields._fields) * STRIDE
+
+
+@inline_always
+def record_size(blocks, harmonics):
+    """Numbers of one signal of all lanes, of machines with these numbers of blocks and harmonics."""
+    return LANE_SIZE + padded_blocks(blocks) * BLOCK_SIZE + (harmonics - 1) * HARMONIC_SIZE
+
+
+@kernel
+def empty_lane(records, i):
+    """Park a lane that no motion needs."""
+    records = borrowed(records)
+    for u in range(records.shape[0]):
+        park(records[u], i)
+
+
+@kernel
+def copy_lane(records, source, target):
+    """Copy a lane."""
+    records = borrowed(records)
+    for u in range(records.shape[0]):
+        move_lane(records[u], source, target)
+
+
+@inlined
+def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
+    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); whether all of its blocks oscillate.
+
+    turn (H, 2) of the force at its phase, see state.turned.
+    """
+    oscillates, harmonics, n = True, len(turn), len(h)
+    for u in range(len(signals)):
+        a, g, offset, numbers = records[u], signals[u], pieces.offset[k, signals[u]], pieces.numbers[k, signals[u]]
+        a[LANE.omega + i] = omega
+        a[LANE.amplitude + i], a[LANE.swing2 + i] = numbers[NUMBER.amplitude], numbers[NUMBER.swing2]
+        a[LANE.swing3 + i], a[LANE.swing4 + i] = numbers[NUMBER.swing3], numbers[NUMBER.swing4]
+        a[LANE.lower + i], a[LANE.upper + i] = pieces.ends[k, g, 0] - offset, pieces.ends[k, g, 1] - offset
+        a[LANE.period + i], a[LANE.flight_start + i], a[LANE.flight_phase + i] = H, 0.0, phase
+        a[LANE.time + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
+        a[LANE.own_stop + i], a[LANE.starts + i], a[LANE.renews + i] = begun[g], 1.0, 1.0
+        a[LANE.sin_part + i], a[LANE.cos_part + i] = pieces.waves[k, g, 0, 0], pieces.waves[k, g, 0, 1]
+        forced, rate, second, third = 0.0, 0.0, 0.0, 0.0
+        for w in range(harmonics):
+            fast, sin_part, cos_part = (w + 1.0) * omega, pieces.waves[k, g, w, 0], pieces.waves[k, g, w, 1]
+            y = fma(sin_part, turn[w, 0], cos_part * turn[w, 1])
+            v = fast * fma(sin_part, turn[w, 1], -cos_part * turn[w, 0])
+            forced, rate, second, third = forced + y, rate + v, second - fast * fast * y, third - fast * fast * v
+            if w > 0:
+                first = LANE_SIZE + padded_blocks(n) * BLOCK_SIZE + (w - 1) * HARMONIC_SIZE + i
+                a[first + HARMONIC.sin_part], a[first + HARMONIC.cos_part] = sin_part, cos_part
+        a[LANE.forced + i], a[LANE.forced_rate + i] = forced, rate
+        a[LANE.forced_second + i], a[LANE.forced_third + i] = second, third
+        for j in range(n):
+            first = LANE_SIZE + j * BLOCK_SIZE + i
+            for f in range(COLUMN.k0):
+                a[np.uint64(first + f * STRIDE)] = pieces.blocks[k, g, j, f]
+            a[first + BLOCK.h0], a[first + BLOCK.h1] = h[j, 0], h[j, 1]
+            oscillates = oscillates and pieces.blocks[k, g, j, COLUMN.d] > 0.0
+    return oscillates
+
+
+@inlined
+def read_flow(records, i, flow):
+    """Write the flow of each block from the leg's start to where lane i is, and its state there: see trip.Trip."""
+    for j in range(len(flow)):
+        first = LANE_SIZE + j * BLOCK_SIZE + i
+        flow[j, 0], flow[j, 1] = records[0, first + BLOCK.f11], records[0, first + BLOCK.f12]
+        flow[j, 2], flow[j, 3] = records[0, first + BLOCK.f21], records[0, first + BLOCK.f22]
+        flow[j, 4], flow[j, 5] = records[0, first + BLOCK.h0], records[0, first + BLOCK.h1]
+
+
+@kernel
+def least_pass(legs, a, u, n):
+    """Take the step of signal u, the fields of which are a, where it is the least one so far."""
+    for i in range(n):
+        contact, before, hit = a[LANE.contact_time + i], legs[LEG_FIELD.step + i], legs[LEG_FIELD.hit + i]
+        met = contact < np.inf
+        step = contact if met else a[LANE.step + i]
+        nearer = step < before or (met and step == before and hit < 0.0)
+        legs[LEG_FIELD.step + i] = step if nearer else before
+        first = u if met else -1.0
+        legs[LEG_FIELD.hit + i] = first if nearer else hit
+        legs[LEG_FIELD.side + i] = -a[LANE.side + i] if nearer else legs[LEG_FIELD.side + i]
+
+
+@kernel
+def move_pass(legs, a, n):
+    """The event and the time that each lane goes to next; a are the fields of the first signal.
+
+    Returns how many lanes want bounds anew there.
+    """
+    renewing = 0
+    for i in range(n):
+        s, H = a[LANE.time + i], a[LANE.period + i]
+        later = s + legs[LEG_FIELD.step + i]
+        met = legs[LEG_FIELD.hit + i] >= 0.0
+        over = later >= H and not met
+        count = a[LANE.flight_evaluations + i] + 1.0
+        stuck = not later > s + LEAST_STEP * H or count >= LONGEST_MARCH
+        event = LEFT if stuck else FLYING
+        event = REACHED if met else event
+        event = OVER if over else event
+        legs[LEG_FIELD.event + i] = event
+        a[LANE.time + i] = H if over else later
+        a[LANE.flight_evaluations + i] = count
+        renews = count == RENEWAL * math.floor(count * (1.0 / RENEWAL))
+        a[LANE.renews + i] = 1.0 if renews else 0.0
+        renewing += int(renews)
+        a[LANE.starts + i] = 0.0
+        a[LANE.own_stop + i] = 0.0
+    return renewing
+
+
+@kernel
+def copy_pass(a, first, n):
+    """Take from the first signal to another one what is the same for all after a step."""
+    for i in range(n):
+        a[LANE.time + i] = first[LANE.time + i]
+        a[LANE.renews + i] = first[LANE.renews + i]
+        a[LANE.starts + i] = 0.0
+        a[LANE.own_stop + i] = 0.0
+
+
+@kernel
+def share_pass(a, q, moved, n):
+    """Add the share of a block to a signal, which the first signal's fields ``moved`` of it have at LANE.time."""
+    for i in range(n):
+        h0, h1 = moved[BLOCK.h0 + i], moved[BLOCK.h1 + i]
+        add_share(a, q, i, h0, h1, loaded_output_of(q, i, h0, h1))
+
+
+@kernel
+def oscillating_share_pass(a, q, moved, n):
+    """As share_pass; the block is underdamped in every lane."""
+    for i in range(n):
+        h0, h1 = moved[BLOCK.h0 + i], moved[BLOCK.h1 + i]
+        add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
+
+
+@inline_always
+def take_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, c):
+    """One round of the first n lanes: the next certified step, or arrival, of each.
+
+    oscillates says that all blocks of all lanes are underdamped, renews that one may want bounds anew; it is returned
+    whether one does in the next round. Either way of an underdamped block gives the same bits.
+    """
+    signals, first = records.shape[0], records[0]
+    for i in range(n):
+        legs[LEG_FIELD.step + i] = np.inf
+        legs[LEG_FIELD.hit + i] = -1.0
+    for u in range(signals):
+        a = records[u]
+        if renews:
+            restart_pass(a, n)
+            for j in range(blocks):
+                if oscillates:
+                    oscillating_bounds_pass(a, fields_of(a, j), n)
+                else:
+                    bounds_pass(a, fields_of(a, j), n)
+        safe_steps(a, n, chosen, c)
+        least_pass(legs, a, np.float64(u), n)
+    renewing = move_pass(legs, first, n)
+    for u in range(signals):
+        a = records[u]
+        if u > 0:
+            copy_pass(a, first, n)
+        forced_pass(a, n)
+        for w in range(1, harmonics):
+            harmonic_pass(a, fields_of_harmonic(a, padded_blocks(blocks), w - 1), w + 1.0, n)
+        for j in range(blocks):
+            q = fields_of(a, j)
+            if u == 0 and oscillates:
+                oscillating_block_pass(a, q, n)
+            elif u == 0:
+                block_pass(a, q, n)
+            elif oscillates:
+                oscillating_share_pass(a, q, fields_of(first, j), n)
+            else:
+                share_pass(a, q, fields_of(first, j), n)
+    return renewing > 0

@@ -1,0 +1,290 @@
+"""Many motions of hybrid machines at a time: each lane takes the next cell of the queue when its own is through.
+
+Lanes search for the events of legs; what an event does, trip.py says, for one motion at a time. A leg that begins at
+rest at an end of a signal's range, hops in a chatter, or may grow, is searched as motion.py does.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.averages import add_growth
+from workers.kernel.hybrid.motion import first_event, put_down, take_up
+from workers.kernel.hybrid.trip import (
+    CLOCK,
+    CLOCKS,
+    PLACE,
+    PLACES,
+    Trip,
+    begin_leg,
+    begin_trip,
+    carry,
+    end_leg,
+    is_soft,
+    leave_leg,
+    strike_hard,
+    strike_soft,
+)
+from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.lanes.layout import GAP_SIZE, LANE, LANES, LEFT, room_for_vectors
+from workers.kernel.lanes.legs import (
+    LEG_FIELD,
+    LEG_SIZE,
+    board,
+    copy_lane,
+    empty_lane,
+    read_flow,
+    record_size,
+    take_round,
+)
+from workers.kernel.lanes.run import keep_section, over
+from workers.kernel.lanes.search import list_lanes, padded
+from workers.kernel.lend import lend, row_in
+from workers.kernel.motion import MODE_MISSING, RUNNING, STATUS, TALLIES, spend
+from workers.kernel.signal import growth_rate
+from workers.kernel.tangent import log_length
+from workers.model.hybrid import FIRST_NUMBER
+from workers.model.oscillator import Array, Rows
+
+BEGINS, ARRIVES = 0, 1
+"""Where a turn of a lane begins: with a period, or where its search has ended."""
+
+
+class Search(NamedTuple):
+    """What lanes need to search for the events of legs of machines with n coordinates.
+
+    records, legs   fields of the lanes, see legs.py
+    signals (U,)    those that end a mode
+    held, slots     the cell of each lane (LANES,), and where its trip is
+    before          log of the length of the first tangent vector of each trip, at its last section
+    gathered, chosen, scratch (n, 2), none (0, 0): to overwrite
+    """
+
+    records: Array
+    legs: Array
+    signals: Rows
+    held: Rows
+    slots: Rows
+    before: Array
+    gathered: Array
+    chosen: NDArray[np.uint32]
+    scratch: Array
+    none: Array
+
+
+@inline_always
+def search_for(n, harmonics, signals):
+    """A search of lanes that no cell is in yet."""
+    U, size = len(signals), record_size(n, harmonics)
+    records = room_for_vectors(U * size).reshape((U, size))
+    for i in range(LANES):
+        empty_lane(records, i)
+    return Search(
+        records, room_for_vectors(LEG_SIZE), signals, np.zeros(LANES, dtype=np.int64), np.arange(LANES),
+        np.zeros(LANES), room_for_vectors(GAP_SIZE), np.empty(LANES, dtype=np.uint32), np.empty((n, 2)),
+        np.empty((0, 0)),
+    )  # fmt: skip
+
+
+@inline_always
+def trips_for(table, N, n, m, framed):
+    """Trips (N, ...) of n coordinates with m tangent vectors, see trip.Trip."""
+    C, F, G = table.elements.row.shape[1], table.elements.slide.shape[1], table.pieces.ends.shape[2]
+    size, harmonics = 2 * n, table.pieces.waves.shape[3]
+    return Trip(
+        np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
+        np.empty((N, n, 6)),
+        np.empty((N, size)), np.empty((N, m, size)), np.empty((N, harmonics, 2)),
+        np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
+        np.zeros((N, C), dtype=np.int64), np.zeros((N, F), dtype=np.int64), np.zeros((N, G), dtype=np.int64),
+        np.zeros((N, m if framed else 0)), np.zeros((N, 0, 0)), np.zeros((N, TALLIES)),
+    )  # fmt: skip
+
+
+@kernel
+def run_through_modes(batch, cells, signals, enough, lanes):
+    """Advance these cells of a batch by their periods, or to where their motion or their work ends.
+
+    Changes the arrays of the batch, see lanes.run.Batch. signals (U,): those of the machines that end a mode, one at
+    least. At most ``lanes`` <= LANES cells are under way at a time; once fewer than ``enough`` are, each stops at its
+    next section. A motion that misses a mode stays at its section; it has that mode when it is called again.
+    """
+    n, m = batch.motions.h.shape[1], batch.motions.V.shape[1]
+    framed = batch.motions.growth.shape[1] > 0
+    more = 1 if framed and np.any(batch.oscillators.table.drifts > 0.0) else 0
+    trips = trips_for(batch.oscillators.table, LANES, n, m + more, framed)
+    search = search_for(n, batch.oscillators.gap.waves.shape[1], signals)
+    take_along(batch, cells, trips, search, enough, lanes, more)
+
+
+@kernel
+def take_along(batch, cells, trips, search, enough, lanes, more):
+    """run_through_modes with room for it. Its own kernel, since what is lent lives as long as the caller."""
+    batch, trips, search = lend(batch), lend(trips), lend(search)
+    periods, done, tally = batch.periods, batch.done, batch.motions.tally
+    legs, held, slots = search.legs, search.held, search.slots
+    n, harmonics = batch.motions.h.shape[1], batch.oscillators.gap.waves.shape[1]
+    active = queued = np.int64(0)  # no literal, as in lanes.run_batch
+    renewing = False
+    while True:
+        while active < lanes and queued < len(cells):
+            r, slot = cells[queued], slots[active]
+            queued += 1
+            if tally[r, STATUS] == MODE_MISSING:
+                tally[r, STATUS] = RUNNING
+            if done[r] == 0:
+                batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
+            if over(r, done, periods, tally):
+                continue
+            if batch.motions.V.shape[1] > 0:
+                search.before[slot] = length_of(batch, r)
+            begin_period(batch, trips, r, slot, more)
+            if turn(batch, trips, search, r, active, BEGINS, False, more):
+                held[active] = r
+                active += 1
+                renewing = True
+        if active == 0:
+            return
+        ending, smooth = active < enough, True
+        for i in range(active):
+            smooth = smooth and legs[LEG_FIELD.oscillates + i] > 0.0
+        renewing = take_round(
+            search.records, legs, n, harmonics, smooth, renewing, padded(active), search.chosen, search.gathered
+        )  # fmt: skip
+        count = list_lanes(legs, LEG_FIELD.event, active, search.chosen)
+        for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
+            lane = np.int64(search.chosen[e])
+            if turn(batch, trips, search, held[lane], lane, ARRIVES, ending, more):
+                renewing = True
+                continue
+            active -= 1
+            copy_lane(search.records, active, lane)
+            legs[LEG_FIELD.oscillates + lane] = legs[LEG_FIELD.oscillates + active]
+            held[lane] = held[active]
+            slots[lane], slots[active] = slots[active], slots[lane]
+            empty_lane(search.records, active)
+
+
+@kernel
+def length_of(batch, r):
+    """tangent.log_length of cell r at its section."""
+    motions = batch.motions
+    return log_length(batch.oscillators.gap.blocks[r], motions.V[r], motions.growth[r])
+
+
+@kernel
+def begin_period(batch, trips, r, slot, more):
+    """Begin a period of cell r, from its section."""
+    oscillators = batch.oscillators
+    trip, motion, table = row_in(trips, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
+    take_up(oscillators.to_physical[r], motion, trip, more)
+    begin_trip(table, trip, motion.contact[0] - FIRST_NUMBER)
+
+
+@kernel
+def pass_leg(batch, trips, search, r, slot):
+    """Take cell r through the leg that it has begun, by itself; whether its period is over."""
+    trip, table = row_in(trips, slot), row_in(batch.oscillators.table, r)
+    clock, k = trip.clock, trip.place[PLACE.mode]
+    s, reached, end = first_event(
+        table.pieces, k, trip.h, clock[CLOCK.phase], trip.begun, clock[CLOCK.horizon], search.scratch, trip.tally
+    )
+    if trip.tally[STATUS] != RUNNING:
+        return False
+    return end_leg(table, trip, s, reached, end, 2.0 * np.pi / table.omega, batch.motions.impacts[r], search.none)
+
+
+@kernel
+def pass_hard(batch, trips, r, slot):
+    """Take cell r through the event of a signal that is not a soft contact's."""
+    strike_hard(row_in(batch.oscillators.table, r), row_in(trips, slot), batch.motions.impacts[r])
+
+
+@inlined
+def pass_found(batch, trips, search, r, slot, i):
+    """Take cell r through the end of the leg that lane i has found; whether its period is over.
+
+    As trip.end_leg, but that rows are made of no more than is read, where no other kernel is called.
+    """
+    trip, table, legs = row_in(trips, slot), row_in(batch.oscillators.table, r), search.legs
+    hit, s, mode = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], trip.place[PLACE.mode]
+    reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
+    end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
+    read_flow(search.records, i, trip.flow)
+    through = leave_leg(table, trip, s, reached, end, 2.0 * np.pi / table.omega, search.none, True)
+    if reached >= 0:
+        if is_soft(table, reached):
+            strike_soft(table, trip, batch.motions.impacts[r])
+        else:
+            pass_hard(batch, trips, r, slot)
+        if trip.tally[STATUS] == RUNNING:
+            carry(table, trip, mode)
+    return through
+
+
+@kernel
+def end_period(batch, trips, r, slot, ending, before, more):
+    """Take cell r to the section that its trip has reached, and begin its next period; whether there is one."""
+    oscillators, periods, done = batch.oscillators, batch.periods, batch.done
+    motion, trip, k = row_in(batch.motions, r), row_in(trips, slot), done[r]
+    table = oscillators.table
+    put_down(oscillators.to_blocks[r], table.omega[r], motion, trip, more, table.drifts[r] > 0.0)
+    if batch.motions.V.shape[1] > 0:
+        length = length_of(batch, r)
+        add_growth(batch.levels[r], batch.weighted[r], length - before[slot], k, periods[r])
+        before[slot] = length
+    keep_section(batch.motions.h, r, k, periods[r], batch.sections)
+    done[r] = k + 1
+    if ending or over(r, done, periods, batch.motions.tally):
+        return False
+    begin_period(batch, trips, r, slot, more)
+    return True
+
+
+@kernel
+def turn(batch, trips, search, r, i, stage, ending, more):
+    """Take cell r on, from the end of the leg that lane i has searched, until it has begun another one to search.
+
+    Or from a period's begin, see BEGINS; whether there is one. ``ending`` says that it is to stop at a section.
+    """
+    slot, through = search.slots[i], False
+    trip, table = row_in(trips, slot), row_in(batch.oscillators.table, r)
+    clock, tally = trip.clock, trip.tally
+    if stage == ARRIVES:
+        spend(tally, search.records[0, LANE.flight_evaluations + i])
+        if search.legs[LEG_FIELD.event + i] == LEFT:
+            through = pass_leg(batch, trips, search, r, slot)
+        else:
+            through = pass_found(batch, trips, search, r, slot, i)
+    while True:
+        if through and tally[STATUS] == RUNNING and not end_period(batch, trips, r, slot, ending, search.before, more):
+            return False
+        clock[CLOCK.horizon] = begin_leg(table, trip, 2.0 * np.pi / table.omega)
+        if tally[STATUS] != RUNNING:
+            batch.motions.tally[r, STATUS] = tally[STATUS]
+            return False
+        if not (begins_at_rest(trip) or grows(table.pieces, trip.place[PLACE.mode])):
+            break
+        through = pass_leg(batch, trips, search, r, slot)
+    phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.place[PLACE.mode]
+    smooth = board(
+        search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
+    )
+    search.legs[LEG_FIELD.oscillates + i] = 1.0 if smooth else 0.0
+    return True
+
+
+@inline_always
+def begins_at_rest(trip):
+    """Whether a leg hops in a chatter, or a signal begins at an end of its range at no rate."""
+    rests = trip.clock[CLOCK.hop] > 0.0
+    for order in trip.begun:
+        rests = rests or abs(order) > 1
+    return rests
+
+
+@inlined
+def grows(pieces, k):
+    """Whether a block of mode k grows: bounds hold for a while only then, see crossing.next_crossing."""
+    return growth_rate(pieces.blocks[k, 0]) > 0.0

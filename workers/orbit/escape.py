@@ -1,0 +1,118 @@
+"""Whether a motion that grows certainly meets no guard again, and so goes to infinity."""
+
+import math
+
+import numpy as np
+
+from workers.kernel.borrow import row_of
+from workers.kernel.hybrid.state import enter, leave_frame, slot_of, turned
+from workers.kernel.jit import kernel
+from workers.kernel.lend import lend
+from workers.kernel.motion import FREE
+from workers.kernel.signal import ROUNDING, block_bounds
+from workers.model.hybrid import FIRST_NUMBER
+from workers.model.oscillator import COLUMN, HEAD, NUMBER
+
+MARGIN = 1.0 + 1e-12
+"""Factor of sums of bounds that covers their rounding."""
+
+
+REACHED, INSIDE, BEHIND = range(3)
+"""What is certain of a guard: nothing, that it stays between its ends, or that it goes away from its only end for ever.
+"""
+
+
+@kernel
+def future_of(blocks, numbers, h, offset, low, high):
+    """What is certain of a guard, offset added, with ends low and high, from block state h (n, 2) on.
+
+    BEHIND: the fastest growth a e^(r s), r real, takes it away from the only end that there is, and all else in it is
+    at most M e^(m s): y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and
+    a r >= M m. INSIDE: it sees no growth, m = 0 and a = 0, and M keeps it between its ends.
+    """
+    first, r = 0, 0.0
+    for j in range(len(blocks)):
+        if -blocks[j, COLUMN.slow] > r:
+            first, r = j, -blocks[j, COLUMN.slow]
+    M, m, a, lost = numbers[NUMBER.amplitude], 0.0, 0.0, 0.0
+    for j in range(len(blocks)):
+        block = blocks[j]
+        load, c0, c1, d0, d1 = (
+            block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1], block[COLUMN.cA0], block[COLUMN.cA1]
+        )  # fmt: skip
+        eta, d, inv_w, slow, fast = (
+            block[COLUMN.eta], block[COLUMN.d], block[COLUMN.inv_w], block[COLUMN.slow], block[COLUMN.fast]
+        )  # fmt: skip
+        q0 = c0 * h[j, 0] + c1 * h[j, 1]
+        q1 = d0 * h[j, 0] + d1 * h[j, 1] + c1 * load
+        if slow >= 0.0:
+            M += block_bounds(
+                q0, q1, c0 * load, eta, block[COLUMN.lam], d, inv_w, slow, fast, block[COLUMN.tilt],
+                block[COLUMN.weight], block[COLUMN.grow2], block[COLUMN.grow3], block[COLUMN.grow4],
+            )[0]  # fmt: skip
+            continue
+        e0 = ROUNDING * (abs(c0 * h[j, 0]) + abs(c1 * h[j, 1]))
+        e1 = ROUNDING * (abs(d0 * h[j, 0]) + abs(d1 * h[j, 1]) + abs(c1 * load))
+        if e0 + e1 == 0.0:
+            continue
+        if d == 0.0 or load != 0.0:
+            return REACHED
+        if d > 0.0:
+            turned = (abs(q1 + eta * q0) + e1 + abs(eta) * e0) * inv_w
+            M, m = M + math.sqrt((abs(q0) + e0) ** 2 + turned * turned), max(m, -eta)
+            continue
+        M += 0.5 * inv_w * (abs(q1 + slow * q0) + e1 + abs(slow) * e0)
+        m = max(m, -fast)
+        mine, error = 0.5 * inv_w * (q1 + fast * q0), 0.5 * inv_w * (e1 + abs(fast) * e0)
+        if j == first:
+            a, lost = mine, error
+        else:
+            M, m = M + abs(mine) + error, max(m, -slow)
+    M *= MARGIN
+    if a == 0.0 and lost == 0.0:
+        return INSIDE if m == 0.0 and offset + M < high and offset - M > low else REACHED
+    push, end, beyond = abs(a) - lost, low if a > 0.0 else high, high if a > 0.0 else low
+    if push <= 0.0 or abs(beyond) < np.inf:
+        return REACHED
+    room = offset - end if a > 0.0 else end - offset
+    return BEHIND if room + push > M and push * r > M * m else REACHED
+
+
+@kernel
+def escaping(oscillators, motions, cells):
+    """Which of these motions of machines with one rigid contact, at a section, meet no stop again while they grow."""
+    gap, head, motions = lend(oscillators).gap, oscillators.head, lend(motions)
+    found = np.zeros(len(cells), dtype=np.bool_)
+    for e in range(len(cells)):
+        r = cells[e]
+        if head[r, HEAD.growth] > 0.0 and motions.contact[r, 0] == FREE:
+            low, high = head[r, HEAD.bottom], head[r, HEAD.top]
+            found[e] = future_of(gap.blocks[r], gap.numbers[r], motions.h[r], 0.0, low, high) == BEHIND
+    return found
+
+
+@kernel
+def escaping_in_modes(oscillators, motions, cells):
+    """``escaping`` of machines with modes, and all guards of the mode that they are in, where there is one phase."""
+    oscillators, motions = lend(oscillators), lend(motions)
+    found, n = np.zeros(len(cells), dtype=np.bool_), motions.h.shape[1]
+    z, at = np.zeros((1, 2 * n)), np.zeros((n, 2))
+    for e in range(len(cells)):
+        r = cells[e]
+        osc = row_of(oscillators, r)
+        table, pieces = osc.table, osc.table.pieces
+        k = slot_of(table.codes, motions.contact[r, 0] - FIRST_NUMBER)
+        if osc.head[HEAD.growth] == 0.0 or k < 0 or table.elements.starts.shape[0] > 2:
+            continue
+        leave_frame(osc.to_physical, motions.h[r].copy().reshape((1, n, 2)), z)
+        turn = turned(osc.tau, pieces.waves.shape[2])
+        enter(pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
+        left, met = False, False
+        for g in range(pieces.ends.shape[1]):
+            blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]
+            low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
+            if low > -np.inf or high < np.inf:
+                future = future_of(blocks, numbers, at, offset, low, high)
+                left, met = left or future == BEHIND, met or future == REACHED
+        found[e] = left and not met
+    return found
