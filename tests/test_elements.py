@@ -17,7 +17,7 @@ from workers.model.entries import DefinitionError
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults
 from workers.model.oscillator import each
 from workers.model.system import find_system, identity, system_names
-from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
+from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 RIG = """
 [system]
@@ -241,10 +241,10 @@ def test_values_that_make_no_element_are_told_of_their_cell_alone(given: dict[st
     assert hybrid_faults(hybrid(system, **columns)).tolist() == [NO_REASON, reason]
 
 
-def test_matrices_of_a_phase_that_are_not_symmetric_make_no_machine() -> None:
+def test_matrices_of_a_phase_need_not_be_symmetric() -> None:
     found = hybrid(System.from_toml(RIG), omega=np.ones(2))
     found.stiffness[1, 1, 0, 1] = 0.0
-    assert hybrid_faults(found).tolist() == [NO_REASON, NO_OSCILLATOR]
+    assert hybrid_faults(found).tolist() == [NO_REASON, NO_REASON]
 
 
 def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
@@ -361,8 +361,6 @@ WRONG = [
     ({"phases__1__contacts__pad__preload": -1}, "system.phases[1].contacts.pad.preload: found -1 at the defaults"),
     ({"phases__1__friction__guide": {"static": 0}}, "system.phases[1].friction.guide.static: found 0, kinetic 0.1 at"),
     ({"phases__1__stiffness": [[1, 0]]}, "system.phases[1].stiffness: found 1 rows, must be 2, one per coordinate"),
-    ({"phases__1__stiffness": [[1, 2], [0, 1]]}, "system.phases[1].stiffness: found [0][1] = 2 and [1][0] = 0 at the"),
-    ({"phases__1__damping": [[-1, 0], [0, 1]]}, "system.phases[1].damping: its least eigenvalue is -1 at the defaul"),
     ({"phases__1__force": [1]}, "system.phases[1].force: found 1 entries, must be 2"),
     ({"phases__1__force": [0, "1 / (k - 3)"]}, "system.phases[1].force of order 1: found [0.0, inf] at the defaults"),
     ({"phases__1__load": ["q", 0]}, "system.phases[1].load[0]: unknown name 'q'"),

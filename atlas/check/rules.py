@@ -107,11 +107,9 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
         empty = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
         yield f"{variable.name} has a value in an invalid or failed cell", blank & ~empty.all(axis=-1)
 
-    if REASON.name in arrays:  # an older store has none
-        reason = arrays[REASON.name]
-        unknown = blank | (regime == UNDETERMINED)
-        yield "reason is missing in an undetermined, invalid or failed cell", unknown & (reason == NO_REASON)
-        yield "reason is not one for this regime", (reason != NO_REASON) & ~_goes_with(reason, regime)
+    reason, unknown = arrays[REASON.name], blank | (regime == UNDETERMINED)
+    yield "reason is missing in an undetermined, invalid or failed cell", unknown & (reason == NO_REASON)
+    yield "reason is not one for this regime", (reason != NO_REASON) & ~_goes_with(reason, regime)
 
     for rules, needed in (
         (_exponent_rules, {"largest", "error"}),
@@ -154,7 +152,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """The slowest impact is not faster than the mean one, nor that than the fastest; an older store has fewer."""
+    """The slowest impact is not faster than the mean one, nor that than the fastest."""
     names = [name for name in ("min_impact_speed", "mean_impact_speed", "max_impact_speed") if name in arrays]
     for slower, faster in pairwise(names):
         yield f"{slower} is above {faster}", arrays[slower] > arrays[faster] * (1 + 1e-9)
@@ -176,8 +174,7 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     yield "error is NaN", known & np.isnan(error)
     yield "error is negative", error < 0
     clear = largest >= STANDARD_ERRORS * error
-    if REASON.name in arrays:
-        clear |= arrays[REASON.name] == NOT_STATIONARY
+    clear |= arrays[REASON.name] == NOT_STATIONARY
     yield (
         f"chaotic, but largest is not positive by {STANDARD_ERRORS:g} errors",
         (regime == CHAOTIC) & ~(clear & (largest > 0)),

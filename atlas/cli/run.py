@@ -255,7 +255,9 @@ def cancel(ctx: click.Context, store: str) -> None:
 )
 @store_argument
 @click.argument("spec", required=False, shell_complete=SPECS)
-@click.option("--refine", metavar="N or NAME=N", multiple=True, help="Make all axes, or one, so many times finer.")
+@click.option(
+    "--refine", metavar="N or NAME=N", multiple=True, help="Refinement factor for all axes, or NAME=N for one."
+)
 @click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
 @scheduler_option
 @workers_option

@@ -44,7 +44,7 @@ class Overviews:
         return any(map(self.missing, self.levels))
 
     def missing(self, level: int) -> list[Index]:
-        """The chunks of a level that are not there and can be made, since all that lies below them is."""
+        """The chunks of a level that are missing, but computable: everything below them exists."""
         levels, there = self._pyramid.levels, self._pyramid.stored(level, REGIME)
         below = done_tiles(self._header) if level == 1 else self._pyramid.stored(level - 1, REGIME)
         wanted = (index for index in levels.chunks(level) if index not in there)

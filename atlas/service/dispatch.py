@@ -58,7 +58,7 @@ class Workforce(Generic[J, R]):
     """The workers of a cluster, and what is known of them.
 
     A job that fails is tried again, on another worker or machine if there is one. A worker at which FAILURES jobs in a
-    row failed gets no more while others do theirs, nor does one with too little memory.
+    row failed is excluded while others succeed, as is one with too little memory.
     """
 
     def __init__(self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int) -> None:

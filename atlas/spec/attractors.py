@@ -16,7 +16,7 @@ MOST_COST = 2**31 - 1
 
 
 def checked_attractors(given: object, record: System, settings: Settings) -> Starts | None:
-    """The initial states that a table asks for; InputError that names the key for what is wrong. None for None."""
+    """The initial states that a table asks for; InputError that names the wrong key. None if no table is given."""
     if given is None:
         return None
     table: object = resolved_attractors(given) if isinstance(given, Starts) else given

@@ -1,7 +1,7 @@
 """Groups of arrays beside the results of a store, each written whole, and the tables among them.
 
 A group's own metadata are written last: a kill at any moment leaves the group whole or absent. They have a checksum of
-all that the group holds, except in groups of earlier versions.
+all that the group holds.
 """
 
 import hashlib
@@ -92,7 +92,7 @@ def read_group(header: Header, group: str) -> tuple[dict[str, NDArray[Any]], dic
         else:
             faults |= found
     own = {name: value for name, value in attributes.items() if name != CHECKSUM}
-    if not faults and CHECKSUM in attributes and attributes[CHECKSUM] != _checksum(header, group, names, own):
+    if not faults and attributes.get(CHECKSUM) != _checksum(header, group, names, own):
         faults[f"{group}/{ROOT}"] = "is damaged or belongs to other arrays"
     if faults:
         raise ChunkError(header.place, faults)

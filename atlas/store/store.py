@@ -34,7 +34,7 @@ READERS = 8
 """Tiles read at once: a disk or a network answers several as soon as one."""
 
 
-class _Kept(dict[str, Any]):
+class _Opened(dict[str, Any]):
     """What the views of a header have read and opened, by name; ``lock`` is held while that is done."""
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class _Kept(dict[str, Any]):
         self.lock = RLock()
 
 
-class Shared(cached_property[_T]):
+class MadeOnce(cached_property[_T]):
     """A property that is made once for all views of a header."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
@@ -71,13 +71,13 @@ class Header:
     nodes: Mapping[str, Mapping[str, Any]] = field(repr=False)
     origin: Origin | None = None
     state: str = field(default="", repr=False, compare=False)
-    kept: _Kept = field(default_factory=_Kept, init=False, repr=False, compare=False)
+    kept: _Opened = field(default_factory=_Opened, init=False, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return {each.name: getattr(self, each.name) for each in fields(self)} | {"kept": None}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        vars(self).update(state, kept=_Kept())
+        vars(self).update(state, kept=_Opened())
 
     def __deepcopy__(self, memo: object) -> "Header":
         return self  # nothing of it changes
@@ -104,7 +104,7 @@ class Header:
             raise RunError(f"{self.place}: not a folder of this machine")
         return self.place.local
 
-    @Shared
+    @MadeOnce
     def arrays(self) -> Mapping[str, Mapping[str, Any]]:
         """The metadata of the root's arrays, by name."""
         return {name: node for name, node in self.nodes.items() if node["node_type"] == "array" and "/" not in name}
@@ -119,7 +119,7 @@ class Header:
         """The names of the root's groups."""
         return frozenset(name for name, node in self.nodes.items() if node["node_type"] == "group" and "/" not in name)
 
-    @Shared
+    @MadeOnce
     def spec(self) -> Spec:
         """The spec that the store was made from.
 
@@ -136,7 +136,7 @@ class Header:
             raise InputError(f"{self.place}: its metadata are damaged: {found}: {remedy(self.place)}")
         return spec
 
-    @Shared
+    @MadeOnce
     def values(self) -> Values:
         """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
         return read_values(self.place, self.outline, self.digest)
@@ -162,7 +162,7 @@ class Header:
         named = zip(regime["dimension_names"], sizes, strict=True)
         return tuple(size for name, size in named if name != ATTRACTOR)
 
-    @Shared
+    @MadeOnce
     def tiling(self) -> Tiling:
         """How the store's cells are cut into tiles."""
         return Tiling(self.spec.shape, self.tile)
@@ -172,7 +172,7 @@ class Header:
         """The results that the store holds, ``regime`` last."""
         return self.spec.variables
 
-    @Shared
+    @MadeOnce
     def allowances(self) -> tuple[Allowance, ...]:
         """What its cells may have been given more of, if a retry made the store."""
         return allowances_in(self.spec) if self.origin is not None and self.origin.retry is not None else ()
@@ -186,12 +186,12 @@ class Header:
         """Arrays with one result for each cell: of all attractors, the first."""
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
-    @Shared
+    @MadeOnce
     def readable(self) -> Mapping[str, Any]:
         """The Zarr arrays of cells and coordinates by name, opened once; errors as of ``open_arrays``."""
         return open_arrays(self)
 
-    @Shared
+    @MadeOnce
     def writable(self) -> Mapping[str, Any]:
         """The Zarr arrays of cells by name, opened once; RunError if it is another store."""
         group: Any = open_group(self.place, "r", consolidated=True)  # one request for all arrays
@@ -204,7 +204,7 @@ class Header:
         """The names of the arrays of its root that hold cells or coordinates."""
         return [*(each.name for each in (*self.variables, *self.allowances)), *coordinate_names(self.spec)]
 
-    @Shared
+    @MadeOnce
     def coordinates(self) -> dict[str, StoredArray]:
         """The coordinates, by name."""
         return coordinates(self.spec)

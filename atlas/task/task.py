@@ -28,7 +28,7 @@ LABELS = -1
 
 @dataclass(frozen=True)
 class Job:
-    """Which tile of which store. All that crosses the scheduler; ``attempt.do_job`` does it by hand.
+    """A task sent to a worker: one tile of a store. ``attempt.do_job`` runs it locally.
 
     With a ``level`` above 0 it is the chunk of that level of the overviews that has this index; at level LABELS, the
     last labels of basins. ``attempt`` is the token of this attempt at the tile, which ``attempt.run_job`` gives it: of

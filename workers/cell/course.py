@@ -41,9 +41,9 @@ FIRST_AVERAGE = 192
 """Periods averaged before the average is first looked at."""
 
 LONG_MEMORY, LEAST_PART = 5.0, 1.0 / 32.0
-"""Chaos has to survive for all of ``survival`` beside a stable orbit that is known, and where its energy relaxes in
-LONG_MEMORY periods or more. Elsewhere for a part that falls as the square of that time, but for LEAST_PART at least:
-that is about how the share of chaos that settles falls, which scripts/bench_relaxation.py measures."""
+"""Chaos is watched for all of ``survival`` if a stable orbit is known or its energy relaxes in LONG_MEMORY periods or
+more; else for the share (memory / LONG_MEMORY)^2, at least LEAST_PART. The share of chaos that settles falls in about
+that way, as scripts/bench_relaxation.py measures."""
 
 LEAST_WATCH = 256
 """Periods of the shortest stretch of watching; each further one is half as long as what was survived before."""

@@ -1,7 +1,7 @@
-"""Functions that kernels call where they lie. All else that a kernel calls it compiles once more, as a part of itself.
+"""Functions compiled once and called by symbol, instead of recompiled into each caller.
 
-Such a function is compiled for one signature and known to the linker by its name. It has to be there before a kernel
-that calls it is: one that comes from the cache on disk looks for the name as it is loaded.
+Such a function has one signature and is known to the linker by its name. It must exist before a kernel that calls it:
+a kernel that comes from the cache on disk looks for the name as it is loaded.
 """
 
 import inspect

@@ -16,7 +16,6 @@ from numba.extending import overload, typeof_impl
 from workers.kernel.apart import load
 from workers.kernel.cache import CACHE
 from workers.kernel.lend import Lent
-from workers.model.hybrid_modes import Spread
 from workers.model.oscillator import Block, Head, Numbers
 
 __all__ = ["for_modes", "inline_always", "inlined", "kernel", "named_constants"]
@@ -83,7 +82,7 @@ def named_constants(*kinds: Any) -> None:
         typeof_impl.register(kind)(module_of)
 
 
-named_constants(Block, Numbers, Head, Spread)
+named_constants(Block, Numbers, Head)
 
 kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""

@@ -145,7 +145,7 @@ def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H
     """
     if size0 + size1 == 0.0 and pull == 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    if math.isinf(H):
+    if np.inf == H:
         return np.inf, np.inf, np.inf, np.inf
     q2 = pull - 2.0 * eta * q1 - lam * q0
     e0, e1 = ROUNDING * size0, ROUNDING * size1

@@ -7,9 +7,9 @@ damping delta'; a rigid one turns y' into -R y'. Friction on v = row . x' - belt
 holds v = 0 up to ``static``. Phases change matrices, force, load and the constants of elements from ``start`` on, a
 share of the forcing period.
 
-A mode is an affine linear flow between events: which phase it is, what each contact does and each friction. What is
-held or sticks leaves the flow: x = D y + N q with y = G x, which goes at a constant rate, and N spanning what G sends
-to zero. In blocks y is a rigid mode without a load, so that all modes of a machine have the same number of blocks.
+A mode is an affine linear flow between events: which phase it is, what each contact does and each friction. Coordinates
+y = G x that are held or stick are eliminated: x = D y + N q, N spanning ker G; y goes at a constant rate. In
+blocks y is a rigid mode without a load, so that all modes of a machine have the same number of blocks.
 """
 
 from typing import Any, NamedTuple
@@ -70,21 +70,6 @@ def code_of(number: int, contacts: int, slips: int) -> Code:
     return Code(number, tuple(reversed(states)), tuple(reversed(signs)))
 
 
-class Spread(NamedTuple):
-    """Columns of Pieces.spread: what bounds how far a mode stretches or contracts tangent vectors, in its energy norm.
-
-    low, high   half the logarithms of the least and the greatest weight of its blocks, see oscillator.Block
-    time_unit   1 / sqrt(least weight)
-    """
-
-    low: int
-    high: int
-    time_unit: int
-
-
-SPREAD_OF = Spread(*range(len(Spread._fields)))
-
-
 class Pieces(NamedTuple):
     """A mode of N machines with n blocks, G signals and H harmonics.
 
@@ -99,7 +84,6 @@ class Pieces(NamedTuple):
     to_blocks    (N, 2n, 2n)           blocks of (x, v), counted from where they rest; to_physical the way back
     acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) and what the force adds to it
     lost, trace  (N,)                  dimensions that the flow does not have; trace of M^-1 C, as it contracts volume
-    spread       (N, SPREADS)          how it spreads tangent vectors, see Spread
     """
 
     blocks: Array
@@ -116,7 +100,6 @@ class Pieces(NamedTuple):
     drive: Array
     lost: Array
     trace: Array
-    spread: Array
 
 
 @np.errstate(all="ignore")
@@ -198,16 +181,8 @@ def _pieces_alike(
         blocks, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, acceleration,
         np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
         np.full(N, float(2 * len(held) + len(stuck))), np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
-        _spread_of(flow),
     )  # fmt: skip
     return Pieces(*map(np.ascontiguousarray, found)), wrong
-
-
-def _spread_of(flow: Array) -> Array:
-    """Pieces.spread of a mode with this flow (N, n, columns); nothing is known, infinity, where a weight is zero."""
-    weight = flow[..., COLUMN.metric]
-    low, high = 0.5 * np.log(np.min(weight, axis=1)), 0.5 * np.log(np.max(weight, axis=1))
-    return np.stack([low, np.where(np.isfinite(low), high, np.inf), np.exp(-low)], axis=-1)
 
 
 def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:

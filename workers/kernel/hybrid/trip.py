@@ -48,7 +48,6 @@ from workers.kernel.motion import (
     RESONANT_MODE,
     RUNNING,
     SIMULTANEOUS,
-    SPREAD,
     STATUS,
     STUCK,
     count_contact,
@@ -58,12 +57,10 @@ from workers.kernel.tangent import (
     MAX_SPREAD,
     drop_dependent,
     graded_flow,
-    impact_spread,
-    needs_reset,
     orthonormalise,
     spread_rate,
 )
-from workers.model.hybrid_modes import ON, OPEN, SIGNALS, SPREAD_OF
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Array
 
 AT_SECTION = 1e-13
@@ -166,21 +163,17 @@ def stop_at(table, tally, k, number):
 def fly(pieces, k, s, trip, drifts, flown):
     """Move the block state and the tangent vectors on by s in mode k; ``flown`` says that trip.flow is that flow.
 
-    A frame is orthonormal before it flies where an event has taken directions of it, which is to be seen before the
-    flight turns rounding into directions, and where the flight might spread it too far, see tangent.MAX_SPREAD.
+    A frame is orthonormal before it flies: what an event has taken of it is seen before the flight turns rounding into
+    directions, and multipliers are known to rounding.
     """
-    blocks, h, V, growth, tally, flows = pieces.blocks[k, 0], trip.h, trip.V, trip.growth, trip.tally, trip.flow
+    blocks, h, V, growth, flows = pieces.blocks[k, 0], trip.h, trip.V, trip.growth, trip.flow
     if growth.shape[0] > 0:
-        lost = tally[LOST] - drifts
-        rank, spread = 2 * h.shape[0] - int(lost), s * spread_rate(blocks)
-        far = spread > MAX_SPREAD
+        lost = trip.tally[LOST] - drifts
+        rank = 2 * h.shape[0] - int(lost)
         if lost > 0.0:
             drop_dependent(blocks, V, rank)
-        if lost > 0.0 or drifts > 0.0 or far or needs_reset(tally[SPREAD], spread, MAX_SPREAD):
-            orthonormalise(blocks, V, growth, trip.triangle, rank)
-            tally[SPREAD] = 0.0
-        tally[SPREAD] += spread
-        if far:
+        orthonormalise(blocks, V, growth, trip.triangle, rank)
+        if s * spread_rate(blocks) > MAX_SPREAD:
             flow(blocks, s, h)
             graded_flow(blocks, s, V, growth, trip.triangle, rank)
             return
@@ -394,12 +387,8 @@ def strike_stop(table, trip, g, c, side, hits):
 
 @inlined
 def carry(table, trip, mode):
-    """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix.
-
-    With q = |r.(f+ - f-) / r'|, in time units of the mode where r is a row on positions, it spreads them by at most
-    2 ln(1 + q) - ln det, see tangent.impact_spread; and the energy norm is that of another mode from then on.
-    """
-    place, pieces, tally = trip.place, table.pieces, trip.tally
+    """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix."""
+    place, pieces = trip.place, table.pieces
     f, after, k, g = trip.before, trip.after, place[PLACE.mode], place[PLACE.hit]
     if k < 0:
         return
@@ -408,32 +397,10 @@ def carry(table, trip, mode):
         after[i] -= f[i]
         for e in range(len(trip.W)):
             trip.W[e, i] += after[i] * trip.slopes[e]
-    soft = is_soft(table, g)
-    if not soft:
-        tally[SPREAD] = np.inf
-    if not soft and g < SIGNALS * len(trip.states):
-        return
-    rate, row, n = trip.clock[CLOCK.rate], pieces.rows[mode, g], len(trip.h)
-    change = row_product(row, after) / rate  # det S = 1 + r.(f+ - f-) / r'
-    if change != 0.0:
-        tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
-    if len(trip.growth) == 0:
-        return
-    if soft and change == 0.0:
-        jump = 0.0
-        for i in range(n):
-            jump += row[i] * after[n + i]
-        ratio, (low, high), (low_, high_) = jump / rate, edges(pieces, mode), edges(pieces, k)
-        tally[SPREAD] += impact_spread(ratio, pieces.spread[mode, SPREAD_OF.time_unit], 0.0)
-        tally[SPREAD] += max(high - low_, high_ - low, 0.0)
-    else:
-        tally[SPREAD] = np.inf
-
-
-@inlined
-def edges(pieces, k):
-    """Half the logarithms of the least and the greatest weight of the blocks of mode k."""
-    return pieces.spread[k, SPREAD_OF.low], pieces.spread[k, SPREAD_OF.high]
+    if g >= SIGNALS * len(trip.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
+        change = row_product(pieces.rows[mode, g], after) / trip.clock[CLOCK.rate]
+        if change != 0.0:
+            trip.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
 
 
 @kernel

@@ -51,7 +51,7 @@ BEGINS, ARRIVES = 0, 1
 """Where a turn of a lane begins: with a period, or where its search has ended."""
 
 
-class Search(NamedTuple):
+class LegSearch(NamedTuple):
     """What lanes need to search for the events of legs of machines with n coordinates.
 
     records, legs   fields of the lanes, see legs.py
@@ -80,7 +80,7 @@ def search_for(n, harmonics, signals):
     records = room_for_vectors(U * size).reshape((U, size))
     for i in range(LANES):
         empty_lane(records, i)
-    return Search(
+    return LegSearch(
         records, room_for_vectors(LEG_SIZE), signals, np.zeros(LANES, dtype=np.int64), np.arange(LANES),
         np.zeros(LANES), room_for_vectors(GAP_SIZE), np.empty(LANES, dtype=np.uint32), np.empty((n, 2)),
         np.empty((0, 0)),
