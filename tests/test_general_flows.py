@@ -362,7 +362,7 @@ def compare_rigid(seed: int, periods: int) -> bool:
     for k in range(1, periods + 1):
         advance(osc, motion)
         assert motion.tally[STATUS] == RUNNING
-        growth = max(1.0, float(np.max(np.abs(motion.V))))
+        growth = max(1.0, float(np.max(np.abs(motion.V)) * np.exp(np.max(motion.growth))))
         if growth > 1e5:
             break
         there = np.array(expected[k], dtype=float)
