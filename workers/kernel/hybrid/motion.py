@@ -77,7 +77,7 @@ def go_through(table, trip, code, hits, legs, duration):
         if tally[STATUS] != RUNNING:
             return
         number = trip.place[PLACE.number]
-        if end_leg(table, trip, s, reached, end, duration, hits, legs):
+        if end_leg(table, trip, s, reached, end, duration, hits, legs, False):
             code[0] = number
             return
 

@@ -215,7 +215,7 @@ def keep_held(elements, states, slips, z):
             reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
 
 
-@inlined
+@kernel
 def follow(table, trip):
     """Find the mode that the motion goes on in, see events.follow_jumps."""
     place = trip.place
@@ -385,7 +385,7 @@ def strike_stop(table, trip, g, c, side, hits):
     clock[CLOCK.hop] = R * abs(rate) if left > 0.0 else 0.0
 
 
-@inlined
+@kernel
 def carry(table, trip, mode):
     """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix."""
     place, pieces = trip.place, table.pieces
@@ -404,13 +404,13 @@ def carry(table, trip, mode):
 
 
 @kernel
-def end_leg(table, trip, s, reached, end, duration, hits, legs):
+def end_leg(table, trip, s, reached, end, duration, hits, legs, flown):
     """End a leg after s and go through the event that it ends with, if there is one: see leave_leg.
 
-    Whether the trip is over; hits and legs as of motion.through_modes.
+    Whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is that over s.
     """
     mode = trip.place[PLACE.mode]
-    over = leave_leg(table, trip, s, reached, end, duration, legs, False)
+    over = leave_leg(table, trip, s, reached, end, duration, legs, flown)
     if reached >= 0:
         if is_soft(table, reached):
             strike_soft(table, trip, hits)

@@ -19,12 +19,7 @@ from workers.kernel.hybrid.trip import (
     Trip,
     begin_leg,
     begin_trip,
-    carry,
     end_leg,
-    is_soft,
-    leave_leg,
-    strike_hard,
-    strike_soft,
 )
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import GAP_SIZE, LANE, LANES, LEFT, room_for_vectors
@@ -192,35 +187,20 @@ def pass_leg(batch, trips, search, r, slot):
     )
     if trip.tally[STATUS] != RUNNING:
         return False
-    return end_leg(table, trip, s, reached, end, 2.0 * np.pi / table.omega, batch.motions.impacts[r], search.none)
+    return end_leg(
+        table, trip, s, reached, end, 2.0 * np.pi / table.omega, batch.motions.impacts[r], search.none, False
+    )
 
 
-@kernel
-def pass_hard(batch, trips, r, slot):
-    """Take cell r through the event of a signal that is not a soft contact's."""
-    strike_hard(row_in(batch.oscillators.table, r), row_in(trips, slot), batch.motions.impacts[r])
-
-
-@inlined
+@inline_always
 def pass_found(batch, trips, search, r, slot, i):
-    """Take cell r through the end of the leg that lane i has found; whether its period is over.
-
-    As trip.end_leg, but that rows are made of no more than is read, where no other kernel is called.
-    """
+    """Take cell r through the end of the leg that lane i has found; whether its period is over."""
     trip, table, legs = row_in(trips, slot), row_in(batch.oscillators.table, r), search.legs
-    hit, s, mode = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], trip.place[PLACE.mode]
+    hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / table.omega
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
     read_flow(search.records, i, trip.flow)
-    through = leave_leg(table, trip, s, reached, end, 2.0 * np.pi / table.omega, search.none, True)
-    if reached >= 0:
-        if is_soft(table, reached):
-            strike_soft(table, trip, batch.motions.impacts[r])
-        else:
-            pass_hard(batch, trips, r, slot)
-        if trip.tally[STATUS] == RUNNING:
-            carry(table, trip, mode)
-    return through
+    return end_leg(table, trip, s, reached, end, period, batch.motions.impacts[r], search.none, True)
 
 
 @kernel
