@@ -41,7 +41,7 @@ def starting(seed: int, cells: np.ndarray, vectors: bool = True) -> Batch:
     motions, reasons = begin(oscillators, reasons, states, vectors=states.shape[1] if vectors else 0)
     assert np.all(reasons == NO_REASON)
     batch = batch_of(oscillators, motions, KEPT)
-    batch.periods[:], batch.motions.tally[:, :] = PERIODS, batch.motions.tally
+    batch.periods[:] = PERIODS
     return batch
 
 

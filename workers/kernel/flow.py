@@ -125,15 +125,21 @@ def flow_block(block, s, h):
     return f11, f12, f21, f22
 
 
+@inlined
+def flow_vectors(V, j, f11, f12, f21, f22):
+    """Move block j of tangent vectors V (m, n, 2) on by a flow, see flow_entries, in place."""
+    for i in range(V.shape[0]):
+        v0, v1 = V[i, j, 0], V[i, j, 1]
+        V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
+
+
 @kernel
 def flow_with_tangent(block, s, h, V):
     """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
     block, h, V = borrowed(block), borrowed(h), borrowed(V)
     for j in range(len(block)):
         f11, f12, f21, f22 = flow_block(block[j], s, h[j])
-        for i in range(V.shape[0]):
-            v0, v1 = V[i, j, 0], V[i, j, 1]
-            V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
+        flow_vectors(V, j, f11, f12, f21, f22)
 
 
 @kernel

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from workers.kernel.borrow import row_of
-from workers.kernel.hybrid.state import enter, leave_frame, slot_of, turned
+from workers.kernel.hybrid.state import enter_from_section, slot_of
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend
 from workers.kernel.motion import FREE
@@ -96,7 +96,7 @@ def escaping_in_modes(oscillators, motions, cells):
     """``escaping`` of machines with modes, and all guards of the mode that they are in, where there is one phase."""
     oscillators, motions = lend(oscillators), lend(motions)
     found, n = np.zeros(len(cells), dtype=np.bool_), motions.h.shape[1]
-    z, at = np.zeros((1, 2 * n)), np.zeros((n, 2))
+    at = np.zeros((n, 2))
     for e in range(len(cells)):
         r = cells[e]
         osc = row_of(oscillators, r)
@@ -104,9 +104,7 @@ def escaping_in_modes(oscillators, motions, cells):
         k = slot_of(table.codes, motions.contact[r, 0] - FIRST_NUMBER)
         if osc.head[HEAD.growth] == 0.0 or k < 0 or table.elements.starts.shape[0] > 2:
             continue
-        leave_frame(osc.to_physical, motions.h[r].copy().reshape((1, n, 2)), z)
-        turn = turned(osc.tau, pieces.waves.shape[2])
-        enter(pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
+        enter_from_section(osc, k, motions.h[r], at)
         left, met = False, False
         for g in range(pieces.ends.shape[1]):
             blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]

@@ -4,7 +4,7 @@ states. Others are such machines where their motion certainly meets no contact, 
 import numpy as np
 
 from workers.kernel.borrow import row_of
-from workers.kernel.hybrid.state import enter, leave_frame, number_of, read_number, slot_of, turned
+from workers.kernel.hybrid.state import enter_from_section, number_of, read_number, slot_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
 from workers.kernel.linalg import highest, sort_down
@@ -47,10 +47,8 @@ def meets_nothing(osc, h, contact):
         same = other >= 0 and np.all(pieces.acceleration[other] == pieces.acceleration[k])
         if not (same and np.all(pieces.drive[other] == pieces.drive[k])):
             return False
-    z, at = np.zeros((1, 2 * n)), np.zeros((n, 2))
-    leave_frame(osc.to_physical, h.copy().reshape((1, n, 2)), z)
-    turn = turned(osc.tau, pieces.waves.shape[2])
-    enter(pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
+    at = np.zeros((n, 2))
+    enter_from_section(osc, k, h, at)
     for c in range(C):
         g = SIGNALS * c
         reach = derivative_bounds(pieces.blocks[k, g], pieces.numbers[k, g], at, np.inf)[0] * (1.0 + 1e-12)

@@ -133,6 +133,16 @@ def leave(pieces, k, h, V, turn, z, W):
     leave_frame(matrix, V, W)
 
 
+@inline_always
+def enter_from_section(osc, k, h, at):
+    """Write the block state ``at`` (n, 2) in mode k of a motion at a section, in the section's blocks h (n, 2)."""
+    n = h.shape[0]
+    z = np.empty((1, 2 * n))
+    leave_frame(osc.to_physical, h.copy().reshape((1, n, 2)), z)
+    turn = turned(osc.tau, osc.table.pieces.waves.shape[2])
+    enter(osc.table.pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
+
+
 @inlined
 def enter_frame(matrix, W, V):
     """Write the vectors V (m, n, 2) in blocks that a matrix (2n, 2n) makes of physical ones W (m, 2n)."""

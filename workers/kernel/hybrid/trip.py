@@ -10,8 +10,7 @@ from workers.kernel.chatter import UNKNOWN, chatter_end, fastest_rate, hop, with
 from workers.kernel.contact import REBOUND, REST
 from workers.kernel.crossing import TINY
 from workers.kernel.elementary import log
-from workers.kernel.flow import flow, flow_block
-from workers.kernel.fma import fma
+from workers.kernel.flow import flow, flow_block, flow_vectors
 from workers.kernel.hybrid.events import (
     ENDLESS,
     MISSING,
@@ -183,9 +182,7 @@ def fly(pieces, k, s, trip, drifts, flown):
             h[j, 0], h[j, 1] = flows[j, 4], flows[j, 5]
         else:
             f11, f12, f21, f22 = flow_block(blocks[j], s, h[j])
-        for i in range(V.shape[0]):
-            v0, v1 = V[i, j, 0], V[i, j, 1]
-            V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
+        flow_vectors(V, j, f11, f12, f21, f22)
 
 
 @inline_always

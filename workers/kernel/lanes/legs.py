@@ -1,8 +1,8 @@
 """Legs of many motions side by side: the fields of lanes, and rounds that search for the first signal of each.
 
-Every signal of a lane has the fields that lanes have of a gap, see layout.py: it is searched by the same
-passes, as if its ends were stops. ``records`` (U, size) are those of U signals, the first of which holds the blocks'
-flow and the time. What few lanes need (events) is done by the kernels of one motion.
+Every signal of a lane has the fields that lanes have of a gap, see layout.py: it is searched by the same passes,
+as if its ends were stops. ``records`` (U, size) are those of U signals, the first of which holds the blocks' flow and
+the time. Events, which few lanes have, are passed by the kernels of one motion.
 """
 
 import math
@@ -31,16 +31,14 @@ from workers.kernel.lanes.search import LONGEST_MARCH, safe_steps
 from workers.kernel.lanes.signal import (
     add_share,
     block_pass,
-    bounds_pass,
     fields_of,
     fields_of_harmonic,
     forced_pass,
     harmonic_pass,
     loaded_output_of,
     oscillating_block_pass,
-    oscillating_bounds_pass,
     output_of,
-    restart_pass,
+    renewal_pass,
 )
 from workers.model.oscillator import COLUMN, NUMBER
 
@@ -216,12 +214,7 @@ def take_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, 
     for u in range(signals):
         a = records[u]
         if renews:
-            restart_pass(a, n)
-            for j in range(blocks):
-                if oscillates:
-                    oscillating_bounds_pass(a, fields_of(a, j), n)
-                else:
-                    bounds_pass(a, fields_of(a, j), n)
+            renewal_pass(a, blocks, oscillates, n)
         safe_steps(a, n, chosen, c)
         least_pass(legs, a, np.float64(u), n)
     renewing = move_pass(legs, first, n)

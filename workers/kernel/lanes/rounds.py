@@ -12,14 +12,12 @@ from workers.kernel.lanes.layout import AT_SECTION, FLYING, LANE, LEFT, padded_b
 from workers.kernel.lanes.search import safe_steps, step_pass
 from workers.kernel.lanes.signal import (
     block_pass,
-    bounds_pass,
     fields_of,
     fields_of_harmonic,
     forced_pass,
     harmonic_pass,
     oscillating_block_pass,
-    oscillating_bounds_pass,
-    restart_pass,
+    renewal_pass,
 )
 
 RENEWAL = float(REFRESH)
@@ -100,12 +98,7 @@ def take_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
     are overwritten. Returns what arrival_pass does.
     """
     if renews:
-        restart_pass(a, n)
-        for j in range(blocks):
-            if oscillates:
-                oscillating_bounds_pass(a, fields_of(a, j), n)
-            else:
-                bounds_pass(a, fields_of(a, j), n)
+        renewal_pass(a, blocks, oscillates, n)
     safe_steps(a, n, chosen, c)
     step_pass(a, n)
     forced_pass(a, n)

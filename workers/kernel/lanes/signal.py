@@ -5,7 +5,7 @@ Each function is a loop over the first n lanes; a holds the fields of all lanes,
 
 from workers.kernel.flow import fall, flow_entries, oscillating_flow
 from workers.kernel.fma import fma
-from workers.kernel.jit import inlined, kernel
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import BLOCK, BLOCK_SIZE, HARMONIC, HARMONIC_SIZE, LANE, LANE_SIZE
 from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, forced, loaded_output
 
@@ -212,3 +212,14 @@ def bounds_pass(a, q, n):
         slow, fast = q[BLOCK.slow + i], q[BLOCK.fast + i]
         tilt, weight, grow2, grow3, grow4 = amplitude_factors(q, i)
         add_bounds(a, i, block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4))
+
+
+@inline_always
+def renewal_pass(a, blocks, oscillates, n):
+    """The signal where a flight starts, and its bounds there and now and then; see rounds.take_round."""
+    restart_pass(a, n)
+    for j in range(blocks):
+        if oscillates:
+            oscillating_bounds_pass(a, fields_of(a, j), n)
+        else:
+            bounds_pass(a, fields_of(a, j), n)
