@@ -2,6 +2,9 @@
 
 The compiler neither reorders nor fuses: what is rounded once is written so, see fma.py. So the bits of a result do not
 depend on what was compiled or loaded before it, nor on the processor.
+
+Loops of unknown length stay as they are. Most of them run over a few coordinates, blocks or harmonics; unrolled, they
+took 155 s of processor time to compile in place of 109 and cost machines with modes 11 to 17 % of their periods.
 """
 
 import inspect
@@ -10,6 +13,7 @@ from functools import cached_property, partial, update_wrapper, wraps
 from types import ModuleType
 from typing import Any
 
+import llvmlite.binding
 from numba import config, njit, types
 from numba.extending import overload, typeof_impl
 
@@ -19,6 +23,8 @@ from workers.kernel.lend import Lent
 from workers.model.oscillator import Block, Head, Numbers
 
 __all__ = ["for_modes", "inline_always", "inlined", "kernel", "named_constants"]
+
+llvmlite.binding.set_option("impact-atlas", "-unroll-runtime=false")
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
