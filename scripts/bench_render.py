@@ -22,8 +22,9 @@ import numpy as np
 
 from atlas.overview.upkeep import Overviews
 from atlas.spec.spec import Spec
+from atlas.store.making import create
 from atlas.store.records import put_together
-from atlas.store.store import create, done_tiles, find
+from atlas.store.store import done_tiles, find
 from atlas.store.tiles import write_tile
 from atlas.store.tiling import Tile
 from scripts.measured import parsed, print_table

@@ -38,9 +38,10 @@ from atlas.service.plan import make_plan
 from atlas.service.progress import Progress
 from atlas.service.status import Census
 from atlas.store.location import place_of
+from atlas.store.making import create
 from atlas.store.record import record_key
 from atlas.store.schema import extra_sizes
-from atlas.store.store import Header, chunk_key, create, read_header
+from atlas.store.store import Header, chunk_key, read_header
 from atlas.store.tiles import write_tile
 from scripts.measured import parsed, print_table
 from tests.loopback import ObjectStore, object_store

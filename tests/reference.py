@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.render.kinds import TABLE
-from atlas.render.maps import draw_map
-from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
+from atlas.render.painters import draw
+from atlas.render.wanted import Wanted
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 
 FOLDER = Path(__file__).parent / "reference"
@@ -29,13 +29,13 @@ def regions() -> Figure:
 def basins() -> Figure:
     ds, table = basin()
     with patch("atlas.query.basins.table", return_value=table):
-        return draw_map(TABLE["basins"], ds, Wanted(STANDARD))
+        return draw(TABLE["basins"], ds, Wanted(STANDARD))
 
 
 def labels() -> Figure:
     ds, table = labelled()
     with patch("atlas.render.classes.branches", return_value=table):
-        return draw_map(TABLE["labels"], ds, Wanted(STANDARD))
+        return draw(TABLE["labels"], ds, Wanted(STANDARD))
 
 
 PICTURES: dict[str, Callable[[], Figure]] = {

@@ -11,7 +11,7 @@ import zarr
 import atlas
 from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.spare import SPARE, packed_spare
 from atlas.store.tiles import put_record, read_tile, record_of
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
@@ -74,7 +74,7 @@ def complete(
     path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None, side: int = 8, least: int = 8
 ) -> store.Header:
     """A whole store with its overviews."""
-    header = store.create(path, spec or spec_of(), tile)
+    header = making.create(path, spec or spec_of(), tile)
     fill(header)
     keep(header, side, least)
     return header

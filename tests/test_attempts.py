@@ -15,9 +15,10 @@ import pytest
 from atlas import Spec
 from atlas.errors import RunError
 from atlas.store.location import LocalPlace
+from atlas.store.making import create
 from atlas.store.schema import extra_sizes
 from atlas.store.sidecar import TileAttempt, notes_of, put_attempt
-from atlas.store.store import Header, chunk_key, create, done_tiles, read_header
+from atlas.store.store import Header, chunk_key, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job

@@ -17,7 +17,7 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.location import LocalPlace
 from tests.planes import plane_of
 from tests.synthetic import respare
@@ -69,7 +69,7 @@ def test_a_spec_has_the_digest_that_it_had_when_its_store_had_its_values_as_attr
 
 
 def test_a_store_has_the_values_of_its_spec_to_the_bit(spec: atlas.Spec, tmp_path: Path) -> None:
-    found = store.create(tmp_path / "a.zarr", spec, tile_of(spec)).spec
+    found = making.create(tmp_path / "a.zarr", spec, tile_of(spec)).spec
     assert found == atlas.Spec.from_resolved(spec.resolved())
     assert (found.digest, [axis.values for axis in found.axes]) == (spec.digest, [axis.values for axis in spec.axes])
     assert (found.described, found.shape, dict(found.points)) == (spec.described, spec.shape, dict(spec.points))
@@ -78,7 +78,7 @@ def test_a_store_has_the_values_of_its_spec_to_the_bit(spec: atlas.Spec, tmp_pat
 def test_the_attributes_do_not_grow_with_the_axes(tmp_path: Path) -> None:
     omega = np.sort(np.random.default_rng(0).uniform(2.0, 4.0, 100_000))
     spec = atlas.Spec("two-mass", {"omega": omega, "b": {"start": 0.1, "stop": 0.5, "num": 100_000}})
-    header = store.create(tmp_path / "a.zarr", spec, (512, 512))
+    header = making.create(tmp_path / "a.zarr", spec, (512, 512))
     assert json.loads(json.loads((header.path / "zarr.json").read_text())["attributes"]["spec"])["axes"] == [
         {"name": "omega", "scale": "linear", "start": omega[0], "stop": omega[-1], "num": 100_000},
         {"name": "b", "scale": "linear", "start": 0.1, "stop": 0.5, "num": 100_000},
@@ -90,7 +90,7 @@ def test_the_attributes_do_not_grow_with_the_axes(tmp_path: Path) -> None:
 def test_no_coordinate_is_read_before_its_values_are_asked_for_and_then_each_once(
     spec: atlas.Spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store.create(tmp_path / "a.zarr", spec, tile_of(spec))
+    making.create(tmp_path / "a.zarr", spec, tile_of(spec))
     asked = []
     opened = zarr.open_array
 
@@ -111,7 +111,7 @@ def test_no_coordinate_is_read_before_its_values_are_asked_for_and_then_each_onc
 
 def test_a_spec_of_a_store_can_be_sent_elsewhere(tmp_path: Path) -> None:
     for spec, name in ((plane_of(), "a"), (TABLE, "b")):
-        found = store.create(tmp_path / f"{name}.zarr", spec, tile_of(spec)).spec
+        found = making.create(tmp_path / f"{name}.zarr", spec, tile_of(spec)).spec
         again = pickle.loads(pickle.dumps(found))
         assert (again, again.digest) == (found, spec.digest)
 
@@ -135,7 +135,7 @@ def test_evenly_spaced_axes_are_made_again_to_the_bit(
 ) -> None:
     axes = {"omega": {"start": 2.1, "stop": 4.0, "num": 7, "scale": scale}, "b": [0.1, 0.15, 0.3]}
     spec = atlas.Spec("two-mass", axes)
-    path = store.create(tmp_path / "a.zarr", spec, (2, 3)).path
+    path = making.create(tmp_path / "a.zarr", spec, (2, 3)).path
     whole = (path / "omega/c/0").read_bytes()
     damage(path / "omega/c/0")
     assert store.read_header(path).spec.axes[0].values == spec.axes[0].values
@@ -151,7 +151,7 @@ def test_evenly_spaced_axes_are_made_again_to_the_bit(
 def test_listed_values_outlive_damage_to_one_of_their_two_copies(
     spec: atlas.Spec, damage: Callable[[Path], None], key: str, tmp_path: Path
 ) -> None:
-    path = store.create(tmp_path / "a.zarr", spec, spec.shape).path
+    path = making.create(tmp_path / "a.zarr", spec, spec.shape).path
     whole = {path / name: (path / name).read_bytes() for name in ("omega/c/0", "omega/copy")}
     damage(path / key)
     values = store.read_header(path).spec.cell_params(tuple(slice(None) for _ in spec.shape))["omega"]
@@ -166,7 +166,7 @@ def test_listed_values_outlive_damage_to_one_of_their_two_copies(
 def test_listed_values_of_which_both_copies_are_damaged_are_refused_in_one_line(
     spec: atlas.Spec, damage: str, tmp_path: Path, client: Client
 ) -> None:
-    path = store.create(tmp_path / "a.zarr", spec, spec.shape).path
+    path = making.create(tmp_path / "a.zarr", spec, spec.shape).path
     for key in ("omega/c/0", "omega/copy"):
         (path / key).unlink() if damage == "is missing" else (path / key).write_bytes(b"damaged")
     with pytest.raises(ChunkError, match=rf"^{path}: omega {damage}"):
@@ -178,12 +178,12 @@ def test_listed_values_of_which_both_copies_are_damaged_are_refused_in_one_line(
 
 
 def test_evenly_spaced_axes_have_no_copy(tmp_path: Path) -> None:
-    path = store.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
+    path = making.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
     assert [key.parent.name for key in path.rglob("copy")] == ["omega"]
 
 
 def test_values_that_were_exchanged_for_others_are_not_used(tmp_path: Path) -> None:
-    path = store.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
+    path = making.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
     (path / "omega/copy").write_bytes(np.array([2.0, 2.7, 3.9]).tobytes())
     zarr.open_group(path, mode="r+", use_consolidated=False)["omega"][1] = 2.6
     with pytest.raises(ChunkError, match="has a digest that does not match the spec and its coordinates"):
@@ -193,7 +193,7 @@ def test_values_that_were_exchanged_for_others_are_not_used(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("key", ["start", "stop"])
 def test_an_end_that_is_not_that_of_the_coordinate_is_found(tmp_path: Path, key: str) -> None:
-    path = store.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
+    path = making.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
     right = plane_of().outline()["axes"][0][key]
     change_spec(path, lambda spec: spec["axes"][0].update({key: 2.5}))
     (fault,) = verify(path).faults
@@ -204,7 +204,7 @@ def test_an_end_that_is_not_that_of_the_coordinate_is_found(tmp_path: Path, key:
 
 
 def test_a_parameter_that_was_changed_in_the_attributes_is_found_before_a_value_is_used(tmp_path: Path) -> None:
-    path = store.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
+    path = making.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
     change_spec(path, lambda spec: spec["parameters"].update(R=0.5))
     respare(path)
     with pytest.raises(ChunkError, match="has a digest that does not match the spec"):
@@ -213,7 +213,7 @@ def test_a_parameter_that_was_changed_in_the_attributes_is_found_before_a_value_
 
 @pytest.mark.parametrize("wrong", [{"num": 8}, {"num": "7"}, {"start": None}, {"scale": "cubic"}, {"name": "omgea"}])
 def test_a_wrong_outline_is_refused_in_one_line(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    path = store.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
+    path = making.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
     change_spec(path, lambda spec: spec["axes"][0].update(wrong))
     respare(path)
     ended = CliRunner().invoke(main, ["status", str(path)])
@@ -232,7 +232,7 @@ def change_spec(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 
 def test_an_opened_atlas_gives_its_spec(spec: atlas.Spec, tmp_path: Path) -> None:
-    path = store.create(tmp_path / "a.zarr", spec, tile_of(spec)).path
+    path = making.create(tmp_path / "a.zarr", spec, tile_of(spec)).path
     assert atlas.Spec.from_dataset(atlas.open(path)).digest == spec.digest
 
 

@@ -63,7 +63,7 @@ def test_specs_that_differ_in_their_initial_states_are_told_apart(tmp_path: Path
 
 
 def _empty(tmp_path: Path) -> Path:
-    from atlas.store.store import create
+    from atlas.store.making import create
 
     return create(tmp_path / "a.zarr", spec_of(), (2, 2)).path
 

@@ -16,7 +16,7 @@ from atlas.query.compare import Comparison
 from atlas.query.ends import scale_ends
 from atlas.query.reads import counted
 from atlas.render import together
-from atlas.store import store
+from atlas.store import making, store
 from tests import pictures
 from tests.pictures import labels
 from tests.synthetic import fill, keep, spec_of
@@ -30,7 +30,7 @@ P, C, N, Q, U = PERIODIC, CHAOTIC, NO_IMPACT, PENDING, UNDETERMINED
 def made(path: Path, seed: int, nx: int = 45, **parameters: float) -> store.Header:
     given = spec_of(nx=nx)
     changed = atlas.Spec("two-mass", axes={axis.name: list(axis.values) for axis in given.axes}, parameters=parameters)
-    header = store.create(path, changed, (19, 23))
+    header = making.create(path, changed, (19, 23))
     fill(header, seed=seed)
     keep(header)
     return header

@@ -25,9 +25,10 @@ from atlas.service.status import read_status
 from atlas.service.submit import Submission, check_coordinator, coordinate, submit
 from atlas.service.timing import Timing
 from atlas.store.location import place_of
+from atlas.store.making import create
 from atlas.store.records import RunRecords
 from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import create, read_header
+from atlas.store.store import read_header
 from atlas.task.site import RefusedError
 from tests.planes import plane_of
 from workers import SOLVER_VERSION

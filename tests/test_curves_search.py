@@ -27,8 +27,9 @@ from atlas.service.curves import CurvesSummary, find_curves
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
 from atlas.store.groups import CURVES
+from atlas.store.making import create
 from atlas.store.parts import part_names
-from atlas.store.store import create, read_header
+from atlas.store.store import read_header
 from atlas.store.tiles import write_tile
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair

@@ -13,7 +13,8 @@ from atlas.curves.export import export
 from atlas.curves.table import Corner, Curve, Curves, read_curves, write_curves
 from atlas.errors import ChunkError, InputError
 from atlas.spec.spec import Spec
-from atlas.store.store import Header, create
+from atlas.store.making import create
+from atlas.store.store import Header
 from tests.curve_planes import same
 
 FOLD = Curve(

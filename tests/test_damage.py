@@ -23,7 +23,7 @@ from atlas.query.export import export
 from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.render import figure
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers import solve_tile
@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[1]
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Solved cells, 64 of them in another order in every tile: sound, by all that is known of a cell."""
-    header = store.create(tmp_path_factory.mktemp("made") / "whole.zarr", spec_of(), (8, 8))
+    header = making.create(tmp_path_factory.mktemp("made") / "whole.zarr", spec_of(), (8, 8))
     cells = solve_tile("two-mass", header.spec.cell_params((slice(4, 12), slice(10, 18))), header.spec.settings)
     for index in indices(header):
         shape = results(header, index)["regime"].shape

@@ -16,7 +16,8 @@ from atlas.explore.sheets import Sheets
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, TileKey
-from atlas.store.store import Header, create, read_header
+from atlas.store.making import create
+from atlas.store.store import Header, read_header
 from atlas.store.zoom import FILE_BLOCK, ZOOM, sheet_bytes, sheets
 from tests.synthetic import spec_of
 from tests.test_explore_solving import waited

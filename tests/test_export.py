@@ -11,7 +11,7 @@ import atlas
 from atlas.errors import InputError
 from atlas.query.export import export
 from atlas.query.window import within
-from atlas.store import store
+from atlas.store import making
 from tests.synthetic import fill, spec_of
 from workers.results import REGIMES
 
@@ -20,7 +20,7 @@ WINDOW = {"omega": (1.5, 2.5), "b": (0.2, 0.3)}
 
 @pytest.fixture(scope="module")
 def ds(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
-    header = store.create(tmp_path_factory.mktemp("export") / "a.zarr", spec_of(nx=20, ny=12), (6, 10))
+    header = making.create(tmp_path_factory.mktemp("export") / "a.zarr", spec_of(nx=20, ny=12), (6, 10))
     fill(header)
     return atlas.open(header.path)
 

@@ -21,8 +21,9 @@ from atlas.spec.grown import keep_values, refined
 from atlas.store.location import LocalPlace
 from atlas.store.machine import machine_of
 from atlas.store.machines import machines, record_machine
+from atlas.store.making import create
 from atlas.store.origin import Origin
-from atlas.store.store import create, done_tiles, read_header
+from atlas.store.store import done_tiles, read_header
 from atlas.task.reuse import known_cells
 from tests.synthetic import record_again, set_attribute
 from workers import tile as solving

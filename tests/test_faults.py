@@ -24,7 +24,8 @@ from atlas.service.fitness import Fitness, Refusal
 from atlas.service.options import RunOptions
 from atlas.service.timing import Timing
 from atlas.store.location import LocalPlace
-from atlas.store.store import create, done_tiles, read_header
+from atlas.store.making import create
+from atlas.store.store import done_tiles, read_header
 from atlas.store.tiles import read_tile
 from atlas.task import attempt
 from atlas.task import task as jobs

@@ -23,11 +23,12 @@ from atlas.service.progress import Progress
 from atlas.spec.grown import refined
 from atlas.store import sidecar
 from atlas.store.location import LocalPlace
+from atlas.store.making import create
 from atlas.store.origin import Origin, Retry
 from atlas.store.record import RECORDS
 from atlas.store.records import Records, write_compaction
 from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import create, done_tiles, open_group, read_header
+from atlas.store.store import done_tiles, open_group, read_header
 from atlas.task import attempt, site
 from atlas.task.attempt import run_job
 from atlas.task.site import RefusedError, Site

@@ -19,7 +19,7 @@ from atlas.cli.main import main
 from atlas.errors import LONGEST_LINE, InputError
 from atlas.spec.grown import refined
 from atlas.store.location import place_of
-from atlas.store.store import create
+from atlas.store.making import create
 from tests.fuzzing import fuzz
 from tests.synthetic import fill, spec_of
 from workers.model.system import find_system

@@ -19,7 +19,7 @@ from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measure
 from atlas.query.open import open_table
 from atlas.service.lease import CLAIM
 from atlas.service.progress import Progress
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.groups import ATTRACTORS, CURVES, LABELS, STABILITY, write_table
 from atlas.store.parts import put_part
 from atlas.store.schema import StoredArray
@@ -44,7 +44,7 @@ def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_measures(header, Stored(empty(of_family(LINEAR), header.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
     put_part(header, STABILITY, "linear-0.0-0", b"")
     make_plane(header, PLANE, {"digest": f"{PLANE}...", "parameters": {}})
-    sheet = store.create(sheet_place(header, PLANE, "x0_y0_0_0"), header.spec, header.tile)
+    sheet = making.create(sheet_place(header, PLANE, "x0_y0_0_0"), header.spec, header.tile)
     write_tile(sheet, (0, 0), read_tile(header, (0, 0)))
     note_seen(header, {(PLANE, "x0_y0_0_0"): 1.0})
     return path
@@ -54,7 +54,7 @@ def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def basins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of basins, none of its tiles solved, with a table of attractors."""
     spec = atlas.Spec("two-mass", {"x1": [0.0, 0.01], "v1": [0.0, 0.1]}, **STARTS)
-    header = store.create(tmp_path_factory.mktemp("basins") / "basins.zarr", spec, (2, 2))
+    header = making.create(tmp_path_factory.mktemp("basins") / "basins.zarr", spec, (2, 2))
     column = StoredArray(np.array([0.5, 0.25]), ("attractor",), {"long_name": "share", "units": "1"})
     points = StoredArray(np.arange(24.0).reshape(2, 3, 4), ("attractor", "point", "component"), {"units": "1"})
     write_table(header, ATTRACTORS, {"share": column, "points": points}, {"title": "attractors by their labels"})
@@ -65,7 +65,7 @@ def basins(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of all attractors, none of its tiles solved, with labels."""
     spec = atlas.Spec("two-mass", {"omega": [1.0, 2.0], "b": [0.1, 0.2]}, **STARTS)
-    header = store.create(tmp_path_factory.mktemp("labelled") / "labelled.zarr", spec, (2, 2))
+    header = making.create(tmp_path_factory.mktemp("labelled") / "labelled.zarr", spec, (2, 2))
     one = np.array([1], dtype=np.int64)
     names = ("regime", "period", "impacts_upper", "impacts_lower", "symmetric")
     labels = np.zeros((2, 2, spec.attractors.keep if spec.attractors else 0), dtype=np.int64)

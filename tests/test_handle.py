@@ -17,8 +17,9 @@ from zarr.storage import LocalStore
 import atlas
 from atlas.errors import InputError
 from atlas.query.open import header_of
+from atlas.store.making import create
 from atlas.store.place import LocalPlace
-from atlas.store.store import Header, create, read_header
+from atlas.store.store import Header, read_header
 from atlas.task.attempt import run_job
 from atlas.task.site import Site
 from atlas.task.task import Job

@@ -18,7 +18,7 @@ from atlas.render import KINDS, OVERLAYS, SCALAR
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.spec.examples import example_names
 from atlas.spec.spec import Spec
-from atlas.store.store import create
+from atlas.store.making import create
 from tests.synthetic import spec_of
 from tests.test_docs import parse
 from workers import Settings

@@ -13,8 +13,9 @@ from distributed import Client, LocalCluster
 import atlas
 from atlas.errors import RunError
 from atlas.service import run as running
+from atlas.store.making import create
 from atlas.store.schema import extra_sizes
-from atlas.store.store import Header, create
+from atlas.store.store import Header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import basins
 from atlas.task.basins import complete_basins, labelling_bytes

@@ -320,7 +320,7 @@ def test_the_command_labels_and_counts(unlabelled: Path, tmp_path: Path) -> None
     ],
 )
 def test_what_cannot_be_labelled_is_refused_in_one_line(tmp_path: Path, changes: dict[str, object], says: str) -> None:
-    from atlas.store.store import create
+    from atlas.store.making import create
 
     store = create(tmp_path / "out.zarr", spec_of(**changes), (1, 3)).path
     told = CliRunner().invoke(main, ["attractors", "label", str(store)])

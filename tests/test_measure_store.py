@@ -37,8 +37,9 @@ from atlas.service import curves
 from atlas.service.measures import _content, _digest, measure_attractors
 from atlas.service.options import RunOptions
 from atlas.store.groups import STABILITY
+from atlas.store.making import create
 from atlas.store.parts import get_part, kept_parts, part_names, put_part
-from atlas.store.store import create, read_header
+from atlas.store.store import read_header
 from atlas.task.site import Site
 from tests import synthetic
 from workers import SOLVER_VERSION

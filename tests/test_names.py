@@ -24,7 +24,7 @@ from atlas.overview.coordinates import bounds_name, coarse_name
 from atlas.render import figure, words
 from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.groups import CURVES, TABLES
 from atlas.store.machine import MACHINES
 from atlas.store.origin import ALLOWANCES
@@ -83,7 +83,7 @@ def test_a_store_from_before_its_parameters_name_was_taken_opens(
 ) -> None:
     monkeypatch.setattr("workers.model.reading.is_taken", lambda name: False)
     spec = atlas.Spec(with_parameter("distance"), {"omega": [1.0, 2.0]})
-    store.create(tmp_path / "old.zarr", spec, (2,))
+    making.create(tmp_path / "old.zarr", spec, (2,))
     monkeypatch.undo()
     assert atlas.open(tmp_path / "old.zarr").coords["distance"] == 1.0
     with pytest.raises(InputError, match="'distance' has another meaning"):
@@ -94,7 +94,7 @@ def test_a_store_from_before_its_parameters_name_was_taken_opens(
 def test_a_symbol_that_is_no_mathtext_is_shown_as_the_name(tmp_path: Path, symbol: str) -> None:
     given = with_parameter("stiff_2")
     given["parameters"] |= {name: {"default": 1.0, "symbol": symbol} for name in ("stiff_2", "p")}
-    header = store.create(tmp_path / "a.zarr", atlas.Spec(given, {"stiff_2": [1.0, 2.0], "r": [0.5, 0.6]}), (2, 2))
+    header = making.create(tmp_path / "a.zarr", atlas.Spec(given, {"stiff_2": [1.0, 2.0], "r": [0.5, 0.6]}), (2, 2))
     drawn = figure(atlas.open(header.path))
     drawn.canvas.draw()
     assert drawn.axes[0].get_xlabel() == r"$\mathit{stiff\_2}$"

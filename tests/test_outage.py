@@ -18,8 +18,9 @@ from atlas.errors import InputError, NetworkError, RunError
 from atlas.service.lease import claimed
 from atlas.store import outage
 from atlas.store.location import ObjectPlace
+from atlas.store.making import create
 from atlas.store.sidecar import CLAIM, notes_at_url, notes_of
-from atlas.store.store import create, done_tiles, open_arrays, read_header
+from atlas.store.store import done_tiles, open_arrays, read_header
 from atlas.task.attempt import run_job
 from atlas.task.site import RefusedError, Site
 from atlas.task.task import Job

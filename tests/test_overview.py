@@ -23,7 +23,7 @@ from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.service.progress import Progress
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.location import LocalPlace
 from atlas.store.tiles import drop_tile, write_tile
 from atlas.task import attempt
@@ -53,7 +53,7 @@ from workers.results import APERIODIC, CHAOTIC, FAILED, NO_IMPACT, PENDING, PERI
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two stores of all tiles, to be copied: one without overviews, one with."""
     folder = tmp_path_factory.mktemp("made")
-    fill(store.create(folder / "filled.zarr", spec_of(), (8, 8)))
+    fill(making.create(folder / "filled.zarr", spec_of(), (8, 8)))
     shutil.copytree(folder / "filled.zarr", folder / "whole.zarr")
     keep(store.read_header(folder / "whole.zarr"))
     return folder
@@ -79,7 +79,7 @@ def whole(made: Path, tmp_path: Path) -> store.Header:
 
 @pytest.fixture
 def header(tmp_path: Path) -> store.Header:
-    return store.create(tmp_path / "a.zarr", spec_of(), (8, 8))
+    return making.create(tmp_path / "a.zarr", spec_of(), (8, 8))
 
 
 # What a coarse cell says
@@ -274,7 +274,7 @@ def test_a_store_with_overviews_opens_as_a_tree_of_datasets(shared: store.Header
 @pytest.fixture
 def begun(tmp_path: Path) -> Path:
     """A store without a tile whose overviews are to go down to 4 cells."""
-    header = store.create(tmp_path / "a.zarr", plane_of(), (2, 3))
+    header = making.create(tmp_path / "a.zarr", plane_of(), (2, 3))
     keep(header, least=4)
     return header.path
 
@@ -375,7 +375,7 @@ def test_a_chunk_is_missing_until_it_is_made_and_can_be_made_when_all_below_it_i
 
 def large(path: Path, tile: tuple[int, int] = (16, 16)) -> store.Header:
     """A store without a tile, of tiles larger than a chunk, each with a chunk of level 1 of its own."""
-    header = store.create(path, spec_of(), tile)
+    header = making.create(path, spec_of(), tile)
     overviews_of(header)
     return header
 
@@ -499,7 +499,7 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spec = spec_of(nx=20, ny=18)
-    whole = store.create(tmp_path / "whole.zarr", spec, (8, 8))
+    whole = making.create(tmp_path / "whole.zarr", spec, (8, 8))
     fill(whole)
     write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
     keep(whole, least=10)

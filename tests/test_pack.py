@@ -18,7 +18,7 @@ from atlas.query.reads import counted
 from atlas.service.lease import Record
 from atlas.service.pack import pack
 from atlas.service.process import this_process
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.archive import write_zip
 from atlas.store.sidecar import CLAIM, notes_of
 from tests.planes import plane_of
@@ -132,7 +132,7 @@ def test_a_file_that_is_there_is_replaced_only_by_force(header: store.Header, tm
 
 
 def test_a_replaced_file_is_read_anew(header: store.Header, tmp_path: Path) -> None:
-    other = store.create(tmp_path / "b.zarr", spec_of(), (19, 23))
+    other = making.create(tmp_path / "b.zarr", spec_of(), (19, 23))
     fill(other, seed=5)
     pack(header.path, tmp_path / "a.zip")
     before = atlas.open(tmp_path / "a.zip").largest.values
@@ -143,7 +143,7 @@ def test_a_replaced_file_is_read_anew(header: store.Header, tmp_path: Path) -> N
 
 
 def test_a_half_done_atlas_is_packed_with_a_word_about_it(tmp_path: Path) -> None:
-    half = store.create(tmp_path / "a.zarr", spec_of(), (19, 23))
+    half = making.create(tmp_path / "a.zarr", spec_of(), (19, 23))
     fill(half, skip=((0, 0),))
     shown = call("pack", half.path, tmp_path / "a.zip")
     assert shown.exit_code == 0

@@ -20,10 +20,10 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
+from atlas.render import painters
 from atlas.render.kinds import TABLE
-from atlas.render.maps import draw_map
-from atlas.render.options import Wanted
 from atlas.render.page import page as page_of
+from atlas.render.wanted import Wanted
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 from tests.synthetic import complete
 
@@ -56,7 +56,7 @@ def draw(kind: str, **look: Any) -> Figure:
         where = "query.basins.table" if kind == render.BASINS else "render.classes.branches"
         ds, table = basin() if kind == render.BASINS else labelled()
         with patch(f"atlas.{where}", return_value=table):
-            figure = draw_map(TABLE[kind], ds, Wanted(page))
+            figure = painters.draw(TABLE[kind], ds, Wanted(page))
         page.fit(figure)
         return figure
     if kind in render.MAPS:

@@ -21,7 +21,7 @@ from atlas.errors import InputError
 from atlas.service.extend import extend
 from atlas.service.status import read_status
 from atlas.store import location as placing
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
 from atlas.store.remote import RemoteStore
 from atlas.store.sidecar import notes_at_url
@@ -235,12 +235,12 @@ def test_the_root_is_written_last_so_that_a_creation_cut_short_leaves_no_store(
     with monkeypatch.context() as patch:
         patch.setattr(ObjectPlace, "put", dies)
         with pytest.raises(InputError, match="cannot be written: the network is gone"):
-            store.create(place, plane_of(), (2, 3))
+            making.create(place, plane_of(), (2, 3))
     assert "zarr.json" not in order and SPARE not in order
     with pytest.raises(InputError, match="no such store"):
         store.read_header(place)
     assert find(place, plane_of()) is None  # what is left is in nobody's way
-    store.create(place, plane_of(), (2, 3))
+    making.create(place, plane_of(), (2, 3))
     assert find(place, plane_of()) == store.read_header(place)
 
 
@@ -251,12 +251,12 @@ def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: 
     def overtaken(self: ObjectPlace, key: str, data: bytes) -> bool:
         with monkeypatch.context() as patch:
             patch.setattr(ObjectPlace, "put_new", whole)
-            store.create(place, plane_of(), (2, 3))
+            making.create(place, plane_of(), (2, 3))
         return whole(self, key, data)
 
     monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
     with pytest.raises(InputError, match="another run has just made a store here"):
-        store.create(place, plane_of(), (2, 3))
+        making.create(place, plane_of(), (2, 3))
     assert verify(str(place), sample=0).faults == ()
 
 
@@ -274,11 +274,11 @@ def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
             patch.setattr(ObjectPlace, "put_new", whole)
             with pytest.raises(InputError, match="another run has just made a store here"):
                 assert whole(self, key, data)
-                store.create(place, plane_of(), (2, 3))
+                making.create(place, plane_of(), (2, 3))
         return True
 
     monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
-    header, spare = store.create(place, plane_of(), (2, 3)), read_spare(place)
+    header, spare = making.create(place, plane_of(), (2, 3)), read_spare(place)
     assert spare is not None and spare["attributes"]["run_id"] == header.run_id
     assert verify(str(place), sample=0).faults == ()
 
@@ -356,7 +356,7 @@ def test_a_store_that_may_only_be_read_is_refused_before_a_tile_is_solved(
     bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = place_of(f"{bucket}/readonly/plane.zarr")
-    header = store.create(place, plane_of(), (2, 3))
+    header = making.create(place, plane_of(), (2, 3))
     assert find(place, plane_of()) == header
 
     def refused(*_: object) -> bool:
@@ -404,5 +404,5 @@ def test_a_store_at_a_bucket_itself_has_no_room_for_notes(bucket: str) -> None:
 
 
 def test_a_chunk_that_was_never_written_reads_as_pending(place: Place) -> None:
-    store.create(place, plane_of(), (2, 3))
+    making.create(place, plane_of(), (2, 3))
     assert (np.asarray(atlas.open(place).regime) == -1).all()

@@ -130,7 +130,7 @@ def test_a_bad_table_is_answered_in_one_line(tmp_path: Path, text: str, words: s
 
 
 def test_a_table_has_as_many_rows_as_it_wants_and_they_take_no_room_in_the_attributes(tmp_path: Path) -> None:
-    from atlas.store.store import create
+    from atlas.store.making import create
 
     rows = np.random.default_rng(0).uniform(1.0, 4.0, 250_000)
     (tmp_path / "t.csv").write_text("omega\n" + "\n".join(map(repr, rows.tolist())))
@@ -252,6 +252,6 @@ def test_a_table_is_drawn_as_a_sweep_over_its_rows(solved: Path, tmp_path: Path)
 def test_a_table_has_no_overviews(tmp_path: Path) -> None:
     spec = atlas.Spec("two-mass", points={"omega": np.linspace(1, 4, 500)})
     from atlas.overview.pyramid import Pyramid
-    from atlas.store.store import create
+    from atlas.store.making import create
 
     assert Pyramid(create(tmp_path / "out.zarr", spec, (64,))).levels.count == 0

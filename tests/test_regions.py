@@ -13,7 +13,7 @@ from atlas.errors import InputError
 from atlas.query.connected import labels, regions
 from atlas.query.extremes import extremes
 from atlas.query.reads import counted
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.tiles import write_tile
 from tests.synthetic import complete, results, spec_of
 from tests.test_cli import call
@@ -202,7 +202,7 @@ def test_regions_in_a_part_read_the_tiles_of_that_part_alone(header: store.Heade
 
 def recorded(path: Path) -> store.Header:
     """Three tiles in a row: all chaotic, all periodic, mixed; and one that is pending."""
-    header = store.create(path, spec_of(nx=32, ny=8), (8, 8))
+    header = making.create(path, spec_of(nx=32, ny=8), (8, 8))
     for column, code in enumerate((CHAOTIC, PERIODIC, None)):
         made = results(header, (0, column))
         if code is not None:

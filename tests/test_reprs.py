@@ -12,7 +12,7 @@ from xarray.plot.utils import label_from_attrs
 
 import atlas
 from atlas.accessor import DrawnBranches
-from atlas.store import store
+from atlas.store import making, store
 from tests.synthetic import fill, spec_of
 from workers.model.system import find_system
 
@@ -22,7 +22,7 @@ SCREEN = 50
 
 @pytest.fixture(scope="module")
 def header(tmp_path_factory: pytest.TempPathFactory) -> store.Header:
-    made = store.create(tmp_path_factory.mktemp("repr") / "a.zarr", spec_of(), (19, 45))
+    made = making.create(tmp_path_factory.mktemp("repr") / "a.zarr", spec_of(), (19, 45))
     fill(made)
     return made
 

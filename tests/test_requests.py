@@ -13,8 +13,9 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.store.location import ObjectPlace
+from atlas.store.making import create
 from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import create, read_header
+from atlas.store.store import read_header
 from atlas.store.tiles import drop_tile
 from atlas.task.attempt import run_job
 from atlas.task.site import Site

@@ -21,9 +21,10 @@ from atlas.errors import InputError
 from atlas.service.retry import checked_retry
 from atlas.store.machine import machine_of
 from atlas.store.machines import machines, record_machine
+from atlas.store.making import create
 from atlas.store.origin import Origin, Retry
 from atlas.store.place import LocalPlace, Place
-from atlas.store.store import chunk_key, create, done_tiles, find, read_header
+from atlas.store.store import chunk_key, done_tiles, find, read_header
 from atlas.store.tiles import read_tile
 from tests.waiting import until
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED

@@ -19,7 +19,8 @@ from atlas.errors import NetworkError
 from atlas.service.batches import Labour
 from atlas.service.dispatch import Workers
 from atlas.service.timing import Timing
-from atlas.store.store import create, done_tiles, read_header
+from atlas.store.making import create
+from atlas.store.store import done_tiles, read_header
 from atlas.task import known
 from atlas.task.attempt import run_job
 from atlas.task.site import RefusedError, Site

@@ -15,7 +15,7 @@ from atlas.check.verify import verify
 from atlas.errors import ChunkError
 from atlas.query.reads import counted
 from atlas.service.extend import extend
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.store import done_tiles, read_header
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.store.tiling import part_side
@@ -26,7 +26,7 @@ CHEAP = {"max_periods": 300, "tolerance": 1.0, "exponents": "none"}
 
 def made(path: Path, skip: tuple[tuple[int, ...], ...] = ()) -> store.Header:
     """150 x 140 cells in tiles of 128 x 96: shards of 64 x 48, the last ones cut by the plane's ends."""
-    header = store.create(path, spec_of(150, 140), (96, 128))
+    header = making.create(path, spec_of(150, 140), (96, 128))
     for index in indices(header):
         if index not in skip:
             write_tile(header, index, results(header, index))

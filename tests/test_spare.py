@@ -18,9 +18,10 @@ from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
 from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
 from atlas.query.resample import view
+from atlas.store.making import create
 from atlas.store.records import Records, put_together, write_compaction
 from atlas.store.spare import SPARE
-from atlas.store.store import create, read_header
+from atlas.store.store import read_header
 from atlas.store.tiles import read_tile, write_tile
 from tests.planes import plane_of
 from tests.synthetic import spec_of

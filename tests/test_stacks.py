@@ -19,7 +19,7 @@ from atlas.errors import InputError
 from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.service.plan import make_plan
-from atlas.store import store
+from atlas.store import making, store
 from tests import synthetic
 from tests.synthetic import each_block, mean, mode
 
@@ -46,7 +46,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> store.Header:
     """Three planes of made-up results with overviews, one tile not done."""
     path = tmp_path_factory.mktemp("large") / "out.zarr"
     axes = {"omega": np.linspace(1, 4, 45), "b": np.linspace(0.1, 0.5, 38), "R": [0.5, 0.6, 0.8]}
-    header = store.create(path, atlas.Spec("two-mass", axes=axes), (1, 8, 8))
+    header = making.create(path, atlas.Spec("two-mass", axes=axes), (1, 8, 8))
     synthetic.fill(header, skip=((1, 0, 0),))
     synthetic.keep(header)
     return header
@@ -220,7 +220,7 @@ def test_one_plane_of_a_stack_is_drawn_as_a_plane(solved: Path, tmp_path: Path) 
 
 
 def test_too_many_planes_for_one_picture_are_refused(tmp_path: Path) -> None:
-    header = store.create(tmp_path / "out.zarr", stack_of(R=np.linspace(0.1, 0.9, 13).tolist()), (1, 3, 4))
+    header = making.create(tmp_path / "out.zarr", stack_of(R=np.linspace(0.1, 0.9, 13).tolist()), (1, 3, 4))
     text = answered("plot", header.path, "-o", tmp_path / "out.png", code=2)
     assert "a stack of 13 planes: at most 12 are drawn together; pick one by --select R=0.1" in text
     assert not (tmp_path / "out.png").exists()

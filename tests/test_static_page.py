@@ -24,11 +24,12 @@ from atlas.query.plane import Plane
 from atlas.query.window import select
 from atlas.render.coded import coded_maps, curves_over, text_of
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
-from atlas.render.maps import View
-from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
+from atlas.render.painted import View
+from atlas.render.painters import PAINTERS
+from atlas.render.wanted import Wanted
 from atlas.spec.spec import Spec
-from atlas.store import store
+from atlas.store import making
 from tests import pictures, synthetic
 
 NX, NY = 45, 38
@@ -156,7 +157,7 @@ def test_the_same_atlas_gives_the_same_bytes(opened: xr.Dataset, tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_million_cells_take_at_most_twenty_megabytes_even_where_no_two_numbers_are_alike(tmp_path: Path) -> None:
-    header = store.create(tmp_path / "large.zarr", synthetic.spec_of(1000, 1000), (250, 250))
+    header = making.create(tmp_path / "large.zarr", synthetic.spec_of(1000, 1000), (250, 250))
     synthetic.fill(header)
     rng = np.random.default_rng(4)
     group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
@@ -218,7 +219,7 @@ def test_a_page_has_the_colours_that_files_have(
         kind = TABLE[SCALAR if scalar != each.name else each.name]
         plane = Plane.of(ds, each.needs)
         wanted = Wanted(STANDARD, kind.name, variable=scalar if kind.name == SCALAR else None)
-        painted = kind.painter(View(kind, ds, plane, wanted))
+        painted = PAINTERS[kind.name](View(kind, ds, plane, wanted))
         expected = np.where(painted.rgba[..., 3:] == 0, 255, painted.rgba[..., :3])
         difference = np.abs(colors_by_the_page(each, plane).astype(int) - expected)
         assert difference.max() <= 2, each.name  # a value on the border of two colours of a scale
@@ -390,7 +391,7 @@ def test_bad_input_is_one_line_and_writes_nothing(
 def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("stack") / "stack.zarr"
     axes = {"omega": np.linspace(1, 4, 9), "b": np.linspace(0.1, 0.5, 6), "R": [0.5, 0.6]}
-    header = store.create(path, atlas.Spec("two-mass", axes=axes), (1, 6, 9))
+    header = making.create(path, atlas.Spec("two-mass", axes=axes), (1, 6, 9))
     synthetic.fill(header)
     return path
 
@@ -424,7 +425,7 @@ def several(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An atlas of all attractors, two kept in a cell, whose second ones are pending in the lower half."""
     path = tmp_path_factory.mktemp("several") / "several.zarr"
     axes = {"omega": np.linspace(1, 4, 6), "b": np.linspace(0.1, 0.5, 4)}
-    header = store.create(path, atlas.Spec("two-mass", axes, attractors={"starts": 4, "keep": 2}), (4, 6))
+    header = making.create(path, atlas.Spec("two-mass", axes, attractors={"starts": 4, "keep": 2}), (4, 6))
     group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
     regime, largest = np.full((4, 6, 2), 1, np.int8), np.zeros((4, 6, 2))
     regime[:2, :, 1], largest[..., 1] = -1, -1.0
@@ -457,7 +458,7 @@ def test_a_page_gives_no_command_where_a_cell_starts_from_a_state_that_it_does_n
     several: Path, opened: xr.Dataset, tmp_path: Path
 ) -> None:
     axes = {"omega": {"start": 1.0, "stop": 4.0, "num": 6, "continuation": "forward"}, "b": [0.1, 0.2, 0.3]}
-    header = store.create(tmp_path / "swept.zarr", atlas.Spec("two-mass", axes), (3, 6))
+    header = making.create(tmp_path / "swept.zarr", atlas.Spec("two-mass", axes), (3, 6))
     synthetic.fill(header)
     for ds in (atlas.open(several), select(atlas.open(several), {"attractor": 1}), atlas.open(header.path)):
         assert described(page_of(ds))["command"] == ""

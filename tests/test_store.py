@@ -9,7 +9,7 @@ import zarr
 
 import atlas
 from atlas.errors import ChunkError, InputError, RunError
-from atlas.store import store
+from atlas.store import making, store
 from atlas.task.attempt import run_job
 from atlas.task.site import Site
 from atlas.task.task import Job
@@ -20,7 +20,7 @@ from workers.results import REGIMES, result_variables
 
 @pytest.fixture
 def header(tmp_path: Path, plane: atlas.Spec) -> store.Header:
-    return store.create(tmp_path / "out.zarr", plane, (2, 3))
+    return making.create(tmp_path / "out.zarr", plane, (2, 3))
 
 
 def solve(header: store.Header, index: tuple[int, ...]) -> None:
@@ -53,7 +53,7 @@ def test_fixed_parameters_are_scalar_coordinates(header: store.Header) -> None:
 def test_atlases_concatenate_along_a_fixed_parameter(tmp_path: Path) -> None:
     parts = []
     for R in (0.5, 0.8):
-        header = store.create(tmp_path / f"{R}.zarr", plane_of(R=R), (5, 7))
+        header = making.create(tmp_path / f"{R}.zarr", plane_of(R=R), (5, 7))
         parts.append(xr.open_zarr(header.path))
     whole = xr.concat(parts, dim="R", data_vars="all", coords="different", compat="equals", join="exact")
     assert whole.regime.dims == ("R", "b", "omega")
@@ -155,7 +155,7 @@ def test_a_failed_creation_leaves_nothing(tmp_path: Path, plane: atlas.Spec, mon
 
     monkeypatch.setattr("os.rename", full)
     with pytest.raises(InputError, match="cannot be written: No space left on device"):
-        store.create(tmp_path / "out.zarr", plane, (2, 3))
+        making.create(tmp_path / "out.zarr", plane, (2, 3))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -21,8 +21,9 @@ from atlas.service.options import RunOptions
 from atlas.service.status import Census, read_status, watch
 from atlas.service.submit import submit
 from atlas.service.timing import TIMING
+from atlas.store.making import create
 from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import create, read_header
+from atlas.store.store import read_header
 from tests.faults import attempts, environment
 from tests.planes import plane_of
 from tests.waiting import until

@@ -17,7 +17,7 @@ from atlas.curves.table import Corner, Curve, Curves, write_curves
 from atlas.labels.table import Count, Labels, write_labels
 from atlas.measures.table import MEASURES, Stored, write_measures
 from atlas.overview.coarsen import level_variables
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.origin import ALLOWANCES
 from tests.synthetic import complete
 from workers.model.system import find_system, system_names
@@ -70,7 +70,7 @@ def test_every_array_of_every_group_has_a_meaning_and_a_unit(header: store.Heade
 
 def test_so_have_labels_and_the_variables_of_all_attractors(tmp_path: Path) -> None:
     spec = atlas.Spec("two-mass", {"omega": [3.0, 3.5], "b": [0.1, 0.2]}, attractors={"starts": 2, "keep": 2})
-    made = store.create(tmp_path / "a.zarr", spec, (2, 2))
+    made = making.create(tmp_path / "a.zarr", spec, (2, 2))
     kinds = {name: np.zeros(1, dtype=np.int64) for name in ("regime", "period", "impacts_upper", "impacts_lower")}
     count = Count(*(0 for _ in Count.__dataclass_fields__))
     one = np.zeros(1, dtype=np.int64)

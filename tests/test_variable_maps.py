@@ -17,8 +17,8 @@ from atlas.overview.coarsen import coarsen, from_cells
 from atlas.query.extremes import extremes
 from atlas.render import scales
 from atlas.render.kinds import TABLE
+from atlas.store.making import create
 from atlas.store.schema import extra_sizes
-from atlas.store.store import create
 from atlas.store.tiles import write_tile
 from tests.pictures import colour, labels, line, pixel, plane
 from tests.planes import plane_of

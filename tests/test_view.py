@@ -13,7 +13,7 @@ from atlas.query.queries import fractions
 from atlas.query.reads import Reads, counted
 from atlas.query.resample import view
 from atlas.query.window import cell_edges
-from atlas.store import store
+from atlas.store import making, store
 from atlas.store.tiles import write_tile
 from scripts import bench_render
 from tests.chunk_keys import noted_keys
@@ -85,7 +85,7 @@ def test_pixels_do_not_change_what_is_read_where_none_are_given(ds: xr.Dataset) 
 
 
 def test_a_long_narrow_plane_is_coarsened_along_its_long_side_alone(tmp_path: Path) -> None:
-    header = store.create(tmp_path / "a.zarr", spec_of(nx=200, ny=12), (4, 50))
+    header = making.create(tmp_path / "a.zarr", spec_of(nx=200, ny=12), (4, 50))
     fill(header)
     keep(header, side=256, least=128)
     ds = atlas.open(header.path)
@@ -115,7 +115,7 @@ def test_a_coarse_view_ends_where_its_window_ends(ds: xr.Dataset) -> None:
 def test_the_widest_cells_of_an_uneven_axis_decide_the_level(tmp_path: Path) -> None:
     omega = np.concatenate([np.linspace(1, 1.1, 150), np.linspace(1.2, 4, 50)])
     spec = atlas.Spec("two-mass", axes={"omega": omega, "b": np.linspace(0.1, 0.5, 150)})
-    header = store.create(tmp_path / "a.zarr", spec, (50, 50))
+    header = making.create(tmp_path / "a.zarr", spec, (50, 50))
     fill(header)
     keep(header, side=256, least=128)
     with counted() as reads:
@@ -146,7 +146,7 @@ def test_shares_in_a_window_are_those_of_its_cells_from_few_chunks(
 
 
 def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: list[str]) -> None:
-    header = store.create(tmp_path / "a.zarr", spec_of(nx=300, ny=280), (20, 20))
+    header = making.create(tmp_path / "a.zarr", spec_of(nx=300, ny=280), (20, 20))
     for index in ((0, 0), (13, 14)):
         write_tile(header, index, results(header, index))
     keep(header, side=256, least=128)
@@ -158,7 +158,7 @@ def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: li
 
 
 def test_what_a_worker_has_begun_to_write_is_not_seen(tmp_path: Path) -> None:
-    header = store.create(tmp_path / "a.zarr", spec_of(), (19, 23))
+    header = making.create(tmp_path / "a.zarr", spec_of(), (19, 23))
     fill(header, skip=((0, 0),))
     assert np.isfinite(atlas.open(header.path).largest.values[:19, :23]).any()
     seen = view(atlas.open(header.path), ["largest", "periods_used"])
@@ -191,7 +191,7 @@ def test_a_changed_atlas_is_drawn_as_it_is_and_not_as_the_store(ds: xr.Dataset, 
 
 
 def test_a_variable_of_another_atlas_is_drawn_as_what_it_is(ds: xr.Dataset, tmp_path: Path) -> None:
-    header = store.create(tmp_path / "b.zarr", spec_of(nx=100, ny=90), (50, 50))
+    header = making.create(tmp_path / "b.zarr", spec_of(nx=100, ny=90), (50, 50))
     fill(header, seed=1)
     mixed = ds.assign(largest=atlas.open(header.path).largest)
     seen = view(mixed, ["largest"], pixels=(10, 10))
@@ -251,7 +251,7 @@ def test_an_atlas_without_exponents_is_drawn_by_its_periods(tmp_path: Path) -> N
         axes={"omega": [2.0, 3.0], "b": [0.1, 0.2]},
         solve={"exponents": "none", "max_periods": 50, "transient_periods": 10},
     )
-    header = store.create(tmp_path / "a.zarr", spec, (2, 2))
+    header = making.create(tmp_path / "a.zarr", spec, (2, 2))
     fill(header)
     figure = render.figure(atlas.open(header.path))
     assert any(text.get_text().startswith("period") for legend in figure.legends for text in legend.get_texts())

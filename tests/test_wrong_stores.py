@@ -22,7 +22,7 @@ from atlas.platform import file_lock
 from atlas.query.attractors import one
 from atlas.service.lease import CLAIM, claimed
 from atlas.service.pack import pack
-from atlas.store import store
+from atlas.store import making
 from atlas.store.making import remove_half_made
 from atlas.store.sidecar import notes_of
 from tests.synthetic import complete, spec_of
@@ -198,7 +198,7 @@ def test_what_is_half_made_of_another_store_stays(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", ["inf", "nan", "-1", "0.5"])
 def test_an_attractor_that_is_no_place_is_refused(tmp_path: Path, value: str) -> None:
     axes = {"omega": [1.0, 2.0, 3.0, 4.0], "b": [0.1, 0.2, 0.3, 0.4]}
-    header = store.create(tmp_path / "all.zarr", atlas.Spec("two-mass", axes=axes, attractors={}), (4, 4))
+    header = making.create(tmp_path / "all.zarr", atlas.Spec("two-mass", axes=axes, attractors={}), (4, 4))
     with pytest.raises(InputError, match=r"attractor: found .*, must be a whole number, 0 to"):
         one(atlas.open(header.path), float(value))
 

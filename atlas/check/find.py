@@ -23,9 +23,9 @@ from atlas.check.rules import broken_rules
 from atlas.check.zoom import plane_faults
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
+from atlas.store.location import refused
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
-from atlas.store.making import refused
 from atlas.store.origin import ALLOWANCES
 from atlas.store.place import Place
 from atlas.store.record import COVERED, Rows

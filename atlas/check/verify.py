@@ -13,8 +13,7 @@ from atlas.service.lease import claimed
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
 from atlas.store.archive import refuse_packed
-from atlas.store.location import Given, place_of
-from atlas.store.making import refused
+from atlas.store.location import Given, place_of, refused
 from atlas.store.sidecar import notes_of
 from atlas.store.spare import read_spare
 from atlas.store.store import read_header

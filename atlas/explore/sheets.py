@@ -19,8 +19,8 @@ from atlas.explore.subject import Subject, SubjectPlane
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.location import Place
-from atlas.store.making import remove_half_made
-from atlas.store.store import Header, create, done_tiles, open_arrays, read_header
+from atlas.store.making import create, remove_half_made
+from atlas.store.store import Header, done_tiles, open_arrays, read_header
 from atlas.store.zoom import drop_sheet, make_plane, sheet_place
 
 SHEET = 16

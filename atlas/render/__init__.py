@@ -1,6 +1,7 @@
 """Pictures, drawn from results alone, without a display and without pyplot.
 
-To add a kind of map: a row in ``kinds.py``, and its ``paint`` in ``classes.py`` or ``scales.py``. The tests take it up
+To add a kind of map: a row in ``kinds.py``, and its painter in ``classes.py`` or ``scales.py``, named in
+``painters.py``. The tests take it up
 from there; ``python -m tests.reference`` draws the reference picture that they ask for.
 """
 

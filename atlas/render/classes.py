@@ -21,8 +21,8 @@ from atlas.query.attractors import branches
 from atlas.query.motions import VARIABLES, MotionName, broken_cells
 from atlas.query.motions import motions as motions_of
 from atlas.query.plane import Cells, Plane
-from atlas.render import maps, style, words
-from atlas.render.maps import Colors, PaintedView, View
+from atlas.render import style, words
+from atlas.render.painted import Colors, PaintedView, Texture, View, paint_regimes
 from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, SETTLED
 
 Class: TypeAlias = tuple[Cells, str, str]
@@ -108,7 +108,7 @@ def colored(
         if cells.any():
             rgba[cells] = style.rgb(color)
             legend.append(style.swatch(color, name))
-    return PaintedView(rgba, legend + maps.paint_regimes(rgba, regime, others), beside=beside)
+    return PaintedView(rgba, legend + paint_regimes(rgba, regime, others), beside=beside)
 
 
 def by_number(number: NDArray[np.int64], colors: Sequence[str]) -> Colors:
@@ -140,7 +140,7 @@ def motions(view: View) -> PaintedView:
         more = ", …" if len(shared) > _NAMED else ""
         legend += [style.swatch(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
     legend += [style.swatch(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
-    rests = maps.Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
+    rests = Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(found) if motion.p >= 0]
     beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
     painted = colored(regime, (), beside, by_number(number, colors), number >= 0)

@@ -19,9 +19,10 @@ from atlas.query.plane import Plane
 from atlas.query.window import axis_names
 from atlas.render import maps, scales, style, words
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
-from atlas.render.maps import PaintedView, ScaleBar, View
-from atlas.render.options import Wanted
 from atlas.render.page import STANDARD
+from atlas.render.painted import PaintedView, ScaleBar, View
+from atlas.render.painters import PAINTERS
+from atlas.render.wanted import Wanted
 from atlas.text import plain
 from workers.results import NO_IMPACT
 
@@ -47,7 +48,7 @@ def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
     held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*TABLE[name].variables}]
     for name in held:
         kind = TABLE[name]
-        if ".figure" not in kind.paint and not (name == LABELS and BASINS in held):  # whose labels are of starts
+        if name in PAINTERS and not (name == LABELS and BASINS in held):  # whose labels are of starts
             view = View(kind, ds, Plane.of(seen, kind.variables), Wanted(STANDARD, name))
             try:
                 yield _coded(name, kind.meaning, view, kind.variables)
@@ -102,7 +103,7 @@ def _mark_look(kind: str) -> dict[str, Any]:
 
 
 def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> CodedMap:
-    painted: PaintedView = view.kind.painter(view)
+    painted = PAINTERS[view.kind.name](view)
     sources, looks = _sources(view, painted)
     textures, patterns = _textures(view, painted)
     keys, codes = np.unique(sources * (len(patterns) + 1) + textures, return_inverse=True)

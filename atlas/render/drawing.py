@@ -13,9 +13,10 @@ from atlas.query.compare import Comparison
 from atlas.query.queries import PER_TIME, fractions, rate_of
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
-from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE, check_overlays, chosen_kind
-from atlas.render.options import MapLook, PageOptions, Wanted, names_in, split_look, takes
+from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE
+from atlas.render.options import MapLook, PageOptions, names_in, split_look, takes
 from atlas.render.provenance import check_path, provenance_of, save
+from atlas.render.wanted import Wanted, check_overlays, chosen_kind
 from atlas.spec.spec import MOST_AXES, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
@@ -170,13 +171,10 @@ def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
     check_units(ds)
     shown = within(every if kind.name == "coexistence" else ds, wanted.window)
     wanted = replace(wanted, overlays=lines, against=None if against is None else within(against, wanted.window))
-    with counted() as reads:
-        if ".figure" in kind.paint:
-            drawn: Figure = kind.painter(shown, wanted)
-        else:
-            from atlas.render.maps import draw_map
+    from atlas.render.painters import draw  # with it matplotlib
 
-            drawn = draw_map(kind, shown, wanted)
+    with counted() as reads:
+        drawn = draw(kind, shown, wanted)
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     return drawn

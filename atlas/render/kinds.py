@@ -1,23 +1,18 @@
-"""The table of kinds and overlays: what each draws and means, which one fits an atlas, and the errors where none does.
+"""The table of kinds and overlays: what each draws and means.
 
 It needs neither matplotlib nor xarray, since the command's help lists it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from atlas.errors import InputError, check_names
-from atlas.query.extremes import numbers_of_cells
+from atlas.errors import InputError
 from atlas.query.window import axis_names
-from atlas.render.options import names_in
 from workers.results import ERROR, LABEL, LARGEST, REGIME, SETTLED, SPECTRUM
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from atlas.render.options import Wanted
 
 STABLE = ("#dcebf5", "#c9dff0", "#b3d2ea", "#9bc3e3", "#81b3db", "#64a1d2")
 CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
@@ -53,8 +48,6 @@ class Kind:
     axes, atlases   how many it draws
     variables       of a map those that it reads besides the regimes; without the first there is nothing to draw
     meaning         in the words of the command's help
-    paint           "module.function" in atlas/render: of a map the colours of its cells, ``maps.Painted`` of a
-                    ``maps.View``; of other kinds, "module.figure", the figure of an atlas and what is ``Wanted``
     scale           of its numbers, whose ends may be given; CLASSES where it draws none
     lacking         what to do for an atlas to hold its variables
     """
@@ -63,16 +56,9 @@ class Kind:
     axes: int
     variables: tuple[str, ...]
     meaning: str
-    paint: str
     scale: Scale = CLASSES
     atlases: int = 1
     lacking: str = ""
-
-    @property
-    def painter(self) -> Any:
-        """The function that ``paint`` names; its module is imported at first use, and with it matplotlib."""
-        module, function = self.paint.split(".")
-        return getattr(import_module(f"atlas.render.{module}"), function)
 
     def require(self, ds: "xr.Dataset", names: Sequence[str]) -> None:
         """InputError, with what to do, where an atlas lacks one of these variables."""
@@ -100,55 +86,52 @@ _MOTIONS = ("impacts_upper", "impacts_lower", "period")
 TABLE = {
     kind.name: kind
     for kind in (
-        Kind("exponent", 2, (LARGEST.name,), "the largest exponent, on a scale around zero", "scales.exponent",
+        Kind("exponent", 2, (LARGEST.name,), "the largest exponent, on a scale around zero",
              Scale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
-        Kind("period", 2, ("period",), "one colour for each period", "classes.period"),
-        Kind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop",
-             "classes.motions"),
+        Kind("period", 2, ("period",), "one colour for each period"),
+        Kind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop"),
         Kind("symmetry", 2, ("symmetric", "impacts_upper", "impacts_lower"),
-             "periodic motions that are their own mirror image, and those with a twin", "classes.symmetry"),
+             "periodic motions that are their own mirror image, and those with a twin"),
         Kind("regions", 2, _MOTIONS,
-             "the exact curves of a plane and the motions between them by name, as papers print it", "regions.figure"),
+             "the exact curves of a plane and the motions between them by name, as papers print it"),
         Kind("combined", 2, (LARGEST.name, "period"),
-             "the period where motion is periodic, the exponent where it is chaotic", "scales.combined",
+             "the period where motion is periodic, the exponent where it is chaotic",
              Scale(rf"chaotic: $\lambda_1$ {_PER_PERIOD}", CHAOTIC)),
-        Kind("error", 2, (ERROR.name,), "error of the exponent", "scales.error",
+        Kind("error", 2, (ERROR.name,), "error of the exponent",
              Scale(rf"error of $\lambda_1$ {_PER_PERIOD}", log=True)),
-        Kind("cost", 2, ("periods_used",), "forcing periods simulated", "scales.cost",
+        Kind("cost", 2, ("periods_used",), "forcing periods simulated",
              Scale("forcing periods simulated", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
                    ("#dddddd", "none needed"), log=True)),
-        Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick", "scales.number",
+        Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick",
              Scale("share of the time at rest", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
                    ("#f3f1ea", "never at rest"))),
-        Kind("attractors", 2, ("attractors",), "how many attractors a cell has", "classes.attractors"),
+        Kind("attractors", 2, ("attractors",), "how many attractors a cell has"),
         Kind("share", 2, ("share",),
              "the share of initial states that reach the attractor shown, the one of most unless another is chosen",
-             "scales.number",
              Scale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
         Kind(LABELS, 2, (LABEL.name,),
              "which branch the attractor shown is on, in colours that persist, by atlas attractors label",
-             "classes.labels", lacking="label its attractors by atlas attractors label"),
+             lacking="label its attractors by atlas attractors label"),
         Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
-             "classes.basins", lacking="both axes must be initial states, and the spec have [attractors]"),
+             lacking="both axes must be initial states, and the spec have [attractors]"),
         Kind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
-             "scales.scalar", Scale("return time [forcing periods]", _PALE_BLUE, log=True), lacking=_MEASURE),
+             Scale("return time [forcing periods]", _PALE_BLUE, log=True), lacking=_MEASURE),
         Kind("reactivity", 2, ("reactivity",), "the largest log growth of a small deviation over one forcing period",
-             "scales.scalar", Scale("reactivity, log growth in a period", _VIOLET), lacking=_MEASURE),
+             Scale("reactivity, log growth in a period", _VIOLET), lacking=_MEASURE),
         Kind("amplification", 2, ("amplification",), "the largest growth of a small deviation over any time",
-             "scales.scalar", Scale("amplification of a deviation", _PALE_BLUE, log=True), lacking=_MEASURE),
+             Scale("amplification of a deviation", _PALE_BLUE, log=True), lacking=_MEASURE),
         Kind("fatal_shock", 2, ("fatal_shock",), "the smallest shock found that leads to another attractor",
-             "scales.scalar", Scale("minimal fatal shock", _DARK_FIRST, log=True), lacking=f"{_MEASURE} --shocks"),
+             Scale("minimal fatal shock", _DARK_FIRST, log=True), lacking=f"{_MEASURE} --shocks"),
         Kind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
-             "scales.scalar", Scale("distance to the nearest curve", _DARK_FIRST), lacking=f"{_MEASURE} --margin"),
-        Kind(SCALAR, 2, (), "any number of each cell, which --variable names", "scales.scalar", Scale("", _VIOLET)),
+             Scale("distance to the nearest curve", _DARK_FIRST), lacking=f"{_MEASURE} --margin"),
+        Kind(SCALAR, 2, (), "any number of each cell, which --variable names", Scale("", _VIOLET)),
         Kind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
-             "sweep.figure_of_attractors", _EXPONENTS),
-        Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", "sweep.figure",
              _EXPONENTS),
+        Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", _EXPONENTS),
         Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents",
-             "sweep.figure_of_all", _EXPONENTS, lacking='see [solve] exponents = "spectrum"'),
+             _EXPONENTS, lacking='see [solve] exponents = "spectrum"'),
         Kind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
-             "sweep.figure_of_two", _EXPONENTS, atlases=2),
+             _EXPONENTS, atlases=2),
     )
 }  # fmt: skip
 
@@ -212,69 +195,3 @@ def found_axes(ds: "xr.Dataset") -> str:
     """The axes of an atlas, as errors name them."""
     axes = axis_names(ds)
     return f"found {AXES.get(len(axes), f'{len(axes)} axes')} ({', '.join(axes)})"
-
-
-def chosen_kind(ds: "xr.Dataset", wanted: "Wanted") -> Kind:
-    """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
-    axes, atlases, found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
-    if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
-        _check_scalar(ds, wanted)
-        return TABLE[SCALAR]
-    fitting = [name for name in KINDS if TABLE[name].axes == axes]
-    possible = [name for name in fitting if TABLE[name].atlases == atlases]
-    if not possible:
-        raise InputError(f"two atlases are drawn together as sweeps, {found}")
-    held = [name for name in possible if TABLE[name].variables[0] in ds]
-    held = [BASINS] if BASINS in held else held or possible
-    chosen, here = held[0] if wanted.kind is None else wanted.kind, f"; possible here: {', '.join(held)}"
-    if chosen not in KINDS:
-        raise InputError(f"unknown kind of picture {chosen!r}{here}")
-    kind = TABLE[chosen]
-    if chosen not in fitting:
-        raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {found}{here}")
-    if chosen not in possible:
-        needed = "a second atlas to draw against" if kind.atlases == 2 else "one atlas, found two"
-        raise InputError(f"kind {chosen!r} needs {needed}{here}")
-    if kind.scale is CLASSES:
-        wanted.page.refuse_ends(f"kind {chosen!r} draws classes")
-    return kind
-
-
-def _check_scalar(ds: "xr.Dataset", wanted: "Wanted") -> None:
-    """InputError unless a variable can be mapped: one that is named and is a number of each cell of a plane."""
-    name = wanted.variable
-    if wanted.kind not in (None, SCALAR):
-        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {wanted.kind!r}")
-    if name is None:
-        raise InputError(f"kind {SCALAR!r} draws a variable, and none is named")
-    if wanted.against is not None:
-        raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
-    if len(axis_names(ds)) != 2:
-        raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")
-    possible = numbers_of_cells(ds)
-    if name in ds and name not in possible:
-        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
-    check_names("variable", [name], possible)
-
-
-def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    """The kinds of curves that are asked for, given as a list or with commas between, or "all"; None where none are."""
-    if curves is None:
-        return None
-    if isinstance(curves, str) and curves == "all":
-        return CURVES
-    wanted = names_in("curves", curves)
-    for each in wanted:
-        if each not in CURVES:
-            raise InputError(f"unknown kind of curve {each!r}; possible: {', '.join(CURVES)}")
-    return wanted
-
-
-def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
-    """Raise InputError unless each of them is an overlay of as many axes."""
-    for overlay in overlays:
-        if overlay not in OVERLAYS:
-            raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-        axes, kind = (1, "a sweep") if overlay == "branches" else (2, "a map")
-        if len(axis_names(ds)) != axes:
-            raise InputError(f"overlay {overlay!r} is drawn over {kind}, {found_axes(ds)}")

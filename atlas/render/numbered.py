@@ -7,8 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
+from atlas.render import scales
 from atlas.render.kinds import Kind
-from atlas.render.maps import Colors, PaintedView, ScaleBar
+from atlas.render.painted import Colors, PaintedView, ScaleBar
+from atlas.render.painters import PAINTERS
 from atlas.render.scales import FORMS, both_signs
 
 LINEAR, LOG, TWO_SIDED, SIGNED = *FORMS.values(), "signed"
@@ -59,7 +61,7 @@ def scale_of(kind: Kind, bar: ScaleBar) -> PixelScale | None:
     """The scale of a bar; None where its numbers do not differ, or are placed in no way that has a name."""
     form = FORMS.get(type(bar.norm))
     ends, colormap = (float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 0.0)), bar.colormap
-    if kind.paint == "scales.scalar" and form == LINEAR and ends[0] < 0.0 < ends[1]:
+    if PAINTERS[kind.name] is scales.scalar and form == LINEAR and ends[0] < 0.0 < ends[1]:
         form, colormap = SIGNED, both_signs(kind.scale.colors)
     known = bar.values[np.isfinite(bar.values) & ((bar.values > 0.0) | (form != LOG))]
     if form is None or known.size == 0 or known.min() == known.max():

@@ -2,19 +2,16 @@
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar
 
-from atlas.arguments import Window, checked_atlas, checked_flag, checked_name, checked_pixels, checked_window
 from atlas.errors import InputError, shown
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from atlas.render.page import DrawnPage
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -67,49 +64,6 @@ def split_look(named: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
     """The options of a picture among these arguments, and the others."""
     look = {name: value for name, value in named.items() if name in PageOptions.__annotations__}
     return look, {name: value for name, value in named.items() if name not in look}
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What is to be drawn of an atlas, and how: the arguments of ``atlas.render.figure``, checked.
-
-    ``curves`` are kinds of exact curves, None for all; ``names``: whether names and levels stand on a map.
-    """
-
-    page: "DrawnPage"
-    kind: str | None = None
-    window: Window | None = None
-    overlays: tuple[str, ...] = ()
-    curves: tuple[str, ...] | None = None
-    names: bool = True
-    against: "xr.Dataset | None" = None
-    pixels: tuple[int, int] | None = None
-    variable: str | None = None
-    log: bool = False
-
-    @classmethod
-    def of(
-        cls,
-        kind: str | None = None,
-        window: Window | None = None,
-        pixels: tuple[int, int] | None = None,
-        **options: Unpack[MapLook],
-    ) -> "Wanted":
-        """What these arguments of ``figure`` ask for; InputError for one that is not possible."""
-        from atlas.render.kinds import chosen_curves
-        from atlas.render.page import page  # with it matplotlib
-
-        look: dict[str, Any] = dict(options)
-        lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
-        own: dict[str, Any] = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
-        for name, given in (("kind", kind), ("variable", own.get("variable"))):
-            if given is not None:
-                checked_name(name, given)
-        for name in ("names", "log"):
-            checked_flag(name, own.get(name, False))
-        if own.get("against") is not None:
-            checked_atlas(own["against"], "against")
-        return cls(page(**look), kind, checked_window(window), lines, curves, pixels=checked_pixels(pixels), **own)
 
 
 def names_in(option: str, given: object) -> tuple[str, ...]:

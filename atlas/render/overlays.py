@@ -29,9 +29,9 @@ from atlas.query.open import header_of
 from atlas.query.room import crowded_parts, dense
 from atlas.query.tidy import isolines, outlined
 from atlas.query.window import axis_names
-from atlas.render import maps, style
+from atlas.render import raster, style
 from atlas.render.kinds import OverlayError
-from atlas.render.maps import View
+from atlas.render.painted import View
 from workers.results import LARGEST
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def _grazing(ax: Axes, view: View) -> list[Artist]:
     symmetric = machine.twins_everywhere(view.ds, {x.name: x.values, y.name: y.values})
     label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"
     dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
-    places = [maps.in_points(ax, line, size) for line in lines]
+    places = [raster.in_points(ax, line, size) for line in lines]
     cut = [(part, beside) for _, part, beside in crowded_parts(lines, places, _CROWDED)]
     crowded, alone = ([part for part, beside in cut if beside is side] for side in (True, False))
     looks = ((lines, "white", 2.8, "solid"), (crowded, "black", 0.8, "solid"), (alone, "black", 1.3, dashes))
@@ -88,7 +88,7 @@ def _grazing(ax: Axes, view: View) -> list[Artist]:
 def _boundaries(ax: Axes, view: View) -> list[Artist]:
     regions, left_out = outlined(view.plane.regime, view.page.map_size)
     for code in np.unique(regions):
-        maps.outline(ax, view.plane, regions == code, "#101418", 0.6)
+        raster.outline(ax, view.plane, regions == code, "#101418", 0.6)
     label = "regime boundary" + (",\nclouds of cells left out" if left_out else "")
     return [Line2D([], [], color="#101418", linewidth=0.9, label=label)]
 
@@ -96,7 +96,7 @@ def _boundaries(ax: Axes, view: View) -> list[Artist]:
 def _isolines(ax: Axes, view: View) -> list[Artist]:
     plane, kept = view.plane, dict[float, list[Array]]()
     for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
-        _, along = dense(maps.in_points(ax, line, view.page.map_size))
+        _, along = dense(raster.in_points(ax, line, view.page.map_size))
         if along[-1] >= _LEAST_LINE:
             kept.setdefault(level, []).append(line)
     if not kept:
@@ -138,7 +138,7 @@ def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, flo
     if not every:
         return [Line2D([], [], linestyle="", label="curves: none in this window")]
     lines, entries = [line for _, line in every], list[Artist]()
-    parts = list(crowded_parts(lines, [maps.in_points(ax, line, size) for line in lines], _BESIDE))
+    parts = list(crowded_parts(lines, [raster.in_points(ax, line, size) for line in lines], _BESIDE))
     halo = [withStroke(linewidth=_WIDTHS[False] + 1.4, foreground="white")]
     for kind, look in style.LOOKS.items():
         own = [(part, crowded) for number, part, crowded in parts if every[number][0] == kind]
@@ -171,7 +171,7 @@ def _draw_marks(
     """Mark the places (x, y) in view, those that lie on each other once; the legend entry."""
     seen: list[Array] = []
     for x, y in places:
-        at = maps.in_points(ax, np.array([[x, y]]), size)[0]
+        at = raster.in_points(ax, np.array([[x, y]]), size)[0]
         if np.all((at >= 0.0) & (at <= size)) and all(np.hypot(*(at - other)) >= _SAME for other in seen):
             seen.append(at)
             ax.plot(x, y, zorder=zorder, gid=gid, **look)

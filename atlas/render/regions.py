@@ -11,9 +11,9 @@ from atlas.query import machine
 from atlas.query.motions import regions
 from atlas.query.room import crossed, dense
 from atlas.query.tidy import filled
-from atlas.render import maps, overlays, words
+from atlas.render import maps, overlays, raster, words
 from atlas.render.kinds import TABLE
-from atlas.render.options import Wanted
+from atlas.render.wanted import Wanted
 
 _TYPE = (9.0, 7.5, 6.0)
 """Points of the type of names: the first that fits."""
@@ -37,7 +37,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
     rest = replace(wanted, overlays=tuple(name for name in wanted.overlays if name != "curves"))
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(ds))
-        maps.scale_axes(ax, x=plane.x, y=plane.y)
+        raster.scale_axes(ax, x=plane.x, y=plane.y)
         entries: list[Artist] = [*overlays.draw_curves(ax, found, view), *overlays.draw(ax, replace(view, wanted=rest))]
         title = _TITLE + (_SIDES if wanted.names and sides and twins else "")
         page.legend(drawn, entries, beside=title, handlelength=2.6)
@@ -47,8 +47,8 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
         times = max(1, round(max(np.array(size) / plane.regime.shape[::-1]) / _FINE))
         fine = plane.finer(times)
         marked = [np.asarray(each.get_xydata()) for each in ax.lines if each.get_gid() == "corner"]
-        places = [dense(maps.in_points(ax, line, size))[0] for curve in found for line in curve.stable_lines]
-        places += [maps.in_points(ax, at, size) + _CORNER for at in marked]
+        places = [dense(raster.in_points(ax, line, size))[0] for curve in found for line in curve.stable_lines]
+        places += [raster.in_points(ax, at, size) + _CORNER for at in marked]
         taken = crossed(places, size, fine.regime.shape)
         named = [(filled(cells, times) & ~taken, name, "white") for name, cells in regions(fine, twins)]
         maps.name_regions(ax, fine, named, [each * page.scale for each in _TYPE], _MOST, ~taken)

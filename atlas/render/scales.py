@@ -21,9 +21,9 @@ from atlas.errors import InputError
 from atlas.query.ends import number_ends, scale_ends
 from atlas.query.extremes import regimes_with
 from atlas.query.tidy import without_dust
-from atlas.render import classes, kinds, maps, style, words
-from atlas.render.maps import Colors, PaintedView, ScaleBar, Texture, View
+from atlas.render import classes, kinds, raster, style, words
 from atlas.render.page import STANDARD, DrawnPage
+from atlas.render.painted import Colors, PaintedView, ScaleBar, Texture, View, paint_regimes
 from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC
 
 Array = NDArray[np.float64]
@@ -203,7 +203,7 @@ def error(view: View) -> PaintedView:
             norm = color_norm(values, log=True, page=view.page if CHAOTIC in codes else STANDARD)
             rgba[cells] = on_scale(values, norm, colormap)[cells]
             bars.append(ScaleBar(colormap, norm, values, view.kind.scale.label, name))
-    return PaintedView(rgba, maps.paint_regimes(rgba, regime, np.isnan(known)), bars)
+    return PaintedView(rgba, paint_regimes(rgba, regime, np.isnan(known)), bars)
 
 
 def draw_bars(
@@ -260,4 +260,4 @@ def _log_ticks(bar: Colorbar, low: float, high: float, most: int) -> None:
         axis.set_minor_formatter(NullFormatter())
         return
     fitting = [steps for steps in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)) if decades * len(steps) <= most]
-    maps.plain_ticks(axis, fitting[0] if fitting else (1.0,))
+    raster.plain_ticks(axis, fitting[0] if fitting else (1.0,))

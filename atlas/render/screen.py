@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from atlas.query.window import axis_names, is_log
 from atlas.render.drawing import check_units
-from atlas.render.kinds import CURVES, check_overlays, chosen_kind
-from atlas.render.maps import Colors, draw_painted, read
+from atlas.render.kinds import CURVES
+from atlas.render.maps import draw_painted, read
 from atlas.render.numbered import PixelScale, cell_numbers, numbered
-from atlas.render.options import MapLook, Wanted
+from atlas.render.options import MapLook
+from atlas.render.painted import Colors
+from atlas.render.painters import FIGURES, PAINTERS
 from atlas.render.style import drawing, house
+from atlas.render.wanted import Wanted, check_overlays, chosen_kind
 
 DPI = 110.0
 SCALE = 0.85
@@ -80,11 +83,11 @@ def screen(
         check_overlays(ds, wanted.overlays)
         check_units(ds)
         painted = None
-        if ".figure" in fitting.paint:
-            fitting.painter(ds, wanted)
+        if fitting.name in FIGURES:
+            FIGURES[fitting.name](ds, wanted)
         else:
             view = read(fitting, ds, wanted)
-            painted = fitting.painter(view)
+            painted = PAINTERS[fitting.name](view)
             draw_painted(view, painted)
         _bare(ax, ds)
         ax.set_position(area)

@@ -20,10 +20,10 @@ from atlas.query.attractors import leading
 from atlas.query.plane import Meaning, PlaneAxis, rising
 from atlas.query.tidy import runs, turns
 from atlas.query.window import spec_of_axis
-from atlas.render import classes, maps, style, words
+from atlas.render import classes, raster, style, words
 from atlas.render.kinds import TABLE
-from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, DrawnPage
+from atlas.render.wanted import Wanted
 from atlas.spec.system import stored_system
 from workers.results import (
     ATTRACTOR,
@@ -211,7 +211,7 @@ def stack(
             else:
                 ax.set_ylabel(words.gap_label(stored_system(ds.attrs)))
                 legend = [*legend, *(draw_branches(ax, branches, page) if branches else [])]
-            maps.scale_axes(ax, ax is plots[-1], x=x)
+            raster.scale_axes(ax, ax is plots[-1], x=x)
         drawn.align_ylabels(plots)
         page.legend(drawn, legend, handlelength=0.8)
     return drawn

@@ -22,9 +22,10 @@ from atlas.query.window import axis_names, within
 from atlas.render import maps, scales, style, words
 from atlas.render.fit import OWN_TITLE
 from atlas.render.kinds import TABLE, found_axes
-from atlas.render.maps import PaintedView
-from atlas.render.options import Wanted
 from atlas.render.page import STANDARD, DrawnPage
+from atlas.render.painted import PaintedView, ScaleBar, regime_entry
+from atlas.render.painters import PAINTERS
+from atlas.render.wanted import Wanted
 from workers.results import LARGEST, PENDING, REGIMES
 
 KINDS = ("exponent", "period")
@@ -87,13 +88,13 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[
         if chosen.name == "exponent":
             known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
             norm = scales.two_sided(page, *scale_ends(known))
-            bars = [maps.ScaleBar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
+            bars = [ScaleBar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
         entries: dict[str, Artist] = {}
         letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
         for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
             title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
-            painted = chosen.painter(view, *(bar.norm for bar in bars))
+            painted = PAINTERS[chosen.name](view, *(bar.norm for bar in bars))
             for entry in maps.lay(ax, view.plane, painted, own):
                 entries.setdefault(str(entry.get_label()), entry)
         _label_outside(panels)
@@ -189,7 +190,7 @@ def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> P
     rgba[unknown] = style.rgb(WITHOUT)
     rgba[pending] = 0
     legend = [style.swatch(WITHOUT, "without an exponent in one")] if np.any(unknown & ~pending) else []
-    return PaintedView(rgba, legend, [maps.ScaleBar(DIFFERENCE, norm, change, label)])
+    return PaintedView(rgba, legend, [ScaleBar(DIFFERENCE, norm, change, label)])
 
 
 def _changes(here: Plane, there: Plane, pending: Cells) -> PaintedView:
@@ -200,8 +201,8 @@ def _changes(here: Plane, there: Plane, pending: Cells) -> PaintedView:
         cells = (there.regime == each.code) & (here.regime != each.code) & ~pending
         if cells.any():
             rgba[cells] = style.rgb(each.color)
-            entries.append(maps.regime_entry(each.code, f"{words.name_of(each.code)} instead"))
+            entries.append(regime_entry(each.code, f"{words.name_of(each.code)} instead"))
     rgba[pending] = 0
     if pending.any():
-        entries.append(maps.regime_entry(PENDING, words.name_of(PENDING)))
+        entries.append(regime_entry(PENDING, words.name_of(PENDING)))
     return PaintedView(rgba, entries)

@@ -25,11 +25,11 @@ from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
 from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.location import Given, Place, place_of, waiting
-from atlas.store.making import check_run, remove_half_made
+from atlas.store.making import check_run, create, remove_half_made
 from atlas.store.origin import Origin
 from atlas.store.records import Records, RunRecords
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
-from atlas.store.store import Header, create, done_tiles, find, read_header
+from atlas.store.store import Header, done_tiles, find, read_header
 from atlas.store.tiling import Index, Tiling
 from atlas.task.attempt import do_job, run_job
 from atlas.task.basins import labelling_bytes

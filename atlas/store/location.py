@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from atlas.arguments import checked_path
-from atlas.errors import InputError, shown
+from atlas.errors import InputError, NetworkError, shown
 from atlas.store.access import BY_ENVIRONMENT, Access, access_by, access_of, is_obstore, local_folder
 from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
@@ -335,3 +335,14 @@ class ObjectPlace(Place):
 
     def _persist(self, call: Callable[[], _T]) -> _T:
         return persist(call, self.url, self.patience)
+
+
+@contextmanager
+def refused(place: Place, what: str) -> Iterator[None]:
+    """Turn an OSError into an InputError that it is the cause of; a server that does not answer is a NetworkError."""
+    try:
+        yield
+    except NetworkError:
+        raise
+    except OSError as error:
+        raise InputError(f"{place}: cannot be {what}: {error.strerror or error}") from error

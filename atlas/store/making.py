@@ -10,50 +10,29 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from atlas.errors import InputError, NetworkError
+from atlas.errors import InputError
 from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.axes import ROOT
 from atlas.store.build import build, consolidate
-from atlas.store.location import LocalPlace, Place
+from atlas.store.location import Given, LocalPlace, Place, place_of, refused
 from atlas.store.machine import MACHINES
 from atlas.store.origin import Origin
 from atlas.store.record import TILES
 from atlas.store.schema import coordinate_names
 from atlas.store.spare import SPARE, remedy
+from atlas.store.store import Header, read_header
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES
 from workers.results import REGIME
 
-if TYPE_CHECKING:
-    from atlas.store.store import Header
-
 TRIAL = ".trial-"
 
 
-@contextmanager
-def refused(place: Place, what: str) -> Iterator[None]:
-    """Turn an OSError into an InputError that it is the cause of; a server that does not answer is a NetworkError."""
-    try:
-        yield
-    except NetworkError:
-        raise
-    except OSError as error:
-        raise InputError(f"{place}: cannot be {what}: {error.strerror or error}") from error
-
-
-def is_free(place: Place) -> bool:
-    """Whether there is no store at a place, and nothing else on a disk."""
-    path = place.local
-    if path is None:
-        return not place.exists(ROOT)
-    return not path.exists() or (path.is_dir() and not any(path.iterdir()))
-
-
-def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
+def check_run(place: Place, spec: Spec, header: Header | None) -> None:
     """InputError unless a run of a spec may make the store at a place, or resume the one with that header."""
     refuse_packed(place)
     if header is None:
@@ -86,6 +65,23 @@ def _refuse_foreign(place: Place, spec: Spec) -> None:
             raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
+
+
+def create(
+    store: Given,
+    spec: Spec,
+    tile: tuple[int, ...],
+    origin: Origin | None = None,
+    run_id: str = "",
+) -> Header:
+    """Make a store without a result, see ``make_store``, and return its header.
+
+    ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
+    """
+    place = place_of(store)
+    with refused(place, "written"):
+        make_store(place, spec, tile, origin, run_id)
+    return read_header(place)
 
 
 def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:

@@ -16,8 +16,7 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import ZipPlace
 from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
-from atlas.store.location import Given, Place, place_of
-from atlas.store.making import is_free, make_store, refused
+from atlas.store.location import Given, Place, place_of, refused
 from atlas.store.origin import Allowance, Origin, allowances_in
 from atlas.store.record import RECORD
 from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates
@@ -210,23 +209,6 @@ class Header:
         return coordinates(self.spec)
 
 
-def create(
-    store: Given,
-    spec: Spec,
-    tile: tuple[int, ...],
-    origin: Origin | None = None,
-    run_id: str = "",
-) -> Header:
-    """Make a store without a result, see ``making.make_store``, and return its header.
-
-    ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
-    """
-    place = place_of(store)
-    with refused(place, "written"):
-        make_store(place, spec, tile, origin, run_id)
-    return read_header(place)
-
-
 def read_header(store: "Given | Header", storage_options: Mapping[str, Any] | None = None) -> Header:
     """The header of a store, given or read; InputError if there is none, or it is not ours, or of an unknown format.
 
@@ -297,6 +279,14 @@ def find(store: Given) -> Header | None:
     with refused(place, "written"):
         free = is_free(place)
     return None if free else read_header(place)
+
+
+def is_free(place: Place) -> bool:
+    """Whether there is no store at a place, and nothing else on a disk."""
+    path = place.local
+    if path is None:
+        return not place.exists(ROOT)
+    return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
 def done_tiles(header: Header, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:

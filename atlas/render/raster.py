@@ -1,0 +1,112 @@
+"""Cells in a plot, and its axes: colours from edge to edge, textures, borders, marks of what is too small to see."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import axis as mpl_axis
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from numpy.typing import NDArray
+
+from atlas.query.plane import Cells, Plane, PlaneAxis
+from atlas.query.tidy import borders, runs, specks
+from atlas.render import style, words
+from atlas.render.page import DrawnPage
+from atlas.render.painted import Colors
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
+
+_VISIBLE = 2.0
+"""Points below which a cell on its own is lost to the eye."""
+_MOST_MARKS = 300
+"""Marks of such cells: where there are more, they are seen as a cloud anyway."""
+_WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
+_MARKED = (UNDETERMINED, INVALID, FAILED)
+
+
+def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: DrawnPage) -> set[str]:
+    """Draw cells in colours (y, x, 4) from edge to edge, as pixels in vector files too; the names of enlarged regimes.
+
+    An image where all cells are equal; quadrilaterals otherwise. Colours are never blended between cells. A cell
+    in the colour of its regime has that regime's texture; such cells without a result that would be too small to be
+    seen get a mark of a visible size.
+    """
+    # Pending cells, which no value has, are drawn transparent and let this texture through.
+    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
+    x, y = plane.x, plane.y
+    if x.uniform and y.uniform:
+        extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
+        ax.imshow(rgba, origin="lower", extent=extent, aspect="auto", interpolation="nearest")
+    else:
+        ax.pcolormesh(x.edges, y.edges, rgba, rasterized=True)
+    scale_axes(ax, x=x, y=y)
+    enlarged = set()
+    for code in (*_WITH_TEXTURE, UNDETERMINED):
+        shown = (plane.regime == code) & (rgba == style.rgb(style.COLORS[code])).all(axis=-1)
+        if code in _WITH_TEXTURE:
+            hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
+        if code in _MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):
+            enlarged.add(words.name_of(code))
+    return enlarged
+
+
+def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
+    """Mark the small ones of these cells unless they are seen anyway, or are too many; whether there are marks."""
+    step = np.array(size[::-1]) / plane.regime.shape
+    if step.max() >= _VISIBLE:
+        return False
+    small = specks(cells, plane.x.edges, plane.y.edges, step, _VISIBLE)
+    if not 0 < len(small) <= _MOST_MARKS:
+        return False
+    ax.plot(*small.T, zorder=2.2, **style.mark("s", 0.9 * _VISIBLE, color, "black", 0.2))
+    return True
+
+
+def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> None:
+    """Cover a set of cells with a texture that lets their colours through."""
+    rectangles = runs(inside, plane.x.edges, plane.y.edges)
+    if len(rectangles):  # all rectangles are one path, so that the texture has no seams
+        codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], len(rectangles))
+        path = Path(rectangles.reshape(-1, 2), codes)
+        ax.add_patch(PathPatch(path, fill=False, hatch=pattern, edgecolor=color, linewidth=0, rasterized=True))
+
+
+def outline(ax: Axes, plane: Plane, inside: Cells, color: str, width: float) -> None:
+    """Draw the border of a set of cells along the cells' edges; the picture's own frame is left out."""
+    ends = list(borders(inside, plane.x.edges, plane.y.edges))
+    lines = LineCollection(ends, colors=color, linewidths=width, capstyle="projecting", rasterized=True)
+    ax.add_collection(lines, autolim=False)
+
+
+def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
+    """Data coordinates in points from the lower left corner of the plot, by its nominal size: as a layout that
+    is not made yet will have them, nearly.
+    """
+    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
+
+
+def scale_axes(ax: Axes, labels: bool = True, **axes: PlaneAxis) -> None:
+    """Give the axes ``x`` and ``y`` of a plot their scales, limits and ticks, and their labels if asked."""
+    for each, axis in axes.items():
+        if axis.log:
+            ax.set(**{f"{each}scale": "log"})
+            # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.
+            if math.log10(axis.values[-1] / axis.values[0]) <= 3.0:
+                plain_ticks(getattr(ax, f"{each}axis"), (1.0, 2.0, 5.0))
+        ax.set(**{f"{each}lim": (axis.edges[0], axis.edges[-1])})
+        if labels:
+            ax.set(**{f"{each}label": words.axis_label(axis.name, axis.meaning)})
+
+
+def plain_ticks(axis: mpl_axis.Axis, steps: Sequence[float]) -> None:
+    """Label a logarithmic axis at these multiples of powers of ten, in plain numbers: 0.02, 5, 2000, 20 000."""
+
+    def plain(value: float, _: int) -> str:
+        return f"{value:,g}".replace(",", "\N{NARROW NO-BREAK SPACE}") if value >= 1e4 else f"{value:g}"
+
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(plain))
+    axis.set_minor_locator(NullLocator())

@@ -1,0 +1,125 @@
+"""What is to be drawn of an atlas: the arguments of a picture, checked, and the kind and the overlays that fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Unpack
+
+from atlas.arguments import Window, checked_atlas, checked_flag, checked_name, checked_pixels, checked_window
+from atlas.errors import InputError, check_names
+from atlas.query.extremes import numbers_of_cells
+from atlas.query.window import axis_names
+from atlas.render.kinds import AXES, BASINS, CLASSES, CURVES, KINDS, OVERLAYS, SCALAR, TABLE, Kind, found_axes
+from atlas.render.options import MapLook, names_in
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from atlas.render.page import DrawnPage
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be drawn of an atlas, and how: the arguments of ``atlas.render.figure``, checked.
+
+    ``curves`` are kinds of exact curves, None for all; ``names``: whether names and levels stand on a map.
+    """
+
+    page: "DrawnPage"
+    kind: str | None = None
+    window: Window | None = None
+    overlays: tuple[str, ...] = ()
+    curves: tuple[str, ...] | None = None
+    names: bool = True
+    against: "xr.Dataset | None" = None
+    pixels: tuple[int, int] | None = None
+    variable: str | None = None
+    log: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        kind: str | None = None,
+        window: Window | None = None,
+        pixels: tuple[int, int] | None = None,
+        **options: Unpack[MapLook],
+    ) -> "Wanted":
+        """What these arguments of ``figure`` ask for; InputError for one that is not possible."""
+        from atlas.render.page import page  # with it matplotlib
+
+        look: dict[str, Any] = dict(options)
+        lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
+        own: dict[str, Any] = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
+        for name, given in (("kind", kind), ("variable", own.get("variable"))):
+            if given is not None:
+                checked_name(name, given)
+        for name in ("names", "log"):
+            checked_flag(name, own.get(name, False))
+        if own.get("against") is not None:
+            checked_atlas(own["against"], "against")
+        return cls(page(**look), kind, checked_window(window), lines, curves, pixels=checked_pixels(pixels), **own)
+
+
+def chosen_kind(ds: "xr.Dataset", wanted: Wanted) -> Kind:
+    """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
+    axes, atlases, found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
+    if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
+        _check_scalar(ds, wanted)
+        return TABLE[SCALAR]
+    fitting = [name for name in KINDS if TABLE[name].axes == axes]
+    possible = [name for name in fitting if TABLE[name].atlases == atlases]
+    if not possible:
+        raise InputError(f"two atlases are drawn together as sweeps, {found}")
+    held = [name for name in possible if TABLE[name].variables[0] in ds]
+    held = [BASINS] if BASINS in held else held or possible
+    chosen, here = held[0] if wanted.kind is None else wanted.kind, f"; possible here: {', '.join(held)}"
+    if chosen not in KINDS:
+        raise InputError(f"unknown kind of picture {chosen!r}{here}")
+    kind = TABLE[chosen]
+    if chosen not in fitting:
+        raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {found}{here}")
+    if chosen not in possible:
+        needed = "a second atlas to draw against" if kind.atlases == 2 else "one atlas, found two"
+        raise InputError(f"kind {chosen!r} needs {needed}{here}")
+    if kind.scale is CLASSES:
+        wanted.page.refuse_ends(f"kind {chosen!r} draws classes")
+    return kind
+
+
+def _check_scalar(ds: "xr.Dataset", wanted: Wanted) -> None:
+    """InputError unless a variable can be mapped: one that is named and is a number of each cell of a plane."""
+    name = wanted.variable
+    if wanted.kind not in (None, SCALAR):
+        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {wanted.kind!r}")
+    if name is None:
+        raise InputError(f"kind {SCALAR!r} draws a variable, and none is named")
+    if wanted.against is not None:
+        raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
+    if len(axis_names(ds)) != 2:
+        raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")
+    possible = numbers_of_cells(ds)
+    if name in ds and name not in possible:
+        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
+    check_names("variable", [name], possible)
+
+
+def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
+    """The kinds of curves that are asked for, given as a list or with commas between, or "all"; None where none are."""
+    if curves is None:
+        return None
+    if isinstance(curves, str) and curves == "all":
+        return CURVES
+    wanted = names_in("curves", curves)
+    for each in wanted:
+        if each not in CURVES:
+            raise InputError(f"unknown kind of curve {each!r}; possible: {', '.join(CURVES)}")
+    return wanted
+
+
+def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
+    """Raise InputError unless each of them is an overlay of as many axes."""
+    for overlay in overlays:
+        if overlay not in OVERLAYS:
+            raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
+        axes, kind = (1, "a sweep") if overlay == "branches" else (2, "a map")
+        if len(axis_names(ds)) != axes:
+            raise InputError(f"overlay {overlay!r} is drawn over {kind}, {found_axes(ds)}")
