@@ -1,4 +1,4 @@
-"""Oscillators made by hand as records of workers.continuation, and the reference points of tests/data/curves.json."""
+"""Families of machines of closed forms, the reference points of tests/data/curves.json, and exponents of orbits."""
 
 import json
 import math
@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.equations import ImpactMotion
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.oscillator import Family, ModalOscillator, family_of
-from workers.continuation.stability import pieces
-from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, OF_GUARD, Mode, make_blocks
+from workers.continuation.legs import EVENT, MODE, NO_EVENT, fly_leg, saltate
+from workers.continuation.motion import Motion
+from workers.continuation.oscillator import Family, family_of
+from workers.kernel.borrow import row_of
+from workers.kernel.hybrid.state import turned
+from workers.model.family import FLYING, Machine
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
@@ -67,102 +69,69 @@ def reference_event(record: dict[str, Any], free: tuple[str, ...]) -> tuple[Fami
     return family, Event(record["kind"], tuple(conditions), point, kappa), values
 
 
+def waves(lin: Machine) -> Array:
+    """The forced part (N, H, 2) of y without impacts, as amplitudes of sines and cosines."""
+    return lin.mode(FLYING).waves[:, 0]
+
+
+def amplitude(lin: Machine) -> Array:
+    """The amplitude (N,) of y without impacts, under a force of one harmonic."""
+    return np.asarray(np.hypot(*waves(lin)[:, 0].T))
+
+
 def upper_peak(family: Family, values: Array) -> float:
     """When the motion without impact is largest."""
     lin = family.model(values[None])
-    crest = 0.5 * math.pi - math.atan2(lin.gap.cos_part[0, 0], lin.gap.sin_part[0, 0]) - lin.tau[0]
-    return float(crest / lin.omega[0])
+    sin, cos = waves(lin)[0, 0]
+    return float((0.5 * math.pi - math.atan2(cos, sin) - lin.tau[0]) / lin.omega[0])
 
 
-def exponents(motion: ImpactMotion) -> Array:
-    """Lyapunov exponents (N, 2n) per forcing period, largest first: ln|multipliers|, whatever their spread.
+def factors(motion: Motion) -> Array:
+    """The factors (L, 2n, 2n) of the map of a turn of one orbit: its legs, each with the event at its end."""
+    lin, plan, size = motion.lin, motion.plan, motion.start.shape[1]
+    modes, found = row_of(motion.pieces, 0), np.empty((len(plan.table), size, size))
+    h, V, room, harmonics = (
+        np.empty((size // 2, 2)),
+        np.empty((size, size // 2, 2)),
+        np.empty((3, size)),
+        len(modes.waves[0, 0]),
+    )
+    for k, row in enumerate(plan.table):
+        z, D, begin, end = motion.turn.states[0, k].copy(), np.eye(size), motion.begins[0, k], motion.ends[0, k]
+        before, after = (turned(lin.tau[0] + lin.omega[0] * t, harmonics) for t in (begin, end))
+        fly_leg(modes, row[MODE], end - begin, before, after, z, D, h, V)
+        if row[EVENT] != NO_EVENT:
+            saltate(modes, lin.elements, plan.table, k, 0, lin.omega[0], z, after, 0.0, D, room)
+        found[k] = D.T
+    found[-1] *= motion.itinerary.sign
+    return found
+
+
+def exponents(motion: Motion) -> Array:
+    """Lyapunov exponents (2n,) per forcing period of one orbit, largest first: ln|multipliers|, whatever their spread.
 
     The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost
     beside another as in the product of the factors.
     """
-    factors, itinerary = pieces(motion), motion.itinerary
-    N, m, size = factors.shape[:3]
-    cyclic = np.zeros((N, m * size, m * size))
+    each, itinerary = factors(motion), motion.itinerary
+    m, size = each.shape[:2]
+    cyclic = np.zeros((m * size, m * size))
     for i in range(m):
         after = (i + 1) % m
-        cyclic[:, after * size : (after + 1) * size, i * size : (i + 1) * size] = factors[:, i]
+        cyclic[after * size : (after + 1) * size, i * size : (i + 1) * size] = each[i]
     with np.errstate(divide="ignore"):
-        logs = -np.sort(-np.log(np.abs(np.linalg.eigvals(cyclic))), axis=1)
+        logs = -np.sort(-np.log(np.abs(np.linalg.eigvals(cyclic))))
     periods = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
-    return np.asarray(logs.reshape(N, size, m).sum(2) / periods)
-
-
-def oscillator(
-    eta: Array,
-    lam: Array,
-    c: Array,
-    k: Array,
-    waves: Array,
-    load: Array,
-    stops: tuple[Array, Array],
-    omega: Array,
-    tau: Array,
-    R: Array,
-) -> ModalOscillator:
-    """N oscillators: blocks (N, n), gap rows c and kick columns k (N, n, 2), waves (2, N, H), stops (upper, lower).
-
-    Bounds of the signal are left out: its crossings are not certified.
-    """
-    N, n = eta.shape
-    row1 = np.stack([-lam * c[..., 1], c[..., 0] - 2.0 * eta * c[..., 1]], axis=-1)
-    kick1 = np.stack([k[..., 1], -lam * k[..., 0] - 2.0 * eta * k[..., 1]], axis=-1)
-    blocks = make_blocks(eta, lam)
-    blocks[..., COLUMN.load] = load
-    blocks[..., OF_FLOW:OF_GUARD] = np.concatenate([c, row1, k, kick1, np.zeros((N, n, 2))], axis=-1)
-    numbers = np.full((N, len(NUMBER)), np.nan)
-    numbers[:, NUMBER.omega] = omega
-    gap = Mode(blocks, np.stack(waves, axis=-1), numbers, np.zeros((N, n, 2, waves.shape[2], 2)))
-    return ModalOscillator(gap, *stops, tau, R)
-
-
-def ball_between(
-    free: tuple[str, ...], fixed: dict[str, float], wave: str, load: float, upper: float, lower: float
-) -> Family:
-    """A free mass between stops under a load, y measured from a table that shakes; the parameter ``wave`` says how."""
-
-    def model(rows: Array) -> ModalOscillator:
-        N = len(rows)
-        given = {name: np.full(N, value) for name, value in fixed.items()}
-        given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
-        none = np.zeros((N, 1))
-        waves = np.stack([-given[wave][:, None], none])
-        stops = np.full(N, upper), np.full(N, lower)
-        c, k = (np.tile(unit, (N, 1, 1)) for unit in np.eye(2))
-        return oscillator(none, none, c, k, waves, none + load, stops, np.ones(N), np.zeros(N), given["R"])
-
-    return Family(free, model, certified=False)
+    return np.asarray(logs.reshape(size, m).sum(1) / periods)
 
 
 def bouncing_ball(free: tuple[str, ...], **fixed: float) -> Family:
-    """y'' = -1 + A sin t above a table at y = 0; A is the relative acceleration Gamma."""
-    return ball_between(free, fixed, "A", -1.0, np.inf, 0.0)
+    """y'' = -1 + A sin t above a table at y = 0; A is the relative acceleration Gamma. Orbits need not exist."""
+    given = {"omega": 1.0, "tau": 0.0} | fixed
+    return family_of(find_system("bouncing-ball"), given, free)._replace(certified=False)
 
 
 def impact_pair(free: tuple[str, ...], **fixed: float) -> Family:
-    """y'' = alpha sin t between stops at -1/2 and 1/2."""
-    return ball_between(free, fixed, "alpha", 0.0, 0.5, 0.5)
-
-
-def general(seed: int = 1, harmonics: int = 2, rigid_damping: float = 0.3) -> ModalOscillator:
-    """An oscillator with everything: coupled damping (both entries of c and k), a rigid mode, its load, harmonics."""
-    rng = np.random.default_rng(seed)
-    eta = np.array([[0.2, 3.0, rigid_damping]])
-    lam = np.array([[2.5, 4.0, 0.0]])
-    c, k = rng.normal(size=(1, 3, 2)), rng.normal(size=(1, 3, 2))
-    c[0, 2, 1] = k[0, 2, 0] = 0.0
-    row, row1 = c[0].ravel(), np.stack([-lam[0] * c[0, :, 1], c[0, :, 0] - 2.0 * eta[0] * c[0, :, 1]], -1).ravel()
-    free = np.array([0, 1, 2, 3, 5])  # k of the rigid mode stays a velocity
-    rows = np.stack([row, row1])[:, free]
-    flat = k[0].ravel()[free]
-    flat += np.linalg.lstsq(rows, np.array([0.0, 1.0]) - rows @ flat, rcond=None)[0]
-    kick = np.zeros(6)
-    kick[free] = flat
-    waves, load = rng.normal(size=(2, 1, harmonics)), rng.normal(size=(1, 3)) * (lam == 0.0)
-    stops = np.array([1.0]), np.array([0.7])
-    at = np.array([1.7]), np.array([0.4]), np.array([0.6])
-    return oscillator(eta, lam, c, kick.reshape(1, 3, 2), waves, load, stops, *at)
+    """y'' = alpha sin t between stops at -1/2 and 1/2. Orbits need not exist."""
+    given = {"omega": 1.0, "tau": 0.0, "nu": 1.0} | fixed
+    return family_of(find_system("impact-pair"), given, free)._replace(certified=False)

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.oracle.pieces import Contact, Machine, Mode
-from workers.continuation.departure import first_departure
+from workers.continuation.admissible import first_fault
 from workers.continuation.equations import motion_of
 from workers.continuation.itinerary import many_orbits
-from workers.continuation.recording import recorded_modes
-from workers.continuation.switching import SwitchingMotion
+from workers.continuation.recording import recorded
 from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.notes import LEG_STATE
 from workers.kernel.hybrid.state import shown_number
 from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+from workers.model.family import with_modes
 from workers.model.hybrid import build_hybrid
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS, Code
@@ -185,8 +185,7 @@ def warm_up() -> None:
     """Compile the loop through modes by itself, as tests call it: once for all processes of a test run."""
     mass = Machine([[1.0]], [[0.1]], [[1.0]], [0.0], 1.0, (), (Contact([1.0], 1.0, None, stiffness=1.0),))
     follow(built(mass), [0.0, 0.0])
-    machines = machines_of([mass])
-    motion = motion_of(machines, many_orbits([recorded_modes(machines, np.array([2.0, 0.0]), 1)]))
-    assert isinstance(motion, SwitchingMotion)
+    machines = with_modes(machines_of([mass]))
+    motion = motion_of(machines, many_orbits([recorded(machines, np.array([2.0, 0.0]), 1)]))
     motion.at(np.array([[0.0]]))
-    first_departure(motion)
+    first_fault(motion)

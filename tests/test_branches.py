@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
-from workers.continuation.equations import Motion
 from workers.continuation.itinerary import Itinerary, Orbit
+from workers.continuation.motion import Motion
 from workers.continuation.orbits import orbit_from_state
 from workers.continuation.oscillator import family_of
 from workers.continuation.stability import multipliers
@@ -103,7 +103,10 @@ def test_the_stability_of_a_branch_changes_at_its_events_alone_though_multiplier
     monkeypatch.setattr("workers.continuation.events.multipliers", flickering)
     state = solve_tile("two-mass", {"omega": 2.97}, Settings(max_periods=2000, survival=0))["state"]
     orbit = orbit_from_state(TWO_MASS, {"omega": 2.97}, state, 1)
-    run = branch(family_of(TWO_MASS, {}, ("omega",)), orbit, 2.97, (2.95, 3.05))
+    family = family_of(TWO_MASS, {}, ("omega",))
+    *_, beside, _ = branch(family, orbit, 2.97, (2.95, 3.05)).points
+    value = float(beside.values[0])
+    run = branch(family, beside.orbit, value, (value - 2e-6, value + 6e-6))
     assert kinds(run) == ["symmetry_breaking"]
     near = [point for point in run.points if np.min(np.abs(point.multipliers - 1.0)) < 1e-5]
     assert len(near) > 10

@@ -4,15 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from tests.handmade import bouncing_ball
 from workers.continuation import Condition, Event, Itinerary, Orbit, Point, curve, family_of
 from workers.continuation.branches import branch
 from workers.continuation.extended import GRAZE, UNIT
-from workers.continuation.oscillator import Family, ModalOscillator
-from workers.model.system import find_system
+from workers.continuation.oscillator import Family
+from workers.model.system import System, find_system
 
 R, PHI = 0.5, 1.0
 """Restitution of the ball on a table that shakes in two harmonics, and the phase of the second one."""
@@ -20,15 +18,12 @@ R, PHI = 0.5, 1.0
 
 def two_tones() -> Family:
     """A ball above a table, y'' = -1 + A sin t + 2 B sin(2 t + PHI): then Y' = -A cos t - B cos(2 t + PHI)."""
-    one = bouncing_ball(("A",), R=R)
-
-    def model(rows: NDArray[np.float64]) -> ModalOscillator:
-        lin, second = one.model(rows), -0.5 * rows[:, 1]
-        sin_part = np.stack([lin.gap.sin_part[:, 0], second * math.cos(PHI)], axis=1)
-        cos_part = np.outer(second, [0.0, math.sin(PHI)])
-        return lin._replace(gap=lin.gap._replace(waves=np.stack([sin_part, cos_part], axis=-1)))
-
-    return Family(("A", "B"), model, certified=False)
+    tones = {
+        "name": "two-tones", "coordinates": ["y"], "mass": [[1.0]], "force": ["A"], "load": [-1.0], "gap": [1.0],
+        "lower": 0.0, "restitution": R, "harmonics": [{"order": 2, "force": ["2 * B"], "phase": [PHI]}],
+        "parameters": {"omega": {"default": 1.0}, "A": {"default": 1.0}, "B": {"default": 1.0}},
+    }  # fmt: skip
+    return family_of(System.from_mapping(tones), {}, ("A", "B"))._replace(certified=False)
 
 
 def fold(t: float) -> tuple[float, float]:

@@ -34,6 +34,7 @@ from atlas.store.tiles import write_tile
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair
 from tests.faults import ATLAS, ROOT
+from tests.handmade import amplitude
 from workers.continuation import Orbit
 from workers.results import CHAOTIC
 
@@ -61,8 +62,7 @@ def fresh(solved: Path, tmp_path: Path) -> Path:
 
 def amplitudes(path: Path, points: np.ndarray) -> np.ndarray:
     """|Y| of the motion without impact at points (N, 2) of the plane of ``forces``."""
-    lin = CellOrbits(plane_of(read_header(path))).family.model(points)
-    return np.asarray(np.hypot(lin.gap.sin_part[:, 0], lin.gap.cos_part[:, 0]))
+    return amplitude(CellOrbits(plane_of(read_header(path))).family.model(points))
 
 
 def test_every_curve_of_a_plane_of_b_and_f2_is_b_over_the_amplitude_constant(

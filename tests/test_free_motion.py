@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from workers.continuation.oscillator import NoOscillatorError, family_of, modal
+from workers.continuation.oscillator import family_of
 from workers.model.build import build
-from workers.model.family import FreeMotions
+from workers.model.family import FLYING, NoOscillatorError, machines_over
 from workers.model.oscillator import COLUMN, Machines
 from workers.model.system import System, find_system, system_names
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -27,9 +27,16 @@ def test_it_is_that_of_whole_oscillators_to_the_bit_whichever_parameters_are_fre
         oscillators, _ = system.build_many(values | {name: rows[:, k].copy() for k, name in enumerate(free)})
         family = family_of(system, {}, free)
         family.model(rows[::-1].copy())  # what is kept is of another row
-        found, exact = family.model(rows), modal(oscillators)
-        for one, other in ((found.gap, exact.gap), (found[1:], exact[1:])):
-            assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+        found, gap = family.model(rows), oscillators.gap
+        mode = found.mode(FLYING)
+        pairs = [
+            (mode.blocks[:, 0, :, : COLUMN.rest0], gap.blocks[..., : COLUMN.rest0]),
+            (mode.waves[:, 0], gap.waves), (mode.numbers[:, 0], gap.numbers), (mode.forced, gap.forced),
+            (mode.to_blocks, oscillators.to_blocks), (mode.to_physical, oscillators.to_physical),
+            (found.elements.stops[:, 0, 1], oscillators.b_upper), (-found.elements.stops[:, 0, 0], oscillators.b_lower),
+            (found.elements.R[:, 0], oscillators.R), (found.tau, oscillators.tau),
+        ]  # fmt: skip
+        assert all(np.array_equal(one, other) for one, other in pairs)
 
 
 @pytest.mark.parametrize(
@@ -39,14 +46,14 @@ def test_it_is_that_of_whole_oscillators_to_the_bit_whichever_parameters_are_fre
 def test_values_out_of_range_are_told_beside_good_ones(free: tuple[str, ...], row: list[float]) -> None:
     system = find_system("two-mass")
     good = rows_of(system, free, 1)[0]
-    _, reasons = FreeMotions(system, {}, free)(np.array([good, row]))
+    _, reasons = machines_over(system, {}, free)(np.array([good, row]))
     assert reasons.tolist() == [NO_REASON, OUT_OF_RANGE]
 
 
 def test_fixed_values_that_make_no_machine_are_told() -> None:
     with pytest.raises(NoOscillatorError, match=r"no oscillator at b = 0\.2"):
         family_of(find_system("two-mass"), {"mu_m": -1.0}, ("b",)).model(np.array([[0.2]]))
-    _, reasons = FreeMotions(find_system("two-mass"), {"zeta": 1e308}, ("b",))(np.array([[0.2]]))
+    _, reasons = machines_over(find_system("two-mass"), {"zeta": 1e308}, ("b",))(np.array([[0.2]]))
     assert reasons.tolist() == [OUT_OF_DOUBLES]
 
 
@@ -80,6 +87,6 @@ def test_a_machine_depends_on_parameters_through_names_too() -> None:
 def test_rows_after_some_that_make_no_machine_are_as_before() -> None:
     system = find_system("two-mass")
     good, bad = np.array([[2.0, 0.3], [3.0, 0.2]]), np.array([[2.0, -0.3], [np.nan, 0.2]])
-    motions = FreeMotions(system, {}, ("omega", "b"))
+    motions = machines_over(system, {}, ("omega", "b"))
     told = [motions(rows)[1].tolist() for rows in (bad, good, bad, good)]
     assert told == [[OUT_OF_RANGE, OUT_OF_RANGE], [NO_REASON, NO_REASON]] * 2

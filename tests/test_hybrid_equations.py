@@ -11,14 +11,15 @@ import pytest
 from tests.hybrids import machines_of
 from tests.test_hybrid_orbits import RECORDS, TOUCHES, machine_in
 from workers import Settings
-from workers.continuation.departure import first_departure
+from workers.continuation.admissible import first_fault
 from workers.continuation.equations import motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
+from workers.continuation.motion import Motion
 from workers.continuation.orbits import orbit_from_state, refined
 from workers.continuation.oscillator import Family, family_of
-from workers.continuation.recording import recorded_modes
+from workers.continuation.recording import recorded
 from workers.continuation.stability import multipliers
-from workers.continuation.switching import SwitchingMotion
+from workers.model.family import with_modes
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import code_of
 from workers.model.system import find_system
@@ -39,22 +40,21 @@ each_forced = pytest.mark.parametrize("name", FORCED)
 
 def always(machines: HybridMachines) -> Family:
     """One machine, whatever is asked for."""
-    return Family((), lambda rows: HybridMachines(*(np.repeat(field, len(rows), axis=0) for field in machines)))
+    return Family((), lambda rows: with_modes(machines).taken(np.zeros(len(rows), dtype=np.int64)))
 
 
 @functools.cache
-def solved(name: str) -> SwitchingMotion:
+def solved(name: str) -> Motion:
     """The orbit of a record by the equations, from times that are all a little late."""
     record = RECORDS[name]
     machines = machines_of([machine_in(record)])
-    orbit = recorded_modes(machines, np.array(record["state"]), record["periods"])
+    orbit = recorded(with_modes(machines), np.array(record["state"]), record["periods"])
     found = refined(always(machines), orbit._replace(times=orbit.times + 1e-4), np.zeros(0))
-    motion = motion_of(machines, many_orbits([found]))
-    assert isinstance(motion, SwitchingMotion)
+    motion = motion_of(with_modes(machines), many_orbits([found]))
     return motion
 
 
-def whole_times(motion: SwitchingMotion) -> np.ndarray:
+def whole_times(motion: Motion) -> np.ndarray:
     """Times of all events within the turn before, this one and the next."""
     span = float(motion.span[0])
     return np.concatenate([motion.times[0] + k * span for k in (-2, -1, 0, 1, 2)])
@@ -82,7 +82,7 @@ def test_the_schur_complement_has_the_multipliers_of_the_oracle(name: str) -> No
 
 @each_forced
 def test_an_orbit_of_the_oracle_is_admissible(name: str) -> None:
-    assert first_departure(solved(name)) is None
+    assert first_fault(solved(name)) is None
 
 
 @each_forced
@@ -99,7 +99,7 @@ def test_tangents_are_the_derivatives_of_the_residuals(name: str) -> None:
     X = motion.unknowns[0] * (1.0 + 1e-3 * np.cos(np.arange(motion.unknowns.shape[1])))
     steps = 1e-6 * np.eye(len(X))
     rows = np.concatenate([X[None], X + steps, X - steps])
-    lin = HybridMachines(*(np.repeat(field, len(rows), axis=0) for field in motion.lin))
+    lin = motion.lin.taken(np.zeros(len(rows), dtype=np.int64))
     moved = motion_of_unknowns(lin, motion.itinerary, rows)
     ahead, behind = np.split(moved.turn.residuals[1:], 2)
     found = moved.linearised()[0]
@@ -112,7 +112,7 @@ def test_tangents_are_the_derivatives_of_the_residuals(name: str) -> None:
 def test_the_determinant_is_that_of_the_map_times_the_rates(name: str, z: complex) -> None:
     """det J_z = det(DP - z I) prod r'_i."""
     motion = solved(name)
-    DP, J = motion.turn_map()[0], motion.linearised(z)[0]
+    DP, J = motion.turn.maps[0], motion.linearised(z)[0]
     expected = np.linalg.det(DP - z * np.eye(len(DP))) * np.prod(motion.turn.signals[0, 1])
     assert np.linalg.det(J) == pytest.approx(expected, rel=1e-10)
 
@@ -133,8 +133,7 @@ def without(name: str, count: int, **change: Any) -> Orbit:
 
 def test_events_out_of_order_are_no_orbit() -> None:
     motion = motion_of(solved("row 4").lin, many_orbits([without("row 4", 1)]))
-    assert isinstance(motion, SwitchingMotion)
-    fault = first_departure(motion)
+    fault = first_fault(motion)
     assert fault is not None
 
 
@@ -142,12 +141,11 @@ def test_an_orbit_through_a_stop_is_no_orbit() -> None:
     """The linear answer above its graze, followed as if there were no contact."""
     record = RECORDS["row 1, omega 0.782"]
     machines = machines_of([replace(machine_in(record), omega=0.7825)])
-    still = recorded_modes(machines_of([replace(machine_in(record), omega=0.5)]), np.array([0.1, 0.0]), 1)
+    still = recorded(with_modes(machines_of([replace(machine_in(record), omega=0.5)])), np.array([0.1, 0.0]), 1)
     assert not still.itinerary.sides
     orbit = refined(always(machines), still, np.zeros(0))
-    motion = motion_of(machines, many_orbits([orbit]))
-    assert isinstance(motion, SwitchingMotion)
-    fault = first_departure(motion)
+    motion = motion_of(with_modes(machines), many_orbits([orbit]))
+    fault = first_fault(motion)
     assert fault is not None
     assert (fault.signal, fault.side) == (0, 1)
 
@@ -188,8 +186,7 @@ def test_orbits_of_cells_are_admissible_and_have_the_exponents_of_the_cells(name
         given = {name: float(column[k]) for name, column in values.items()}
         orbit = orbit_from_state(system, given, cells["state"][k], max(1, int(cells["period"][k])))
         motion = motion_of(family_of(system, given, ()).model(np.zeros((1, 0))), many_orbits([orbit]))
-        assert isinstance(motion, SwitchingMotion)
-        assert first_departure(motion) is None
+        assert first_fault(motion) is None
         turn = orbit.itinerary.periods * (0.5 if orbit.itinerary.symmetric else 1.0)
         with np.errstate(divide="ignore"):
             exponents = np.log(np.abs(multipliers(motion)[0])) / turn

@@ -12,22 +12,24 @@ from tests.handmade import (
     CURVES,
     bouncing_ball,
     exponents,
-    general,
-    impact_pair,
     reference_event,
     reference_name,
     reference_orbit,
     reference_values,
 )
-from workers.continuation.admissible import CONTACT, LOST, first_fault
-from workers.continuation.equations import ImpactMotion, Motion, check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.admissible import CONTACT, LOST, Touch, first_fault
+from workers.continuation.equations import check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.extended import Extended, solve
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
+from workers.continuation.motion import Motion
 from workers.continuation.orbits import section_state
-from workers.continuation.oscillator import ModalOscillator, family_of
-from workers.continuation.stability import flights, multipliers, turn_map
+from workers.continuation.oscillator import family_of, machine_of
+from workers.continuation.stability import multipliers
+from workers.kernel.flow import flow_with_tangent
+from workers.kernel.motion import axes
+from workers.model.family import Machine
 from workers.model.oscillator import make_blocks
-from workers.model.system import find_system
+from workers.model.system import System, find_system
 
 TWO_MASS = find_system("two-mass")
 
@@ -75,7 +77,8 @@ def test_a_reference_orbit_is_admissible(record: dict[str, Any]) -> None:
     family, event, values = reference_event(record, tuple(record["free"]))
     orbit = event.point.orbit
     lin = Extended(family, orbit, (), values, values).model(values)
-    assert first_fault(motion_of(lin, many_orbits([orbit])), event.point.contacts) is None
+    grazes = [Touch(float(t), 0, 1) for t in event.point.contacts]
+    assert first_fault(motion_of(lin, many_orbits([orbit])), grazes) is None
 
 
 def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
@@ -110,62 +113,62 @@ def test_an_impact_that_moves_off_its_stop_is_a_fault() -> None:
     assert (fault.reason, fault.impact) == (LOST, 1)
 
 
-def bounced(motion: Motion, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The naive twin: block states (h, h') at times s of one turn, and at its end, by an integrator.
+def general(damping: float, harmonics: int) -> System:
+    """Three masses with coupled damping, that of their free motion among it, under a load, between unequal stops."""
+    Q = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    C = Q @ np.array([[0.4, 0.3, 0.0], [0.3, 6.0, 0.0], [0.0, 0.0, 2.0 * damping]]) @ Q.T
+    K = Q @ np.diag([2.5, 4.0, 0.0]) @ Q.T
+    second = [{"order": 2, "force": [0.3, -0.4, 0.9], "phase": [0.1, 0.2, 0.3]}][: harmonics - 1]
+    return System.from_mapping({
+        "name": "general", "coordinates": ["x1", "x2", "x3"], "mass": np.eye(3).tolist(), "damping": C.tolist(),
+        "stiffness": K.tolist(), "force": [0.7, -1.1, 0.4], "harmonics": second, "load": [0.5, 0.2, -0.3],
+        "gap": [1.0, -0.4, 0.6], "upper": 1.0, "lower": -0.7, "restitution": 0.6,
+        "parameters": {"omega": {"default": 1.7}, "tau": {"default": 0.4}},
+    })  # fmt: skip
 
-    An impact changes the velocity of y, forced part and all, by -(1 + R) times itself.
-    """
-    lin, times = motion.lin, motion.times[0]
-    eta, lam, load = lin.gap.eta[0], lin.gap.lam[0], lin.gap.load[0]
-    n = len(eta)
 
-    def rate(_: float, u: np.ndarray) -> np.ndarray:
-        x, v = u[:n], u[n:]
-        return np.concatenate([v, load - 2.0 * eta * v - lam * x])
+def bounced(system: System, motion: Motion, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The naive twin: physical states at times s of one turn, and at its end, by an integrator."""
+    own = system.definition.hybrid({"omega": np.array([1.7]), "tau": np.array([0.4])})
+    inverse, row, rest, n = np.linalg.inv(own.mass[0]), own.row[0, 0], motion.lin.rest[0], 3
+    kick = inverse @ row / (row @ inverse @ row)
+    orders = np.arange(1, own.force_sin.shape[2] + 1)
+
+    def rate(t: float, u: np.ndarray) -> np.ndarray:
+        angle = orders * (1.7 * t + 0.4)
+        force = np.sin(angle) @ own.force_sin[0, 0] + np.cos(angle) @ own.force_cos[0, 0] + own.load[0, 0]
+        return np.concatenate([u[n:], inverse @ (force - own.stiffness[0, 0] @ u[:n] - own.damping[0, 0] @ u[n:])])
 
     def flight(u: np.ndarray, begin: float, end: float) -> np.ndarray:
         inside = s[(s > begin) & (s < end)]
         path = solve_ivp(rate, (begin, end), u, t_eval=[*inside, end], method="DOP853", rtol=1e-13, atol=1e-13)
-        out.extend(path.y.T[: len(inside)])
+        out.extend(path.y.T[: len(inside)] - rest)
         return np.asarray(path.y[:, -1])
 
-    u, out = motion.start[0].T.ravel(), list[np.ndarray]()
+    u, out, times = motion.start[0] + rest, list[np.ndarray](), motion.times[0]
     for begin, end in pairwise([*times, times[0] + motion.span[0]]):
-        v = np.sum(lin.gap.row[0].T.ravel() * rate(begin, u)) + waves(lin, np.array([begin]))[1, 0]
-        u = flight(u - (1.0 + lin.R[0]) * v * lin.gap.kick[0].T.ravel(), begin, end)
-    return np.array(out), u
+        u[n:] -= 1.6 * (row @ u[n:]) * kick
+        u = flight(u, begin, end)
+    return np.array(out), u - rest
 
 
-def waves(lin: ModalOscillator, s: np.ndarray) -> np.ndarray:
-    """The forced part of y and its derivative (2, K) at times s (K,)."""
-    omega, found = lin.omega[0], np.zeros((2, len(s)))
-    for k, (sin, cos) in enumerate(zip(lin.gap.sin_part[0], lin.gap.cos_part[0], strict=True), 1):
-        angle = k * (omega * s + lin.tau[0])
-        found[0] += sin * np.sin(angle) + cos * np.cos(angle)
-        found[1] += k * omega * (sin * np.cos(angle) - cos * np.sin(angle))
-    return found
-
-
-def general_motion(rigid_damping: float = 0.3, harmonics: int = 2) -> Motion:
-    """No orbit: a turn of the general oscillator from anywhere."""
-    lin = general(rigid_damping=rigid_damping, harmonics=harmonics)
-    start = np.random.default_rng(2).standard_normal((1, 3, 2))
-    return ImpactMotion(lin, Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
+def general_motion(system: System) -> Motion:
+    """No orbit: a turn of the general machine from anywhere."""
+    start = np.random.default_rng(2).standard_normal((1, 6))
+    return Motion(machine_of(system, {}), Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-4, 0.05, 0.3, 2.0])
 def test_a_turn_is_that_of_a_general_integrator(damping: float) -> None:
-    """Blocks with both entries of c and k, a damped or undamped rigid mode under a load, and two harmonics."""
-    motion = general_motion(damping)
-    lin, s = motion.lin, np.array([1.0, 2.0, 2.3, 4.0, 6.0, 8.0])
-    path, end = bounced(motion, s)
-    y = path[:, :3] @ lin.gap.row[0, :, 0] + path[:, 3:] @ lin.gap.row[0, :, 1] + waves(lin, s)[0]
-    states, (found, _, _) = motion.at(s[None])
-    assert states[0].transpose(0, 2, 1).reshape(6, 6) == pytest.approx(path, abs=1e-10)
-    assert found[0] == pytest.approx(y, abs=1e-10)
-    assert motion.turn.residuals[0, :6].reshape(3, 2).T.ravel() == pytest.approx(
-        end - motion.start[0].T.ravel(), abs=1e-10
-    )
+    """Coupled damping, a damped or undamped rigid mode under a load, and two harmonics."""
+    system = general(damping, 2)
+    motion, s = general_motion(system), np.array([1.0, 2.0, 2.3, 4.0, 6.0, 8.0])
+    path, end = bounced(system, motion, s)
+    states, (found, _, low, high) = motion.at(s[None])
+    assert states[0] == pytest.approx(path, abs=1e-10)
+    assert found[0] == pytest.approx(path[:, :3] @ np.array([1.0, -0.4, 0.6]), abs=1e-10)
+    assert high[0] - low[0] == pytest.approx(1.7, abs=1e-12)
+    assert motion.turn.residuals[0, :6] == pytest.approx(end - motion.start[0], abs=1e-10)
 
 
 def test_flows_are_those_of_the_kernel_s_formula() -> None:
@@ -176,8 +179,9 @@ def test_flows_are_those_of_the_kernel_s_formula() -> None:
         for s in (1e-3, 0.4, 3.0):
             blocks = make_blocks(np.array([[eta]]), np.array([[lam]]))
             exact = expm(np.array([[0.0, 1.0], [-lam, -2.0 * eta]]) * s)
-            found = flights(blocks, np.array([[s]]), np.ones(1), np.zeros((1, 0)))[0, 0]
-            assert found == pytest.approx(exact, abs=1e-13)
+            found = axes(1)
+            flow_with_tangent(blocks[0], s, np.zeros((1, 2)), found)
+            assert pytest.approx(exact, abs=1e-13) == found[:, 0].T
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
@@ -185,8 +189,9 @@ def test_the_jacobian_is_that_of_finite_differences(record: dict[str, Any]) -> N
     differences_of(motion_at(record), 1e-8)
 
 
-def test_the_jacobian_with_a_rigid_mode_is_that_of_finite_differences() -> None:
-    differences_of(general_motion(harmonics=1), 1e-7)
+@pytest.mark.parametrize("harmonics", [1, 2])
+def test_the_jacobian_with_a_rigid_mode_is_that_of_finite_differences(harmonics: int) -> None:
+    differences_of(general_motion(general(0.3, harmonics)), 1e-7)
 
 
 def differences_of(motion: Motion, tolerance: float) -> None:
@@ -203,16 +208,17 @@ def differences_of(motion: Motion, tolerance: float) -> None:
 def test_the_determinant_is_that_of_the_turn_without_poles(record: dict[str, Any], z: complex) -> None:
     """det J_z = det(DP - z) prod v_i, the whole orbit and the half of a symmetric one."""
     motion = motion_at(record)
-    expected = np.prod(motion.orbits.speeds) * np.linalg.det(turn_map(motion)[0] - z * np.eye(4))
+    expected = np.prod(motion.orbits.speeds) * np.linalg.det(motion.turn.maps[0] - z * np.eye(4))
     assert np.linalg.det(motion.linearised(z)[0]) == pytest.approx(expected, abs=1e-11)
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_exponents_keep_the_exact_law_of_their_sum(record: dict[str, Any]) -> None:
     motion, orbit = motion_at(record), reference_orbit(record)
-    lin, found = motion.lin, exponents(motion)[0]
+    lin, found = motion.lin, exponents(motion)
     per_period = len(orbit.times) * (2 if orbit.itinerary.symmetric else 1) / orbit.itinerary.periods
-    law = -2.0 * lin.gap.eta.sum() * 2.0 * np.pi / lin.omega[0] + 2.0 * np.log(lin.R[0]) * per_period
+    damping = np.trace(lin.machines.damping[0, 0] @ np.linalg.inv(lin.machines.mass[0]))
+    law = -damping * 2.0 * np.pi / lin.omega[0] + 2.0 * np.log(lin.elements.R[0, 0]) * per_period
     assert found.sum() == pytest.approx(law, abs=1e-12)
 
 
@@ -233,12 +239,14 @@ def test_the_bouncing_ball_has_the_multipliers_of_its_map() -> None:
 
 
 def test_sticking_and_false_symmetry_are_refused_in_one_line() -> None:
-    pair = impact_pair((), alpha=0.3, R=0.6).model(np.zeros((1, 0)))
+    def pair(**changes: float) -> Machine:
+        return machine_of(find_system("impact-pair"), {"alpha": 0.3, "nu": 1.0} | changes)
+
     with pytest.raises(ValueError, match="R = 0"):
-        check_orbits(pair._replace(R=np.zeros(1)), Itinerary((1, -1), 1))
+        check_orbits(pair(R=0.0), Itinerary((1, -1), 1))
     with pytest.raises(ValueError, match="equal stops"):
-        check_orbits(pair._replace(lower=np.ones(1)), Itinerary((1,), 1, symmetric=True))
+        check_orbits(pair(delta=0.1), Itinerary((1,), 1, symmetric=True))
     with pytest.raises(ValueError, match="odd number of periods, found 2"):
-        check_orbits(pair, Itinerary((1,), 2, symmetric=True))
+        check_orbits(pair(), Itinerary((1,), 2, symmetric=True))
     with pytest.raises(ValueError, match="upper stop"):
-        check_orbits(pair._replace(upper=np.array([np.inf])), Itinerary((1,), 1))
+        check_orbits(machine_of(find_system("bouncing-ball"), {}), Itinerary((1,), 1))

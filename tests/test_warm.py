@@ -29,7 +29,7 @@ from workers.attractors.basins import solve_basins
 from workers.attractors.same import orbits_reached
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
-from workers.continuation import admissible, branch, curve, equations, orbits, shooting, stability
+from workers.continuation import admissible, branch, curve, legs, motion
 from workers.kernel import cache, cells, jit
 from workers.kernel.lanes import run
 from workers.orbit import newton
@@ -323,7 +323,7 @@ def test_kernels_compiled_for_another_kind_of_processor_give_the_same_bits(
 def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
     """Of a ball, whose orbit folds and doubles, and of a pair, whose orbit breaks symmetry: most events."""
     warm.warm_up(warm.ORBITS)
-    modules = (equations, stability, shooting, orbits, admissible)
+    modules = (legs, motion, admissible)
     kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
     before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
     run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))

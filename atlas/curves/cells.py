@@ -10,8 +10,8 @@ from workers.continuation import Family, Orbit, family_of
 from workers.continuation.equations import check_orbits
 from workers.continuation.itinerary import Itinerary
 from workers.continuation.orbits import alike, attract, many_of, moved, recorded_each, refined
-from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
+from workers.model.family import NoOscillatorError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,8 +11,8 @@ from workers.continuation.branches import EDGE, BranchRun, Until
 from workers.continuation.curves import loses_impact, without_impact
 from workers.continuation.events import GRAZING, LOST
 from workers.continuation.extended import PAIR, Extended, conditions_on, solve
-from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
+from workers.model.family import NoOscillatorError
 
 Array = NDArray[np.float64]
 

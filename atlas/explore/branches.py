@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,6 +162,9 @@ class FollowedBranch:
 
         Its even steps begin at the sections t = k T.
         """
+        from workers.continuation.equations import motion_of
+        from workers.continuation.itinerary import many_orbits
+
         orbit = here.point.orbit
         machine, periods = self._family.model(np.array([[here.value]])), orbit.itinerary.periods
         count, turn = min(SAMPLES, POINTS // periods), float(orbit.itinerary.span(machine)[0])
@@ -170,25 +173,8 @@ class FollowedBranch:
         events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may leave the turn
         times = np.concatenate([np.arange(periods * count + 1) / count * period, events])
         order = np.argsort(times, kind="stable")
-        states = self._states(here, machine, times[order])
+        states = motion_of(machine, many_orbits([orbit])).at(times[None, order])[0][0] + machine.rest
         return motion_through(self.table.system.build(self._all(here.value)), states, order < periods * count, count)
-
-    def _states(self, here: Here, machine: Any, times: Array) -> Array:
-        """The physical states (N, 2n) of an orbit at times (N,) after a section."""
-        from workers.continuation.equations import motion_of
-        from workers.continuation.itinerary import many_orbits
-        from workers.kernel.cells import physical_states
-        from workers.kernel.motion import motions_at
-        from workers.model.oscillator import taken
-
-        h: Array = motion_of(machine, many_orbits([here.point.orbit])).at(times[None])[0][0]
-        if self.table.system.has_modes:
-            return h
-        oscillators, _ = self.table.system.build_many({n: np.array([v]) for n, v in self._all(here.value).items()})
-        there, rows = taken(oscillators, np.zeros(len(times), dtype=np.int64)), np.arange(len(times))
-        there = there._replace(tau=there.tau + 2.0 * np.pi * times / oscillators.period[0])
-        found: Array = physical_states(there, motions_at(np.ascontiguousarray(h)), rows)
-        return found
 
 
 class Arrow(NamedTuple):

@@ -20,7 +20,7 @@ from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
 from workers.continuation import Family, Orbit, branch, family_of, section_states
 from workers.continuation.orbits import Many, alike, many_of, moved
-from workers.continuation.oscillator import NoOscillatorError
+from workers.model.family import NoOscillatorError
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)

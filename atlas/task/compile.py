@@ -240,7 +240,7 @@ def warm_up(*parts: str) -> None:
 
         scale_of(np.zeros((1, len(COLUMN))), np.zeros((1, 2)))
     if ORBITS in parts:
-        _follow_an_orbit()
+        _follow_an_orbit(find_system(DEFAULT), AN_ORBIT)
     if MEASURES in parts:
         solve_tile(System.from_mapping(WITH_MEASURES), {}, Settings(max_periods=1))
 
@@ -256,36 +256,19 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
     if MODES_ATTRACTORS in parts:
         solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
     if MODES_ORBITS in parts:
-        _follow_through_modes(system)
+        _follow_an_orbit(system, {})
 
 
-def _follow_through_modes(record: System) -> None:
-    """A short branch of an orbit of a machine whose law changes; and its motion between events."""
+def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
+    """A short branch of the orbit of a cell; and its motion between events."""
     from workers.continuation import branch, family_of, orbit_from_state, section_state
     from workers.tile import solve_tile
 
-    values = {p.name: p.default for p in record.parameters}
+    values = {p.name: p.default for p in record.parameters} | values
     cell = solve_tile(record, values, Settings(exponents="none", survival=0))
-    orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]))
-    branch(family_of(record, values, ("omega",)), orbit, values["omega"], (0.999, 1.001))
+    orbit, omega = orbit_from_state(record, values, cell["state"], int(cell["period"])), values["omega"]
+    branch(family_of(record, values, ("omega",)), orbit, omega, (0.999 * omega, 1.001 * omega))
     section_state(record, values, orbit)
-
-
-def _follow_an_orbit() -> None:
-    """A short branch of an orbit; and its motion between impacts."""
-    from workers.continuation import branch, family_of, orbit_from_state
-    from workers.continuation.equations import motion_of
-    from workers.continuation.itinerary import many_orbits
-    from workers.tile import solve_tile
-
-    record = find_system(DEFAULT)
-    values = {p.name: p.default for p in record.parameters} | AN_ORBIT
-    cell = solve_tile(record, values, Settings(exponents="none", survival=0))
-    orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]), bool(cell["symmetric"]))
-    (along, value), *_ = AN_ORBIT.items()
-    family = family_of(record, values, (along,))
-    branch(family, orbit, value, (0.999 * value, 1.001 * value))
-    motion_of(family.model(np.array([[value]])), many_orbits([orbit])).at(orbit.times[None] + 0.1)
 
 
 def _wait_for(lock: FileLock, report: Report | None) -> None:

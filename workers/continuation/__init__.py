@@ -1,5 +1,5 @@
 """Exact orbits. The map of many periods with its Jacobian, Newton's method on it and Floquet multipliers; and orbits as
-equations of their impacts, their branches in one parameter and their bifurcation and grazing curves in two.
+equations of their events, their branches in one parameter and their bifurcation and grazing curves in two.
 """
 
 from workers.continuation.branches import BranchRun, Start, branch, leaving_branch
@@ -8,7 +8,8 @@ from workers.continuation.events import Event, Point
 from workers.continuation.extended import Condition
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.orbits import orbit_from_state, section_state, section_states
-from workers.continuation.oscillator import Family, ModalOscillator, family_of
+from workers.continuation.oscillator import Family, family_of
+from workers.model.family import Machine
 
 __all__ = [
     "BranchRun",
@@ -16,7 +17,7 @@ __all__ = [
     "Event",
     "Family",
     "Itinerary",
-    "ModalOscillator",
+    "Machine",
     "Orbit",
     "Point",
     "Start",

@@ -1,29 +1,38 @@
-"""Whether an orbit of the equations exists between the stops: each impact arrives at its stop, and nothing else does.
+"""Whether an orbit of the equations exists: each leg ends at its own event and at no other.
 
-Decided by the certified crossing of the kernel, without sampling.
+Decided by the certified crossings of the kernel, leg by leg, without sampling.
 """
 
 import math
-from collections.abc import Iterable
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import ImpactMotion
-from workers.kernel.crossing import TINY, next_crossing
-from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import Array, Mode, each
+from workers.continuation.itinerary import turns_round
+from workers.continuation.legs import ACT, MODE, NO_EVENT, REBOUNDS, RESTS, beyond_range, event_of_leg
+from workers.continuation.motion import Motion
+from workers.kernel.chatter import chatter_time
+from workers.model.hybrid_modes import OPEN, SIGNALS
 
 CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
 """Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order; friction
 that would stick where it does not, or cannot where it does."""
 
+AT_ONCE = 1e-6
+"""Share of a period by which a certified event may be off that of the orbit and be the same; a leg as short is none."""
+
+HOPS = 1e-3
+"""Change of the load during a chatter that is left out, as a share of it."""
+
+NEAR_TOUCH = 1e-3
+"""Share of a period about a graze in which its signal is known to turn back there."""
+
 
 class Fault(NamedTuple):
     """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST, out of ORDER or wrongly HELD.
 
-    Of machines with modes impacts are events of any kind, and a contact that of any signal with the end of its range.
+    Impacts are events of any kind, and a contact is that of any signal with the end of its range.
     """
 
     reason: str
@@ -34,89 +43,148 @@ class Fault(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """A graze: its time, and which end of its range a signal touches; of one rigid contact alone its gap, signal 0."""
+    """A graze: its time, and which end of its range a signal touches."""
 
     time: float
     signal: int
     side: int
 
 
-class _Contact(NamedTuple):
-    """A contact of a turn: an impact, or a graze with v = 0; with the acceleration before it."""
-
-    time: float
-    side: int
-    v: float
-    a: float
-
-
-def first_fault(motion: ImpactMotion, grazes: Iterable[float] = (), lost: int = -1) -> Fault | None:
+def first_fault(motion: Motion, touches: Sequence[Touch] = (), lost: int = -1) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
-    ``grazes`` (G,) are times at which it touches a stop, y' = 0: no fault where y'' points inward. Impact ``lost``,
-    if any, is one whose speed is zero and counts as a graze.
+    ``touches`` are allowed: where signals graze ends of their ranges and turn back. An event ``lost`` has no rate: an
+    impact counts as a graze.
     """
-    span, sign = float(motion.span[0]), motion.itinerary.sign
-    found = _contacts(motion, grazes, lost)
-    if isinstance(found, Fault):
-        return found
-    begins = found or [_Contact(0.0, 0, 1.0, 0.0)]
-    (states,), _ = motion.at(np.array([[contact.time for contact in begins]]))
-    signal = each(motion.lin.gap, lambda field: field[0])
-    if not found:
-        return _next_contact(signal, motion, states[0], begins[0], span)
-    first = found[0]
-    again = _Contact(first.time + span, sign * first.side, sign * first.v, sign * first.a)
-    flights = pairwise([*found, again])
-    faults = (
-        _next_contact(signal, motion, h, here, there.time - here.time, there)
-        for h, (here, there) in zip(states, flights, strict=True)
+    rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
+    period = 2.0 * math.pi / float(motion.lin.omega[0])
+    for k, (_, event) in enumerate(motion.plan.legs):
+        if event not in (NO_EVENT, lost) and motion.plan.legs[k + 1][0].side * rates[event] <= 0.0:
+            return Fault(LOST, event)
+        if durations[k] < -1e-9 * period:
+            return _not_in_range(motion, k) or Fault(ORDER, event)
+    wrong, known = _would_stick(motion) or _would_hop(motion), [_in_turn(motion, each) for each in touches]
+    return wrong or next(
+        (fault for k in range(len(motion.plan.legs)) if (fault := _of_leg(motion, k, period, known, lost))), None
     )
-    return next((fault for fault in faults if fault), None)
 
 
-def _contacts(motion: ImpactMotion, grazes: Iterable[float], lost: int) -> list[_Contact] | Fault:
-    """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
-    span, t, sides = float(motion.span[0]), motion.times[0], motion.itinerary.sides
-    _, v, a = motion.turn.signals[0]
-    off = [i for i, side in enumerate(sides) if i != lost and side * v[i] <= 0.0]
-    if off:
-        return Fault(LOST, off[0])
-    apart = np.diff(np.append(t, t[:1] + span))
-    if np.any(apart <= 0.0):
-        return Fault(ORDER, int(np.argmin(apart)))
-    speeds = np.where(np.arange(len(sides)) == lost, 0.0, v)
-    found = [_Contact(*of) for of in zip(t.tolist(), sides, speeds.tolist(), a.tolist(), strict=True)]
-    start = t[0] if len(t) else 0.0
-    for s in grazes:
-        time = float(s) - math.floor((s - start) / span) * span
-        y, _, bend = motion.at(np.array([[time]]))[1][:, 0, 0]
-        found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(motion.lin.lower[0]) else -1, 0.0, float(bend)))
-    found.sort()
-    outward = (contact for contact in found if not contact.v and contact.side * contact.a >= 0.0)
-    return next((Fault(CONTACT, time=contact.time, side=contact.side) for contact in outward), found)
+def _in_turn(motion: Motion, touch: Touch) -> Touch:
+    """A touch as it is in the turn that begins with the first event, maybe of the mirror image."""
+    begin, span = float(motion.begins[0, 0]), float(motion.span[0])
+    turns = math.floor((touch.time - begin) / span)
+    flips = motion.itinerary.symmetric and turns % 2 != 0
+    side = touch.side * (turns_round(touch.signal, motion.lin.elements.soft.shape[1]) if flips else 1)
+    return Touch(touch.time - turns * span, touch.signal, side)
 
 
-def _open_for(contact: _Contact, M3: float) -> float:
-    """A time before a contact in which its gap is certainly open, with |y'''| <= M3.
+def _would_stick(motion: Motion) -> Fault | None:
+    """A turn of friction that would rather stick."""
+    for event, signal, _ in motion.plan.turning:
+        low, high = (float(motion.holding(event, signal, side)[0]) for side in (-1, 1))
+        if low > 1e-9 * (low - high) and high < -1e-9 * (low - high):
+            return Fault(HELD, event, signal=signal, side=1 if -high < low else -1)
+    return None
 
-    The gap a time s before is at least v s - |a| s^2 / 2 - M3 s^3 / 6, or |a| s^2 / 2 - M3 s^3 / 6 at a graze.
+
+def _would_hop(motion: Motion) -> Fault | None:
+    """A rest that takes the place of chatter whose hops are too long for that, as the load on the stop now changes.
+
+    The load must change by a share of itself of HOPS at most while they last.
     """
-    v, a, M3 = abs(contact.v), abs(contact.a), max(M3, TINY)
-    return 0.5 * min(v / max(a, TINY), math.sqrt(v / M3)) if v else 1.5 * a / M3
+    for k, (_, event) in enumerate(motion.plan.legs):
+        if motion.plan.table[k, ACT] != RESTS:
+            continue
+        signal, side = motion.plan.legs[k + 1][0].signal, motion.plan.legs[k + 1][0].side
+        c, start = signal // SIGNALS, motion.begins[:, k + 1 : k + 2]
+        R, weight = float(motion.lin.elements.R[0, c]), float(motion.lin.elements.weight[0, c])
+        _, (force, rate, _, _) = motion.at(start, signal)
+        load = -side * float(force[0, 0]) / weight
+        speed = abs(float(motion.turn.signals[0, 1, event]))
+        if R > 0.0 and not chatter_time(load, R * speed, R) * abs(float(rate[0, 0])) / weight <= HOPS * load:
+            return Fault(ORDER, event)
+    return None
 
 
-def _next_contact(
-    signal: Mode, motion: ImpactMotion, h: Array, here: _Contact, duration: float, there: _Contact | None = None
-) -> Fault | None:
-    """A contact on the flight from one contact, with block state h after it, to the next; None if there is none."""
-    lin = motion.lin
-    M3 = derivative_bounds(signal.blocks, signal.numbers, h, duration)[2]
-    H = duration - (_open_for(there, M3) if there else 0.0)
-    if H <= 0.0:
+def _not_in_range(motion: Motion, k: int) -> Fault | None:
+    """A leg in whose mode a signal is beyond its range from the beginning."""
+    leg, mode = motion.plan.legs[k][0], motion.plan.table[k, MODE]
+    signal, side = beyond_range(
+        motion.pieces, 0, mode, np.array(leg.begun), motion.turn.states[0, k], _phase(motion, k), 1e-9
+    )
+    return Fault(HELD, motion.plan.legs[k - 1][1] if k else NO_EVENT, signal=signal, side=side) if signal >= 0 else None
+
+
+def _phase(motion: Motion, k: int, later: float = 0.0) -> float:
+    """The phase of the force some time after the beginning of a leg."""
+    own = motion.lin
+    return math.fmod(float(own.tau[0]) + float(own.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi)
+
+
+def _of_leg(motion: Motion, k: int, period: float, touches: Sequence[Touch], lost: int) -> Fault | None:
+    """What else happens on a leg than its event at its end."""
+    (leg, event), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
+    tolerance = AT_ONCE * period
+    if end - begin <= 1e-9 * period:
         return None
-    phase = math.fmod(float(lin.omega[0]) * here.time + float(lin.tau[0]), 2.0 * math.pi)
-    start = here.side if here.v else 2 * here.side
-    stops = float(lin.upper[0]), -float(lin.lower[0])
-    s, side, _count = next_crossing(signal, h, phase, 0.0, *stops, start, H, np.zeros(h.shape))
-    return Fault(CONTACT, time=here.time + s, side=int(side)) if side else None
+    wrong = _not_in_range(motion, k)
+    if wrong is not None:
+        return wrong
+    expected = (motion.plan.legs[k + 1][0].signal, motion.plan.legs[k + 1][0].side) if event != NO_EVENT else (-1, 0)
+    last = k + 1 == len(motion.plan.legs)
+    if last and motion.itinerary.sides:  # it ends at the first event of the next turn
+        first = motion.plan.legs[1][0] if motion.itinerary.sign > 0 else motion.plan.legs[1][0].mirrored
+        expected = first.signal, first.side
+    z, begun, since = motion.turn.states[0, k], np.array(leg.begun), 0.0
+    if k and motion.plan.legs[k - 1][1] == lost and motion.plan.table[k - 1, ACT] == REBOUNDS:
+        begun[leg.signal] = 2 * leg.side
+    while True:
+        left = end - begin - since
+        s, signal, side = event_of_leg(
+            motion.pieces, 0, motion.plan.table[k, MODE], z, _phase(motion, k, since), begun, left + tolerance
+        )
+        here = begin + since + s
+        touched = next(
+            (t for t in touches if (t.signal, t.side) == (signal, side) and _near(motion, t, here, period)), None
+        )
+        if signal == -1 or (abs(here - end) <= tolerance and ((signal, side) == expected or expected[0] < 0)):
+            return None
+        if touched is None or not _turns_back(motion, touched, period):
+            return Fault(CONTACT, time=here, signal=signal, side=side)
+        since = max(touched.time - begin, since + s)
+        if since >= end - begin:
+            return None
+        z, begun = motion.at(np.array([[begin + since]]))[0][0, 0], np.zeros_like(begun)
+        begun[signal] = 2 * side
+
+
+def _near(motion: Motion, touch: Touch, here: float, period: float) -> bool:
+    span = float(motion.span[0])
+    apart = (touch.time - here) / span
+    return abs(apart - round(apart)) * span <= NEAR_TOUCH * period
+
+
+def _turns_back(motion: Motion, touch: Touch, period: float) -> bool:
+    """Whether a signal comes nearer to its end before a touch, and leaves it after."""
+    times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
+    _, (_, rates, _, _) = motion.at(times, touch.signal)
+    return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
+
+
+def peak_of(motion: Motion, why: Fault) -> float | None:
+    """About when a signal, beyond its end since the time of a fault, turns back, if within the leg."""
+    k = int(np.searchsorted(motion.begins[0], why.time, side="right")) - 1
+    s = np.linspace(why.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
+    _, (_, rates, _, _) = motion.at(s[None], why.signal)
+    turned = np.flatnonzero(why.side * rates[0] <= 0.0)
+    return float(s[turned[0]]) if len(turned) else None
+
+
+def name_of_touch(motion: Motion, touch: Touch) -> str:
+    """What it is called where a signal touches an end of its range."""
+    k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
+    code = motion.plan.legs[max(k, 0)][0].code
+    friction = touch.signal - SIGNALS * len(code.contacts)
+    if friction >= 0:
+        return "grazing_sliding" if code.slips[friction] else "adding_sliding"
+    return "graze" if code.contacts[touch.signal // SIGNALS] == OPEN else "lift_off"

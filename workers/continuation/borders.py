@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from workers.continuation.admissible import HELD, LOST, ORDER, Fault
-from workers.continuation.departure import peak_of, without_event
-from workers.continuation.equations import ImpactMotion
+from workers.continuation.admissible import CONTACT, LOST, ORDER, Fault, peak_of
 from workers.continuation.events import (
     CONTACT_LOST,
     GRAZING,
@@ -16,9 +14,10 @@ from workers.continuation.events import (
     solved_on,
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on
-from workers.continuation.legs import ACT, EVENT, SLOWS
+from workers.continuation.legs import ACT, SLOWS
+from workers.continuation.motion import Motion
 from workers.continuation.onward import asks_multipliers, is_smooth
-from workers.continuation.switching import SwitchingMotion
+from workers.continuation.shorter import without_event
 from workers.continuation.walk import Step
 from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array
@@ -52,9 +51,10 @@ def leaving(step: Step, why: Fault) -> LocatedEvent | None:
 
 
 def nearly_lost(step: Step) -> LocatedEvent | None:
-    """Where an orbit of a machine with modes loses its slowest event, if next to ``here``: a corner of a branch."""
+    """Where an orbit loses its slowest event, if next to ``here``: a corner of a branch. None where all are impacts, of
+    which the equations are smooth beyond that."""
     motion = step.equations.motion(step.here)
-    if isinstance(motion, ImpactMotion) or not motion.itinerary.sides:
+    if motion.plan.impacts:
         return None
     rates = np.abs(motion.turn.signals[0, 1]) / motion.scale()[1][0]
     slowest = int(np.argmin(rates))
@@ -63,32 +63,31 @@ def nearly_lost(step: Step) -> LocatedEvent | None:
 
 
 def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
-    """The graze or the lost impact that a fault at X comes from."""
+    """The graze, the lost event or the change of stick that a fault at X comes from."""
     own, motion = step.equations.conditions, step.equations.motion(X)
     if why.reason == ORDER:
         return None
-    if why.reason == LOST and isinstance(motion, ImpactMotion):
-        return solved_on(step, X, (*own, Condition(SPEED, impact=why.impact)))
-    if why.reason in (LOST, HELD) and isinstance(motion, SwitchingMotion):
+    if why.reason != CONTACT:
         return (_of_loss if why.reason == LOST else _of_holding)(step, X, motion, why)
-    peak = _peak(motion, why) if isinstance(motion, ImpactMotion) else peak_of(motion, why)
-    graze = Condition(GRAZE, side=why.side, signal=why.signal)
+    peak, graze = peak_of(motion, why), Condition(GRAZE, side=why.side, signal=why.signal)
     return None if peak is None else solved_on(step, X, (*own, graze), (peak,))
 
 
-def _of_holding(step: Step, X: Array, motion: SwitchingMotion, why: Fault) -> LocatedEvent | None:
+def _of_holding(step: Step, X: Array, motion: Motion, why: Fault) -> LocatedEvent | None:
     """Where the force that would hold friction at an event is its static level."""
-    if why.impact < 0 or why.signal < SIGNALS * motion.lin.sizes[1]:
+    if why.impact < 0 or why.signal < SIGNALS * motion.lin.elements.soft.shape[1]:
         return None
-    turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.turning)
+    turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.plan.turning)
     condition = Condition(ONSET if turns else ENDS, side=why.side, impact=why.impact, signal=why.signal)
     return solved_on(step, X, (*step.equations.conditions, condition))
 
 
-def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: float = 0.0) -> LocatedEvent | None:
-    """Where an event of a machine with modes is lost, the graze of the orbit without it: on the step or ``near`` it."""
+def _of_loss(step: Step, X: Array, motion: Motion, why: Fault, near: float = 0.0) -> LocatedEvent | None:
+    """Where an event is lost: an impact, or a slide that sticks, has no speed there; of another the graze of the orbit
+    without it, on the step or ``near`` it.
+    """
     eq = step.equations
-    if SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
+    if motion.plan.impacts or motion.plan.reached[why.impact, ACT] == SLOWS:
         return solved_on(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
     shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
     if shorter is None:
@@ -99,7 +98,7 @@ def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: fl
         return None
     conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
     contacts = np.append(eq.contacts(X), time)
-    if not orbit.itinerary.sides and motion.lin.sizes[0] == 1 and not eq.conditions:
+    if not orbit.itinerary.sides and motion.lin.elements.starts.shape[1] == 2 and not eq.conditions:
         # of any number of periods it is the answer of one, which touches once in that
         orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
     found = solution(eq, orbit, conditions, contacts, X)
@@ -113,19 +112,8 @@ def _of_loss(step: Step, X: Array, motion: SwitchingMotion, why: Fault, near: fl
         return None
     event = event_of(*found)
     if event.last == GRAZING:
-        lost = CONTACT_LOST if motion.lin.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
+        lost = CONTACT_LOST if motion.lin.elements.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
         event = event._replace(last=lost, kind=event.kind if own else lost)
-    if asks_multipliers(eq) and not is_smooth(motion.lin, event):
+    if asks_multipliers(eq) and not is_smooth(motion.lin.machines, event):
         return None  # those of the orbit with the event are others
     return LocatedEvent(share, event)
-
-
-def _peak(motion: ImpactMotion, why: Fault) -> float | None:
-    """About when y, beyond a stop since the time of a fault, turns back: where Newton's method looks for a graze."""
-    span = float(motion.span[0])
-    ends = [t + k * span for t in motion.times[0] for k in (0, 1, 2)]
-    limit = min([end for end in ends if end > why.time + 1e-9 * span], default=why.time + span)
-    s = np.linspace(why.time, limit, 402)[1:-1]
-    speed = why.side * motion.at(s[None])[1][1, 0]
-    turned = np.flatnonzero(speed <= 0.0)
-    return float(s[turned[0]]) if len(turned) else None

@@ -8,6 +8,7 @@ from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extende
 from workers.continuation.itinerary import Orbit
 from workers.continuation.oscillator import Family
 from workers.continuation.walk import tangent_at
+from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array
 
 
@@ -54,12 +55,19 @@ def curve(
 
 def loses_impact(event: Event) -> bool:
     """Whether an event is where an impact has no speed; a slide that ends at no rate has the same condition."""
-    return event.conditions[0].kind == SPEED and not event.point.orbit.itinerary.legs
+    condition = event.conditions[0]
+    if condition.kind != SPEED:
+        return False
+    leg = event.point.orbit.itinerary.chains[condition.impact][0]
+    return leg.signal < SIGNALS * len(leg.code.contacts)
 
 
 def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
     """The orbit without an impact whose speed is zero, its graze there, and the time of that."""
-    kept = [i for i in range(len(orbit.times)) if i != impact]
-    sides = tuple(orbit.itinerary.sides[i] for i in kept)
-    rest = Orbit(orbit.itinerary._replace(sides=sides), orbit.times[kept], orbit.speeds[kept])
-    return rest, Condition(GRAZE, side=orbit.itinerary.sides[impact]), orbit.times[impact : impact + 1]
+    kept, own = [i for i in range(len(orbit.times)) if i != impact], orbit.itinerary
+    ((leg,), time) = own.chains[impact], orbit.times[impact : impact + 1]
+    still = (leg._replace(begun=(0,) * len(leg.begun), signal=-1, side=0),)
+    legs = tuple(own.chains[i] for i in kept) or (still,)
+    rest = own._replace(sides=tuple(own.sides[i] for i in kept), legs=legs).bare
+    graze = Condition(GRAZE, side=leg.side, signal=leg.signal)
+    return Orbit(rest, orbit.times[kept], orbit.speeds[kept]), graze, time

@@ -8,9 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.admissible import Fault, Touch, first_fault
-from workers.continuation.departure import first_departure, name_of_touch
-from workers.continuation.equations import ImpactMotion
+from workers.continuation.admissible import Fault, Touch, first_fault, name_of_touch
 from workers.continuation.extended import (
     ANGLE,
     CUSP,
@@ -26,11 +24,11 @@ from workers.continuation.extended import (
     solve,
 )
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.oscillator import NoOscillatorError
+from workers.continuation.legs import ACT, SLOWS
 from workers.continuation.same import difference, is_minimal, reduced, reductions
 from workers.continuation.stability import multipliers, pair_near
-from workers.continuation.switching import SwitchingMotion
 from workers.continuation.walk import Step
+from workers.model.family import NoOscillatorError
 from workers.model.oscillator import Array
 
 Complex = NDArray[np.complex128]
@@ -114,7 +112,7 @@ def monitored(equations: Extended, X: Array) -> TestFunctions:
     kind = own[0].kind if own else None
     found = {}
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
-        if kind == SPEED and isinstance(motion, SwitchingMotion):  # J_z is singular there for any z
+        if kind == SPEED:  # J_z is singular there for any z
             found[name] = _function(float(np.prod(others - z).real), (*own, Condition(name)))
         elif kind != name:
             sign, log = np.linalg.slogdet(motion.linearised(z)[0])
@@ -137,11 +135,8 @@ def fault(equations: Extended, X: Array) -> Fault | None:
     """Why the orbit at unknowns X (N,) is not admissible, its own grazes and lost impacts allowed; None if it is."""
     if not equations.family.certified:
         return None
-    motion, times = equations.motion(X), equations.contacts(X)
     lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
-    if isinstance(motion, ImpactMotion):
-        return first_fault(motion, times, lost)
-    return first_departure(motion, touches(equations, X), lost)
+    return first_fault(equations.motion(X), touches(equations, X), lost)
 
 
 def touches(equations: Extended, X: Array) -> list[Touch]:
@@ -298,8 +293,6 @@ def _has_multiplier(square: Extended, X: Array) -> bool:
     Where friction begins to stick at no rate the equations are singular too, and no multiplier is.
     """
     motion, value = square.motion(X), 1.0 if square.conditions[-1].kind == UNIT else -1.0
-    if isinstance(motion, ImpactMotion):
-        return True
     return bool(np.min(np.abs(multipliers(motion)[0] - value)) < SURE)
 
 
@@ -323,9 +316,9 @@ def event_of(square: Extended, X: Array) -> Event:
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
     conditions, symmetric, motion = square.conditions, square.itinerary.symmetric, square.motion(X)
     last = name_of(conditions[-1:], symmetric)
-    if last == IMPACT_LOST and not isinstance(motion, ImpactMotion):
-        last = GRAZING_SLIDING  # what has no rate is friction that begins to stick
-    if last == GRAZING and not isinstance(motion, ImpactMotion):
+    if last == IMPACT_LOST and motion.plan.reached[conditions[-1].impact, ACT] == SLOWS:
+        last = GRAZING_SLIDING
+    if last == GRAZING:
         last = name_of_touch(motion, touches(square, X)[-1])
     kind = last if len(conditions) == 1 else name_of(conditions, symmetric)
     return Event(kind, conditions, _point(square, X)[0], 0.5 * next(totals, math.nan), last)

@@ -13,14 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Motion, check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.equations import check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
+from workers.continuation.motion import Motion
 from workers.continuation.newton import Solved, newton
-from workers.continuation.oscillator import Family, Machine, NoOscillatorError
+from workers.continuation.oscillator import Family
 from workers.continuation.stability import multipliers, pair_near
-from workers.continuation.switching import SwitchingMotion
+from workers.model.family import Machine, NoOscillatorError
 from workers.model.modes import stacked
-from workers.model.oscillator import Array, Rows, taken
+from workers.model.oscillator import Array, Rows
 
 DIFFERENCE = 6e-6
 """Half the length of a central difference, in units of an unknown's scale: about the cube root of rounding."""
@@ -47,9 +48,8 @@ hold friction where it turns round is its static level, or that which holds it w
 
 
 class Condition(NamedTuple):
-    """One condition: its kind, the stop's side of a graze, the impact of a speed, the kappa of an angle.
-
-    Of machines with modes the signal that grazes an end of its range, or that is at one at an event ``impact``.
+    """One condition: its kind, the side of a graze, the event ``impact`` of a speed, the kappa of an angle, and the
+    signal that grazes an end of its range, or that is at one at an event.
     """
 
     kind: str
@@ -146,8 +146,14 @@ class Extended:
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
         rows = np.concatenate([X, X + steps, X - steps])
-        values, which = np.unique(self.values(rows), axis=0, return_inverse=True)
-        motion = motion_of_unknowns(taken(self.family.model(values), which), self.itinerary, rows)
+        # those with other parameters, and one for all with the same
+        places = 1 + np.concatenate([k * len(columns) - 1 - np.arange(self.free)[::-1] for k in (1, 2)])
+        lin = self.family.model(self.values(rows[np.append(0, places)]))
+        if len(columns) > self.free:
+            which = np.zeros(len(rows), dtype=np.int64)
+            which[places] = np.arange(1, 1 + len(places))
+            lin = lin.taken(which)
+        motion = motion_of_unknowns(lin, self.itinerary, rows)
         base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
         with np.errstate(invalid="ignore"):  # both may be infinite, and Newton's method fails then
@@ -180,7 +186,6 @@ class Extended:
                 parts += motion.touch(condition.signal, condition.side, contacts[:, graze : graze + 1])
                 graze += 1
             elif condition.kind in (ONSET, ENDS):
-                assert isinstance(motion, SwitchingMotion)
                 parts.append(motion.holding(condition.impact, condition.signal, condition.side)[:, None])
             elif condition.kind == SPEED:
                 parts.append(motion.turn.signals[:, 1, condition.impact, None])
@@ -194,16 +199,16 @@ class Extended:
         return np.concatenate(parts, axis=1)
 
     def _bordered_matrix(self, condition: Condition, motion: Motion) -> Array:
-        """J_z of a condition on a multiplier, in units of unknowns and residuals; of a machine with modes DP - z.
+        """J_z of a condition on a multiplier where all events are impacts, else DP - z, each in units of the unknowns.
 
         J_z has no poles where an impact has no speed. Where a soft contact is hardly touched it is nearly singular
         whatever the multipliers are, and DP is not.
         """
         z = 1.0 if condition.kind == UNIT else -1.0
-        if isinstance(motion, SwitchingMotion):
-            size = self.scale[: motion.start.shape[1]]
-            return np.asarray((motion.turn_map() - z * np.eye(len(size))) * size / size[:, None])
-        return np.asarray(motion.linearised(z) * self.scale[: self.states] / self.unit[:, None])
+        if motion.plan.impacts:
+            return np.asarray(motion.linearised(z) * self.scale[: self.states] / self.unit[:, None])
+        size = self.scale[: motion.start.shape[1]]
+        return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
 
     def critical(self, X: Array) -> Array:
         """The direction (states,) of state and times, in units of the scale, in which a multiplier is that of the
@@ -212,7 +217,7 @@ class Extended:
 
     def _of_unknowns(self, motion: Motion, along: Array) -> Array:
         """The direction (B, states) of unknowns that a null vector of ``_bordered_matrix`` is, in units of scale."""
-        if not isinstance(motion, SwitchingMotion):
+        if motion.plan.impacts:
             return along
         size = self.scale[: motion.start.shape[1]]
         found = motion.unknowns_along(along * size) / self.scale[: self.states]

@@ -6,11 +6,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from workers.model.family import FLYING, Machine
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code
 from workers.model.oscillator import Array
 
 HIT, MOVES, SLIDES, STICKS = range(4)
 """What reaches the end of its range: an open contact; another one; friction that slides; friction that sticks."""
+
+
+def turns_round(signal: int, contacts: int) -> int:
+    """-1 where the mirror image of a motion has minus its signal; 1 of the pushes of its soft contacts."""
+    return 1 if signal in range(1, SIGNALS * contacts, SIGNALS) else -1
 
 
 class Leg(NamedTuple):
@@ -27,12 +33,11 @@ class Leg(NamedTuple):
 
     @property
     def mirrored(self) -> "Leg":
-        """The same of the mirror image, in which all turns round but the pushes of soft contacts."""
+        """The same of the mirror image, see ``turns_round``."""
         phase, contacts, slips = self.code
-        pushes = range(1, SIGNALS * len(contacts), SIGNALS)
         code = Code(phase, tuple(-each for each in contacts), tuple(-each for each in slips))
-        begun = tuple(each if g in pushes else -each for g, each in enumerate(self.begun))
-        return Leg(code, begun, self.signal, self.side if self.signal in pushes else -self.side)
+        begun = tuple(turns_round(g, len(contacts)) * each for g, each in enumerate(self.begun))
+        return Leg(code, begun, self.signal, turns_round(self.signal, len(contacts)) * self.side)
 
     def label(self, before: Code) -> int:
         """The event as a number, of the other sign in the mirror image: +-1 where the first contact is reached."""
@@ -47,10 +52,11 @@ class Leg(NamedTuple):
 class Itinerary(NamedTuple):
     """Events in order, and length.
 
-    sides    (m,) in one turn: +1 for an impact at the upper stop, -1 at the lower; for machines with modes Leg.label
+    sides    (m,) in one turn, see Leg.label: +1 for an impact at the upper stop, -1 at the lower
     periods  of the force in the whole orbit
     symmetric  a turn is half the orbit
-    legs     for machines with modes, the legs from each event to the next one; without events, of the turn
+    legs     from each event to the next one; without events, of the turn; none where all are flights from impact to
+             impact with a lone rigid contact, see ``chains``
     """
 
     sides: tuple[int, ...]
@@ -63,8 +69,21 @@ class Itinerary(NamedTuple):
         """What the motion is multiplied by from turn to turn: -1 for symmetric orbits, else +1."""
         return -1 if self.symmetric else 1
 
-    def span(self, lin: Any) -> Array:
-        """The length (N,) of a turn of oscillators, or machines with modes."""
+    @property
+    def chains(self) -> tuple[tuple[Leg, ...], ...]:
+        """``legs``, also where they are left out."""
+        if self.legs:
+            return self.legs
+        return tuple((Leg(FLYING, (side,), 0, side),) for side in self.sides) or ((Leg(FLYING, (0,), -1, 0),),)
+
+    @property
+    def bare(self) -> "Itinerary":
+        """The same with no legs where ``chains`` tells them."""
+        other = self._replace(legs=())
+        return other if other.chains == self.legs else self
+
+    def span(self, lin: Machine) -> Array:
+        """The length (N,) of a turn of machines."""
         found: Array = (0.5 if self.symmetric else 1.0) * self.periods * 2.0 * math.pi / lin.omega
         return found
 
@@ -95,9 +114,9 @@ class Itinerary(NamedTuple):
 class Orbit(NamedTuple):
     """A periodic orbit: times (m,) of its events in one turn after a section, signed speeds (m,) before them.
 
-    The times alone define it, see ``equations.motion_of``; the speeds distinguish orbits. For machines with modes they
-    are the rates of the signals that reach the end of their range, with the signs of the labels. Many orbits of one
-    itinerary are one record with another axis in front of both.
+    The times alone define it, see ``equations.motion_of``; the speeds distinguish orbits. They are the rates of the
+    signals that reach the end of their range, with the signs of the labels. Many orbits of one itinerary are one record
+    with another axis in front of both.
     """
 
     itinerary: Itinerary
@@ -112,14 +131,3 @@ class Orbit(NamedTuple):
 def many_orbits(orbits: Sequence[Orbit]) -> Orbit:
     """Orbits of one itinerary as one record."""
     return Orbit(orbits[0].itinerary, *(np.array(fields) for fields in list(zip(*orbits, strict=True))[1:]))
-
-
-def in_one_turn(orbit: Orbit, span: float) -> Orbit:
-    """The same orbit of impacts with its times in the turn that begins at the section, 0 <= t < span, in order."""
-    turns = np.floor(orbit.times / span)
-    flips = np.where(turns % 2 == 0, 1, orbit.itinerary.sign)
-    times = orbit.times - turns * span
-    order = np.argsort(times, kind="stable")
-    sides = (flips * np.array(orbit.itinerary.sides))[order]
-    itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
-    return Orbit(itinerary, times[order], (flips * orbit.speeds)[order])

@@ -1,6 +1,7 @@
-"""One turn of an orbit of a machine with modes over its legs and events, with its tangents: see shooting.turns.
+"""One turn of an orbit over its legs and events, with its tangents: what single shooting takes.
 
-States are physical, z = (x, v), between legs and in blocks within one. Everywhere N machines of K modes and L legs.
+A turn begins just before its first event, and each leg ends at one, or where the phase changes. States are physical,
+z = (x, v), between legs and in blocks within one. Everywhere N machines of K modes and L legs.
 """
 
 import math
@@ -82,8 +83,11 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
     """Turns from ``start`` (N, 2n) over events at times t (N, m); plan (L, PLAN): the legs, which end at ends (N, L).
 
     signals (N, 3, m)  each guard's value, its rate, and the rate after the event; states (N, L, 2n) where legs begin
-    residuals, tangents, shifts: as those of shooting.turns, of physical states and guards
+    residuals (N, M)   sign z(end) - start and how far each guard is from its end, M = 2n + m
+    tangents (N, M, M) their derivatives [[sign V, sign U], [Hz, Ht]] by start and times, but for what a later end and
+                       the start itself add to the first rows: -shifts (N, M, M)
     maps (N, 2n, 2n)   of a turn, of the state at the time of the first event; least (N, m): see saltate
+    A turn begins and ends with its first event, later if that is later; sign is -1 for symmetric orbits.
     """
     (N, m), size, legs = t.shape, start.shape[1], len(plan)
     n, M = size // 2, size + m
@@ -135,10 +139,11 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
 
 
 @kernel
-def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal, s):
+def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal, mirror, s):
     """States (N, K, 2n) at times s (N, K), and a signal there, its rate and its ends (4, N, K), in the mode there.
 
-    begins (N, L) of the legs of a turn and their states; an event at such a time counts as past.
+    begins (N, L) of the legs of a turn and their states; an event at such a time counts as past. sign and mirror: what
+    states and the signal are multiplied by from turn to turn.
     """
     (N, K), legs, size = s.shape, len(plan), states.shape[2]
     found, values = np.empty((N, K, size)), np.empty((4, N, K))
@@ -156,8 +161,14 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
         right_hand_side(modes, k, z, later, f)
         values[0, r, i], _ = guard_value(modes, k, signal, z, later)
         values[1, r, i] = guard_rate(modes, k, signal, f, omega[r], later)
-        values[2, r, i], values[3, r, i] = modes.ends[k, signal, 0], modes.ends[k, signal, 1]
-        found[r, i] = z if turn % 2 == 0 else sign * z
+        low, high = modes.ends[k, signal, 0], modes.ends[k, signal, 1]
+        values[2, r, i], values[3, r, i] = low, high
+        found[r, i] = z
+        if turn % 2 != 0:
+            found[r, i] *= sign
+            values[:2, r, i] *= mirror
+            if mirror < 0.0:
+                values[2, r, i], values[3, r, i] = -high, -low
     return found, values
 
 

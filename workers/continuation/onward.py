@@ -1,4 +1,4 @@
-"""Orbits of machines with modes beyond an event at which their contacts or slides change though nothing jumps.
+"""Orbits beyond an event at which their contacts or slides change though nothing jumps.
 
 The orbit of the event solves its own equations on both sides of it. Where it is not admissible there, the motion from
 its section state passes the events of the orbit that takes its place, to first order at their times. Newton's method
@@ -17,10 +17,11 @@ from workers.continuation.events import CONTACT_LOST, GRAZING, GRAZING_SLIDING, 
 from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.orbits import many_of, moved, states_at_sections
-from workers.continuation.oscillator import Family, NoOscillatorError
-from workers.continuation.recording import halved, recorded_modes
+from workers.continuation.oscillator import Family
+from workers.continuation.recording import halved, recorded
 from workers.continuation.stability import multipliers, pair_near
 from workers.continuation.walk import tangent_at
+from workers.model.family import NoOscillatorError
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array
@@ -28,7 +29,7 @@ from workers.model.oscillator import Array
 LIFT_OFF = "lift_off"
 OF_CONTACTS = (GRAZING, CONTACT_LOST, LIFT_OFF)
 CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_sliding")
-"""Kinds of events at which an orbit of a machine with modes may go on with other contacts or slides."""
+"""Kinds of events at which an orbit may go on with other contacts or slides."""
 
 OF_MULTIPLIERS = (UNIT, MINUS_ONE, PAIR)
 """Conditions that take the derivative of the motion to be continuous, and not the motion alone."""
@@ -57,9 +58,9 @@ def is_continuous(equations: Extended, event: Event) -> bool:
     depends on what the motion does next: ``branches`` follows it back to see. A rigid contact or a preload is touched
     with a square root. A curve of folds, doublings or pairs ends where the derivative jumps too: see ``is_smooth``.
     """
-    lin, contact = equations.model(event.point.values), event.conditions[-1].signal // SIGNALS
-    if not isinstance(lin, HybridMachines) or event.last not in CHANGES:
+    if event.last not in CHANGES:
         return False
+    lin, contact = equations.model(event.point.values).machines, event.conditions[-1].signal // SIGNALS
     if asks_multipliers(equations):
         return is_smooth(lin, event)
     if event.last not in OF_CONTACTS:
@@ -183,21 +184,14 @@ def _recorded(family: Family, beside: _Beside, share: float, bounds: Array) -> O
         moved_on = moved(family, many_of([orbit], here[None]), values[None])
         known, at = (moved_on.orbits, values) if moved_on.found[0] else (many_orbits([orbit]), here)
         state = states_at_sections(family.model(at[None]), known)[0, 0]
-        machine = _machine(family, values)
-        found = recorded_modes(machine, state, orbit.itinerary.periods)
+        machine = family.model(values[None])
+        found = recorded(machine, state, orbit.itinerary.periods)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not found.itinerary.sides and not orbit.itinerary.sides:
         return orbit  # which may be symmetric
     found = halved(machine, found, HALVES) if orbit.itinerary.symmetric else found
     return found if found.itinerary.symmetric == orbit.itinerary.symmetric else None
-
-
-def _machine(family: Family, values: Array) -> HybridMachines:
-    """The machine with modes at parameters (1,), as the only one of a record of many."""
-    found = family.model(values[None])
-    assert isinstance(found, HybridMachines)
-    return found
 
 
 def is_within(values: Array, bounds: Array) -> bool:
@@ -239,7 +233,7 @@ def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:
 
 def _sequence(itinerary: Itinerary) -> list[tuple[int, tuple[object, ...]]]:
     sides = itinerary.sides or (0,)
-    return [(side, tuple(leg.code for leg in legs)) for side, legs in zip(sides, itinerary.legs, strict=True)]
+    return [(side, tuple(leg.code for leg in legs)) for side, legs in zip(sides, itinerary.chains, strict=True)]
 
 
 def is_same_event(equations: Extended, one: Event, other: Event) -> bool:

@@ -7,36 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
-from workers.continuation.departure import first_departure
-from workers.continuation.equations import (
-    ImpactMotion,
-    Motion,
-    admit,
-    check_orbits,
-    motion_at,
-    motion_of,
-    motion_of_unknowns,
-)
-from workers.continuation.itinerary import Itinerary, Orbit, in_one_turn, many_orbits
+from workers.continuation.equations import admit, check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.itinerary import Orbit, many_orbits
+from workers.continuation.motion import Motion
 from workers.continuation.newton import newton
-from workers.continuation.oscillator import Family, Machine, ModalOscillator, family_of, modal
-from workers.continuation.recording import halved, recorded_modes
+from workers.continuation.oscillator import Family, family_of
+from workers.continuation.recording import halved, recorded
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
-from workers.kernel.cells import physical_states
-from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motions_at
-from workers.kernel.motion import motion_at as impacts_from
-from workers.kernel.period import propagate
-from workers.model.oscillator import Array, Mask, Oscillator, Rows, one_of, taken
+from workers.model.family import Machine, machines_over
+from workers.model.oscillator import Array, Mask, Rows
 from workers.model.system import System
-from workers.orbit.section import AT_SECTION, quiet_section
+from workers.orbit.section import AT_SECTION
 
 FARTHEST = 0.5
 """Newton's first step at most, in radians of the force and relative to the motion and its fastest impact."""
-
-RECORD = 256
-"""Impacts of one period that an orbit may have."""
 
 
 class Many(NamedTuple):
@@ -76,13 +61,13 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
     if not itinerary.sides or not may_be.any():
         return orbits._replace(values=values, found=may_be)
     known = np.flatnonzero(may_be)
-    own, here = taken(lin, known), orbits.orbits.taken(known)
+    own, here = lin.taken(known), orbits.orbits.taken(known)
     phases = here.times * family.model(orbits.values[known]).omega[:, None]
     start = motion_of(own, here._replace(times=phases / own.omega[:, None]))
     scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / own.omega[:, None]], axis=1)
 
     def motion(X: Array, rows: Rows) -> Motion:
-        return motion_of_unknowns(taken(own, rows), itinerary, X)
+        return motion_of_unknowns(own.taken(rows), itinerary, X)
 
     def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
         there = motion(X, rows)
@@ -104,12 +89,10 @@ def attract(family: Family, orbits: Many) -> Mask:
     if not len(rows):
         return good
     motion = motion_of(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
-    with np.errstate(all="ignore"):
-        good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
+    good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
     for k in np.flatnonzero(good[rows])[:, None]:
-        one = motion_at(taken(motion.lin, k), motion.itinerary, motion.times[k], motion.start[k])
-        fault = first_fault(one) if isinstance(one, ImpactMotion) else first_departure(one)
-        good[rows[k]] = is_minimal(one) and not (family.certified and fault)
+        one = Motion(motion.lin.taken(k), motion.itinerary, motion.times[k], motion.start[k])
+        good[rows[k]] = is_minimal(one) and not (family.certified and first_fault(one))
     return good
 
 
@@ -120,22 +103,15 @@ def orbit_from_state(
 
     values   parameters by name; those left out have their defaults
     periods  of the force in the whole orbit
-    Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
+    Raises ValueError where the motion from there rests on a rigid stop, where R = 0, or where no orbit is found.
     """
     if periods < 1:
         raise ValueError(f"periods: found {periods}, an orbit takes 1 or more")
-    given, family, none = (
-        {p.name: float(values.get(p.name, p.default)) for p in system.parameters},
-        family_of(system, values, ()),
-        np.zeros(0),
-    )
-    if system.has_modes:
-        machine = family.model(none[None])
-        assert not isinstance(machine, ModalOscillator)
-        orbit = refined(family, recorded_modes(machine, state, periods), none)
-        half = halved(machine, orbit)
-        return orbit if half is orbit else refined(family, half, none)
-    return orbit_of(system.build(given), family, none, state, periods, symmetric)
+    family, none = family_of(system, values, ()), np.zeros(0)
+    machine = family.model(none[None])
+    orbit = refined(family, recorded(machine, state, periods, symmetric), none)
+    half = halved(machine, orbit)
+    return orbit if half is orbit else refined(family, half, none)
 
 
 def recorded_each(
@@ -144,47 +120,13 @@ def recorded_each(
     """Orbits as they are recorded from physical section states (N, 2n) of machines with values (N,) of each parameter;
     None where that cannot be, see ``orbit_from_state``."""
     found = list[Orbit | None]()
-    machines = system.definition.hybrid(values) if system.has_modes else None
-    oscillators = None if system.has_modes else system.build_many(values)[0]
+    machines, _ = machines_over(system, {}, tuple(values))(np.stack(list(values.values()), axis=1))
     for k, (state, length, half) in enumerate(zip(states, periods, symmetric, strict=True)):
         try:
-            if machines is None:
-                found.append(recorded(one_of(oscillators, k), state, int(length), bool(half)))
-            else:
-                found.append(recorded_modes(taken(machines, np.array([k])), state, int(length)))
+            found.append(recorded(machines.taken(np.array([k])), state, int(length), bool(half)))
         except ValueError:
             found.append(None)
     return found
-
-
-def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
-    """The same where the oscillator is built, of a family at parameters (free,)."""
-    return refined(family, recorded(osc, state, periods, symmetric), values)
-
-
-def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
-    """The orbit as its impacts are recorded in one turn from a physical section state; ValueError as above."""
-    start = motion_from(osc, state)
-    # From there on no impact is lost or counted twice.
-    shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
-    there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
-    motion = impacts_from(h, contact, record=RECORD)
-    rows = []
-    for k in range(periods):
-        propagate(there, motion, osc.period)
-        if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0:
-            raise ValueError("the motion rests on a stop: it is no orbit of impacts alone")
-        count = int(motion.tally[RECORDED])
-        if count == RECORD:
-            raise ValueError(f"{RECORD} impacts in one period: too many for an orbit of impacts")
-        rows.append(motion.impacts[:count] + np.array([k * osc.period, 0.0, 0.0]))
-        motion.tally[RECORDED] = 0.0
-    impacts = np.concatenate(rows) if rows else np.zeros((0, 3))
-    span = (0.5 if symmetric else 1.0) * periods * osc.period
-    impacts = impacts[impacts[:, 0] < span]
-    sides = impacts[:, 1]
-    itinerary = Itinerary(tuple(int(side) for side in sides), periods, symmetric)
-    return in_one_turn(Orbit(itinerary, impacts[:, 0] + shift * osc.period, sides * impacts[:, 2]), span)
 
 
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
@@ -206,25 +148,17 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
 
     values   parameters (N,) by name; those left out have their defaults
     shift    of the section, in forcing periods: -states at 1/2 are those of the mirror images in a symmetric machine
-    An impact at a section counts as past, also one that rounding puts up to AT_SECTION T after it.
+    An event at a section counts as past, also one that rounding puts up to AT_SECTION T after it.
     """
-    count, itinerary = len(orbits), orbits[0].itinerary
-    given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
-    if system.has_modes:
-        machines = system.definition.hybrid({name: np.ascontiguousarray(column) for name, column in given.items()})
-        return states_at_sections(machines, many_orbits(orbits), shift)
-    oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
-    lin = modal(oscillators)
-    h = states_at_sections(lin, many_orbits(orbits), shift)
-    there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
-    states = [physical_states(there, motions_at(np.ascontiguousarray(h[:, k])), rows) for k in range(itinerary.periods)]
-    return np.stack(states, axis=1)
+    rows = np.stack(list(values.values()), axis=1) if values else np.zeros((len(orbits), 0))
+    machines, _ = machines_over(system, {}, tuple(values))(rows)
+    return states_at_sections(machines, many_orbits(orbits), shift)
 
 
 def states_at_sections(lin: Machine, many: Orbit, shift: float = 0.0) -> Array:
-    """What ``motion_of`` has for states at the sections of a turn."""
+    """The physical states (N, n, 2d) of orbits at the sections of a turn: see ``section_states``."""
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
     many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
     found, _ = motion_of(lin, many).at((np.arange(many.itinerary.periods) + shift) * period)
-    return found
+    return np.asarray(found + lin.rest[:, None])

@@ -5,8 +5,8 @@ from itertools import product
 
 import numpy as np
 
-from workers.continuation.equations import Motion
 from workers.continuation.itinerary import Itinerary, Orbit
+from workers.continuation.motion import Motion
 from workers.model.oscillator import Array
 
 SAME = 1e-7

@@ -1,57 +1,172 @@
-"""The free motion of a system's machines over a few of its parameters: what the others decide is worked out once.
+"""Machines over a few parameters, with modes that are built when they are asked for, once for all that need them.
 
-It is what ``System.build_many`` makes of the same values, to the bit, without the motion on a stop.
+What the other parameters decide of a machine with one rigid contact is worked out once: its flight is what
+``System.build_many`` makes of the same values, to the bit.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.model.build import build
 from workers.model.free import OF_STRUCTURE, Structure, centred, finite, free_motion, phase_of, structure_of
-from workers.model.oscillator import Array, Machines, Mode
+from workers.model.hybrid import Elements, build_hybrid, elements_of
+from workers.model.hybrid_machines import HybridMachines, hybrid_faults
+from workers.model.hybrid_modes import OPEN, Code, Pieces, pieces_of
+from workers.model.oscillator import COLUMN, Array, Machines, Mask, Oscillator, Rows, taken
 from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
+FLYING = Code(0, (OPEN,), ())
+"""The one mode of a machine whose only contact is a rigid one, while nothing rests on it."""
+
+
+class NoOscillatorError(ValueError):
+    """Parameters at which there is no oscillator."""
+
+
+@dataclass
+class Machine:
+    """N machines of n coordinates and their modes, each built when it is first asked for.
+
+    omega, tau (N,)  forcing frequency, forcing phase at a section
+    elements         contacts and friction
+    rest (N, 2n)     the physical state that states are counted from, and stops
+    make             makes a mode of all N; describe the machines as numbers, counted from rest too; build their record
+                     for the kernels of cells
+    """
+
+    omega: Array
+    tau: Array
+    elements: Elements
+    rest: Array
+    make: Callable[[Code], Pieces]
+    describe: Callable[[], HybridMachines]
+    build: Callable[[], Oscillator]
+    known: dict[Code, Pieces] = field(default_factory=dict)
+
+    def mode(self, code: Code) -> Pieces:
+        """A mode of all of them. NoOscillatorError where there is none."""
+        if code not in self.known:
+            self.known[code] = self.make(code)
+        return self.known[code]
+
+    @cached_property
+    def machines(self) -> HybridMachines:
+        """The machines as numbers."""
+        return self.describe()
+
+    @cached_property
+    def oscillators(self) -> Oscillator:
+        """The machines as the kernels of cells take them."""
+        return self.build()
+
+    def taken(self, rows: Rows) -> "Machine":
+        """These rows, in their order, with the modes of the whole."""
+        return Machine(
+            self.omega[rows], self.tau[rows], taken(self.elements, rows), self.rest[rows],
+            lambda code: taken(self.mode(code), rows), lambda: taken(self.machines, rows),
+            lambda: taken(self.oscillators, rows),
+        )  # fmt: skip
+
+    @property
+    def dimension(self) -> int:
+        """How many numbers a state has: 2n."""
+        return self.rest.shape[1]
+
+    @property
+    def mirrored(self) -> Mask:
+        """Which of them (N,) are their own mirror images half a period later, in the same phase."""
+        return self.machines.mirrored
+
+
+def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> Callable[[Array], Any]:
+    """Makes machines of rows of values (N, free), and the reason against each, or NO_REASON; the others are fixed."""
+    return (_Switching if system.has_modes else _Flying)(system, fixed, free)
+
+
+def with_modes(machines: HybridMachines) -> Machine:
+    """Machines whose law changes in any way: each mode is built as such."""
+
+    def make(code: Code) -> Pieces:
+        found, wrong = pieces_of(machines, code)
+        if np.any(wrong):
+            raise NoOscillatorError("a mode of this orbit has no bounded motion there")
+        return found
+
+    return Machine(
+        machines.omega, machines.tau, elements_of(machines), np.zeros((len(machines.omega), machines.dimension)), make,
+        lambda: machines, lambda: build_hybrid(machines)[0],
+    )  # fmt: skip
+
+
+class _Over:
+    """Machines of a system over some of its parameters, the others fixed."""
+
+    def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
+        self.system, self.free = system, free
+        self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
+
+    def given(self, rows: Array) -> dict[str, Array]:
+        """Rows of values (N, free) by name."""
+        return {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
+
+    def others(self, rows: Array) -> dict[str, Array]:
+        """The values of the others, (N,) each."""
+        return {name: np.full(len(rows), value) for name, value in self.fixed.items()}
+
+
+class _Switching(_Over):
+    """Of a system whose law changes in any way."""
+
+    def __call__(self, rows: Array) -> tuple[Machine, NDArray[np.int8]]:
+        """The machines of rows of values (N, free), and the reason against each."""
+        values = self.others(rows) | self.given(rows)
+        own = self.system.definition.hybrid(values)
+        return with_modes(own), self.system.out_of_range(values, hybrid_faults(own))
+
 
 class _Kept(NamedTuple):
-    """What any N rows of values that make machines have in common: fixed values, machines, their structure.
+    """What any N rows of values that make machines have in common: fixed values, machines, structure, mode, elements.
 
-    Fields of the machines that free parameters decide are made anew, and the structure with them.
+    Fields of the machines that free parameters decide are made anew, and all else with them if it depends on these.
     """
 
     fixed: dict[str, Array]
     machines: Machines
     structure: Structure
+    mode: Pieces
+    elements: Elements
 
 
-class FreeMotions:
-    """The free motion of a system's machines over some of its parameters, the others fixed."""
+class _Flying(_Over):
+    """Of a system with one rigid contact: states are counted from where y rests, and its mode is the flight."""
 
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
-        self.system, self.free = system, free
-        self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
+        super().__init__(system, fixed, free)
         self._changing = system.definition.depending(free)
         self._kept: dict[int, _Kept] = {}
 
     @np.errstate(all="ignore")
-    def __call__(self, rows: Array) -> tuple[tuple[Mode, Array, Array, Array, Array], NDArray[np.int8]]:
-        """The motions of rows of values (N, free): mode, stops seen from rest, forcing phase at a section, restitution.
-
-        Beside them the reason of each why there is none, or NO_REASON.
-        """
-        given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
-        kept = self._kept.get(len(rows))
+    def __call__(self, rows: Array) -> tuple[Machine, NDArray[np.int8]]:
+        """The machines of rows of values (N, free), and the reason against each."""
+        values, kept = self.given(rows), self._kept.get(len(rows))
         if kept:
-            values, fields = given, self._changing
-            machines = kept.machines._replace(**self.system.definition.fields(kept.fixed | given, fields))
-            structure = kept.structure if fields.isdisjoint(OF_STRUCTURE) else structure_of(machines)
+            fixed, fields = kept.fixed, self._changing
+            machines = kept.machines._replace(**self.system.definition.fields(fixed | values, fields))
         else:
-            fixed = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
-            values, fields = fixed | given, frozenset(Machines._fields)
+            fixed, fields = self.others(rows), frozenset(Machines._fields)
+            values = fixed | values
             machines = self.system.definition.machines(values)
+        if kept and fields.isdisjoint(OF_STRUCTURE):
+            structure, mode, elements = kept[2:]
+        else:
             structure = structure_of(machines)
+            mode, elements = _flight(structure, machines), _contact(structure, machines)
         at_rest = centred(structure, machines)
         gap, against = free_motion(structure, at_rest, machines.omega)
         known = finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
@@ -62,5 +177,71 @@ class FreeMotions:
             reasons[holds] = reason
         reasons = self.system.refused(machines, values, reasons, fields)
         if not kept and np.all(reasons == NO_REASON):
-            self._kept[len(rows)] = _Kept(fixed, machines, structure)
-        return (gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R), reasons
+            self._kept[len(rows)] = _Kept(fixed, machines, structure, mode, elements)
+        ways, (N, n), blocks = structure.flow.modes, machines.gap_row.shape, gap.blocks
+        rest = (ways.to_physical @ at_rest.loading.rest.reshape(N, 2 * n, 1))[..., 0]
+        blocks[..., COLUMN.rest0 :] = 0.0
+        stops = np.stack([-at_rest.b_lower, at_rest.b_upper], axis=1)[:, None]
+        acceleration = mode.acceleration
+        if np.any(at_rest.loading.load):  # what drives a damped motion is counted from while that moves
+            moving = np.concatenate([np.zeros((N, n)), rest[:, n:]], axis=1)[..., None]
+            blocks[..., COLUMN.rest0 :] = (ways.to_blocks @ moving).reshape(N, n, 2)
+            driven = ways.to_physical[:, n:, 1::2] @ at_rest.loading.load[..., None]
+            acceleration = acceleration.copy()
+            acceleration[..., -1] = (driven - acceleration[..., n : 2 * n] @ moving[:, n:])[..., 0]
+        rest[:, n:] = 0.0
+        mode = mode._replace(
+            blocks=blocks[:, None], waves=gap.waves[:, None], numbers=gap.numbers[:, None], forced=gap.forced,
+            ends=stops, acceleration=acceleration,
+        )  # fmt: skip
+        elements = elements._replace(stops=stops, R=machines.R[:, None])
+
+        def describe() -> HybridMachines:
+            load = (machines.mass @ acceleration[..., -1:])[..., 0]
+            return _described(machines, load, elements)
+
+        found = Machine(
+            machines.omega, phase_of(machines.tau), elements, rest, {FLYING: mode}.__getitem__, describe,
+            lambda: build(machines)[0],
+        )  # fmt: skip
+        return found, reasons
+
+
+def _flight(structure: Structure, machines: Machines) -> Pieces:
+    """The mode of flight as far as matrices and force alone decide it: all else is to be replaced."""
+    modes, inverse, (N, n) = structure.flow.modes, structure.flow.inverse_mass, machines.gap_row.shape
+    H, none, nothing = machines.force_sin.shape[1], np.zeros(N), np.zeros((N, 0))
+    rows, acceleration = np.zeros((N, 1, 2 * n + 1)), np.zeros((N, n, 2 * n + 1))
+    rows[:, 0, :n] = machines.gap_row
+    acceleration[..., :n], acceleration[..., n : 2 * n] = -inverse @ machines.stiffness, -inverse @ machines.damping
+    force = np.stack([machines.force_sin, machines.force_cos], axis=-1)  # (N, H, n, 2)
+    drive = np.ascontiguousarray(np.einsum("rij,rhjp->rihp", inverse, force))
+    return Pieces(
+        nothing, nothing, nothing, nothing, rows, np.zeros((N, 1, H, 2)), none[:, None], nothing,
+        np.ascontiguousarray(modes.to_blocks), np.ascontiguousarray(modes.to_physical), acceleration,
+        drive, none, none,
+    )  # fmt: skip
+
+
+def _contact(structure: Structure, machines: Machines) -> Elements:
+    """The rigid contact of machines; its stops and R are to be replaced."""
+    N, n = machines.gap_row.shape
+    kick = structure.accelerance / structure.inverse_gap_mass[:, None]
+    none, nothing = np.zeros((N, 1)), np.zeros((N, 0))
+    rub = np.zeros((N, 0, n))
+    return Elements(
+        np.ascontiguousarray(machines.gap_row[:, None]), kick[:, None], 1.0 / structure.inverse_gap_mass[:, None],
+        nothing, nothing, none, rub, rub, nothing, np.zeros((N, 1, 0)), np.zeros((N, 0, 1)),
+        np.tile([0.0, 1.0], (N, 1)),
+    )  # fmt: skip
+
+
+def _described(machines: Machines, load: Array, elements: Elements) -> HybridMachines:
+    """Machines with one rigid contact in the form of all others, counted from rest: ``load`` (N, n) is left there."""
+    N = len(machines.omega)
+    return HybridMachines(
+        machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
+        machines.force_sin[:, None], machines.force_cos[:, None], machines.omega, machines.tau, elements.starts,
+        elements.row, elements.stops, elements.R, elements.soft, np.zeros((N, 1)), np.zeros((N, 1, 1, 3)),
+        elements.slide, elements.belt, np.zeros((N, 1, 0, 3)), np.full(N, -1.0),
+    )  # fmt: skip

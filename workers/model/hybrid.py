@@ -54,7 +54,7 @@ class Elements(NamedTuple):
 
 def elements_of(machines: HybridMachines) -> Elements:
     """The elements of machines."""
-    inverse_mass = np.linalg.inv(machines.mass)
+    inverse_mass = stacked(np.linalg.inv, machines.mass.shape, machines.mass)
 
     def along(rows: Array) -> Array:
         pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]

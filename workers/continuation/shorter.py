@@ -1,0 +1,65 @@
+"""The orbit without an event that is lost."""
+
+import math
+
+import numpy as np
+
+from workers.continuation.itinerary import Itinerary, Leg, Orbit
+
+LOST_AT_ONCE = 3
+"""Events that an orbit may lose together: a soft contact is reached, pushes no more, and opens."""
+
+
+def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
+    """The same orbit from its event k on."""
+    (sides, periods, symmetric, legs), sign = orbit.itinerary, orbit.itinerary.sign
+    turned = tuple(sign * side for side in sides[:k])
+    itinerary = Itinerary(sides[k:] + turned, periods, symmetric, legs[k:] + orbit.itinerary.legs_after(0, sign)[:k])
+    times = np.append(orbit.times[k:], orbit.times[:k] + span)
+    return Orbit(itinerary, times, np.append(orbit.speeds[k:], sign * orbit.speeds[:k]))
+
+
+def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, float] | None:
+    """The orbit without an event, and without others at the same time if its mode comes back only then; the leg that
+    began with it, whose signal grazes instead, and its time. None where that is no orbit.
+    """
+    m, found = len(orbit.itinerary.sides), []
+    for count in range(1, min(LOST_AT_ONCE, m) + 1):
+        place = int(m > count)  # an event is left before the lost ones
+        for first in range(event - count + 1, event + 1):
+            other = rotated(orbit, (first - place) % m, span)
+            lost = slice(place, place + count)
+            legs, times = other.itinerary.legs[lost], other.times[lost]
+            kept = _before(other, place)
+            if all(len(chain) == 1 for chain in legs[:-1]) and legs[-1][0].code == kept[-1].code:
+                found.append(
+                    (float(times[-1] - times[0]), _dropped(other, kept, lost), legs[0][0], float(np.mean(times)))
+                )
+    if not found:
+        return None
+    _, shorter, leg, time = min(found, key=lambda each: each[0])
+    turns = 0.0 if shorter.itinerary.sides else math.floor(time / span)
+    mirrored = turns % 2 != 0 and orbit.itinerary.symmetric
+    return shorter, leg.mirrored if mirrored else leg, time - turns * span
+
+
+def _before(orbit: Orbit, event: int) -> tuple[Leg, ...]:
+    """The legs that end at an event."""
+    return orbit.itinerary.legs[event - 1] if event else orbit.itinerary.legs_after(0, orbit.itinerary.sign)[-1]
+
+
+def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
+    """The orbit without some events; ``before`` are the legs that end at the first of them."""
+    sides, periods, symmetric, legs = orbit.itinerary
+    kept = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
+    chain = before + legs[lost][-1][1:]
+    after = (*legs[: lost.start - 1], chain, *legs[lost.stop :]) if kept else (_of_phases(chain),)
+    itinerary = Itinerary(tuple(sides[i] for i in kept), periods, symmetric, after)
+    return Orbit(itinerary, orbit.times[kept], orbit.speeds[kept])
+
+
+def _of_phases(chain: tuple[Leg, ...]) -> tuple[Leg, ...]:
+    """The legs of a turn without events, which begins with the first phase."""
+    first = next((k for k, leg in enumerate(chain) if leg.code.phase == 0), 0)
+    turn = (chain[first:] + chain[:first])[: max(1, len(chain) - 1)]
+    return tuple(leg._replace(begun=(0,) * len(leg.begun), signal=-1, side=0) for leg in turn)

@@ -1,0 +1,134 @@
+"""The events that a motion passes in some periods from a section state, as its kernels write them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.kernel.coordinates import motion_from
+from workers.kernel.hybrid.motion import through_modes
+from workers.kernel.hybrid.notes import LEG, LEG_STATE
+from workers.kernel.motion import (
+    LOST,
+    NOTHING_COUNTED,
+    RECORDED,
+    RUNNING,
+    STATUS,
+    STUCK,
+    WORK,
+    WORK_OF_A_TRIAL,
+    motion_at,
+)
+from workers.kernel.period import propagate
+from workers.model.family import FLYING
+from workers.model.hybrid import Table
+from workers.model.hybrid_modes import ON, OPEN, Code, code_of
+from workers.model.oscillator import Array, Oscillator, Rows, one_of
+from workers.orbit.section import quiet_section
+
+RECORD = 512
+"""Events of one period that are written down."""
+
+AT_REST = 1e-10
+"""Share of the largest displacement or velocity within which a state is on a stop, or slides on nothing."""
+
+
+class Passed(NamedTuple):
+    """A motion in one mode: when it begins, after the first section; which signal has reached which end of its range
+    then, -1 and 0 where the phase changes or the motion begins, at which rate; its mode and how its signals begin.
+    """
+
+    time: float
+    signal: int
+    side: int
+    rate: float
+    code: Code
+    begun: tuple[int, ...]
+
+
+def passed(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
+    """What the only one of many oscillators passes from a physical section state (2n,), the motion there first.
+
+    ValueError where it cannot be followed.
+    """
+    if oscillators.has_modes:
+        return _through_modes(oscillators, state, periods)
+    return _over_impacts(one_of(oscillators, 0), state, periods)
+
+
+def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
+    """``passed`` with one rigid contact, in order of time of a motion that repeats."""
+    start = motion_from(osc, state)
+    # From there on no impact is lost or counted twice.
+    shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
+    there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
+    motion = motion_at(h, contact, record=RECORD)
+    rows = []
+    for k in range(periods):
+        propagate(there, motion, osc.period)
+        if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0:
+            raise ValueError("the motion rests on a stop: it is no orbit of impacts alone")
+        count = int(motion.tally[RECORDED])
+        if count == RECORD:
+            raise ValueError(f"{RECORD} impacts in one period: too many for an orbit of impacts")
+        rows.append(motion.impacts[:count] + np.array([(k + shift) * osc.period, 0.0, 0.0]))
+        motion.tally[RECORDED] = 0.0
+    impacts = np.concatenate(rows)
+    impacts[:, 0] = np.mod(impacts[:, 0], periods * osc.period)
+    impacts = impacts[np.argsort(impacts[:, 0], kind="stable")]
+    found = [Passed(t, 0, int(side), side * speed, FLYING, (int(side),)) for t, side, speed in impacts.tolist()]
+    return [Passed(0.0, -1, 0, 0.0, FLYING, (0,)), *found]
+
+
+def _through_modes(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
+    """``passed`` through all modes that come."""
+    table = one_of(oscillators, 0).table
+    state, number = np.array(state, dtype=np.float64), _shown(oscillators.table, np.asarray(state))
+    size, found = len(state), list[Passed]()
+    for k in range(periods):
+        rows, state, number = _one_period(oscillators, state, number)
+        for row in rows:
+            time, begun = float(row[LEG.start]) + k * 2.0 * np.pi / table.omega, row[LEG_STATE + size :]
+            code = code_of(int(row[LEG.number]), *oscillators.table.machines.sizes[1:])
+            found.append(
+                Passed(
+                    time, int(row[LEG.signal]), int(row[LEG.side]), float(row[LEG.rate]), code, tuple(map(int, begun))
+                )
+            )
+    return found
+
+
+def _shown(table: Table, z: Array) -> int:
+    """The number of the mode that a section state shows; what rounding leaves of rest or of sticking is rest."""
+    n, own = len(z) // 2, table.elements
+    x, v = z[:n], z[n:]
+    far, fast = AT_REST * np.max(np.abs(z)) + 1e-300, AT_REST * np.max(np.abs(v)) + 1e-300
+    contacts, slips = [], []
+    for row, stops, soft in zip(own.row[0], own.stops[0], own.soft[0], strict=True):
+        y, rate = float(row @ x), float(row @ v)
+        side = 1 if y > 0.5 * (max(stops[0], -1e300) + min(stops[1], 1e300)) else -1
+        depth = side * (y - stops[1 if side > 0 else 0])
+        on = depth > 0.0 if soft else abs(depth) <= far and abs(rate) <= fast
+        contacts.append(side * ON if on else OPEN)
+    for row, belt in zip(own.slide[0], own.belt[0], strict=True):
+        sliding = float(row @ v) - belt
+        slips.append(int(np.sign(sliding)) if abs(sliding) > fast else 0)
+    return Code(0, tuple(contacts), tuple(slips)).number
+
+
+def _one_period(oscillators: Oscillator, state: Array, number: int) -> tuple[Array, Array, int]:
+    """The legs of one period, and state and mode after it; modes are built as they are missing."""
+    table = one_of(oscillators, 0).table
+    legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
+    W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))
+
+    def followed(_: Rows) -> tuple[Array, Rows, Array]:
+        z, code, tally = state.copy(), np.array([number]), NOTHING_COUNTED.copy()
+        tally[WORK] = WORK_OF_A_TRIAL
+        through_modes(table, z, W, code, growth, triangle, tally, hits, legs, 2.0 * np.pi / table.omega)
+        return z, code, tally
+
+    z, code, tally = oscillators.with_modes(followed, np.zeros(1, dtype=np.int64))
+    known = legs[~np.isnan(legs[:, LEG.start])]
+    if tally[STATUS] != RUNNING or len(known) == RECORD:
+        raise ValueError("the motion cannot be followed through one period of the force")
+    return known, z, int(code[0])
