@@ -37,7 +37,7 @@ def test_an_expression_means_what_it_means_in_python(text: str) -> None:
     [
         ("pi", math.pi), ("sqrt(2)", math.sqrt(2)), ("sin(a)", math.sin(0.3)), ("cos(pi)", -1.0),
         ("tan(a)", math.tan(0.3)), ("exp(1)", math.e), ("log(exp(1))", 1.0), ("abs(b)", 2.0), ("min(a, b)", -2.0),
-        ("max(a, b, omega)", 1.7),
+        ("max(a, b, omega)", 1.7), ("atan2(a, b)", math.atan2(0.3, -2.0)),
         ("omega**0.5", math.sqrt(1.7)), ("omega**-3", 1.7**-3), ("a**omega", 0.3**1.7),
     ],
 )  # fmt: skip
@@ -61,7 +61,7 @@ def test_what_has_no_finite_value_is_infinite_or_nan_at_once(text: str) -> None:
 @pytest.mark.parametrize("function", [*FUNCTIONS, "power", "whole power"])
 def test_an_element_does_not_depend_on_those_beside_it_to_the_bit(function: str) -> None:
     """numpy has several ways to compute a function, and which one it takes may depend on how many numbers there are."""
-    two = function in ("min", "max")
+    two = function in ("min", "max", "atan2")
     text = {"power": "a ** b", "whole power": "a ** 7"}.get(function, f"{function}(a, b)" if two else f"{function}(a)")
     rng = np.random.default_rng(1)
     many = {name: rng.uniform(0.5, 3.0, 203) for name in NAMES}
@@ -116,6 +116,7 @@ HOSTILE = [
     ("sin", "unknown name 'sin'"),
     ("sin()", "found ')'"),
     ("sin(a, b)", "found sin of 2, must be of 1 argument"),
+    ("atan2(a)", "found atan2 of 1, must be of 2 arguments"),
     ("min(a)", "found min of 1, must be of 2 to 8 arguments"),
     ("mu_kk", "unknown name 'mu_kk'; did you mean 'mu_k'?"),
     ("F*sin(omega*t)", "unknown name 'F'"),

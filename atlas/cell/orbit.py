@@ -20,8 +20,8 @@ from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 Array = NDArray[np.float64]
 
-SAMPLES = 400
-"""Points of the path per forcing period."""
+SAMPLES, OF_HARMONIC = 400, 50
+"""Points of the path per forcing period, and at least per period of the fastest harmonic of the force."""
 OPEN_PATH = 40
 """Forcing periods of the path of a motion that does not close; a closed one is shown once around."""
 LONGEST_PATH = 200
@@ -149,6 +149,11 @@ def modulation(section: Array) -> float:
     return 1.0 / max(min(drifts), 1.0 / x.size)
 
 
+def samples_of(system: System) -> int:
+    """Points of a path per forcing period."""
+    return max(SAMPLES, OF_HARMONIC * system.definition.highest)
+
+
 def _running(system: System, parameters: Mapping[str, float], settings: Settings) -> Array:
     """Running means of the exponents, over as many periods as can be afforded."""
     from workers import trace
@@ -174,15 +179,16 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
     start = np.array([parameters[name] for name in system.states])
     motion = motion_from(osc, start, record=_RECORD)
     times, states, impacts = [0.0], [start], []
-    piece = osc.period / SAMPLES
-    for i in range(periods * SAMPLES):
+    samples = samples_of(system)
+    piece = osc.period / samples
+    for i in range(periods * samples):
         # A piece of a period is a short motion from a section at another phase of the force.
-        begins = osc._replace(tau=osc.tau + (i % SAMPLES) * piece * osc.gap.omega)
-        ends = osc._replace(tau=osc.tau + (i % SAMPLES + 1) * piece * osc.gap.omega)
+        begins = osc._replace(tau=osc.tau + (i % samples) * piece * osc.gap.omega)
+        ends = osc._replace(tau=osc.tau + (i % samples + 1) * piece * osc.gap.omega)
         motion.tally[RECORDED], motion.tally[WORK] = 0.0, WORK_OF_A_TRIAL
         propagate(begins, motion, piece)
         if motion.tally[STATUS] != RUNNING:
-            raise InputError(f"period {i // SAMPLES}: this cell cannot be followed")
+            raise InputError(f"period {i // samples}: this cell cannot be followed")
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         before, after = states[-1], blocks_to_physical(ends, motion)
         for t, side, speed in found[found[:, 2] > 0.0]:
@@ -203,7 +209,8 @@ def _path_through_modes(system: System, parameters: Mapping[str, float], periods
 
     followed = trace(system, parameters, periods)
     oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})
-    since = oscillators.period[0] / SAMPLES * np.arange(1.0, SAMPLES + 1.0)
+    samples = samples_of(system)
+    since = oscillators.period[0] / samples * np.arange(1.0, samples + 1.0)
     states = within_periods(oscillators, followed.states[:-1], since)
     times = followed.times[:-1, None] + since
     states = np.concatenate([followed.states[:1], states.reshape(-1, states.shape[-1])])

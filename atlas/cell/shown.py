@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.cell.orbit import SAMPLES, CellOrbit, modulation
+from atlas.cell.orbit import CellOrbit, modulation, samples_of
 from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ def chatter(orbit: CellOrbit) -> slice | None:
     shorter = (sides[2:] == sides[1:-1]) & (sides[1:-1] == sides[:-2]) & (flights[1:] < flights[:-1])
     ends = np.flatnonzero(np.diff(np.pad(shorter, 1).astype(np.int8)))
     for first, last in zip(ends[::2], ends[1::2], strict=True):
-        drawn = np.flatnonzero(flights[first : last + 1] > 5.0 * orbit.period / SAMPLES)
+        drawn = np.flatnonzero(flights[first : last + 1] > 5.0 * orbit.period / samples_of(orbit.system))
         if last - first >= _LEAST_CHATTER and drawn.size:
             return slice(int(first + max(0, drawn[-1] - 1)), int(last + 2))
     return None

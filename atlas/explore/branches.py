@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.branches.branch import tree_from
 from atlas.branches.seed import seed_of_point
 from atlas.branches.table import Branches, modulus, orbit_name, pattern
+from atlas.cell.orbit import samples_of
 from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, FollowedOrbit, Range
 from atlas.explore.chosen import Point as Where
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SAMPLES = 200
-"""Even steps of a drawn orbit per forcing period, at most."""
 BESIDE = 1e-9
 """Share of the forcing period before an event at which the motion before it is drawn."""
 ENDS = {
@@ -167,7 +166,8 @@ class FollowedBranch:
 
         orbit = here.point.orbit
         machine, periods = self._family.model(np.array([[here.value]])), orbit.itinerary.periods
-        count, turn = min(SAMPLES, POINTS // periods), float(orbit.itinerary.span(machine)[0])
+        count = min(samples_of(self.table.system) // 2, POINTS // periods)
+        turn = float(orbit.itinerary.span(machine)[0])
         period = turn * (1 + orbit.itinerary.symmetric) / periods
         events = np.concatenate([orbit.times + k * turn for k in range(1 + orbit.itinerary.symmetric)])
         events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may leave the turn

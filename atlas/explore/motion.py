@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.cell.orbit import SAMPLES, CellOrbit, cell_orbit
+from atlas.cell.orbit import CellOrbit, cell_orbit, samples_of
 from atlas.errors import InputError
 from atlas.explore.subject import Subject
 from workers.model.oscillator import Oscillator
@@ -39,13 +39,14 @@ class MotionPicture:
 
 def motion_of(orbit: CellOrbit) -> MotionPicture:
     """A path as it is drawn, of at most POINTS even steps."""
-    piece = orbit.period / SAMPLES
+    samples = samples_of(orbit.system)
+    piece = orbit.period / samples
     step = np.rint(orbit.times / piece)
     even = np.abs(orbit.times - step * piece) < 1e-9 * orbit.period
     stride = max(1, -(-int(np.count_nonzero(even)) // POINTS))
     kept = even & (step % stride == 0)
     drawn = kept | ~even
-    return motion_through(orbit.system.build(orbit.parameters), orbit.states[drawn], kept[drawn], SAMPLES / stride)
+    return motion_through(orbit.system.build(orbit.parameters), orbit.states[drawn], kept[drawn], samples / stride)
 
 
 def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> MotionPicture:

@@ -31,6 +31,7 @@ from atlas.query.window import (
 )
 from atlas.spec.axis import number
 from atlas.spec.cells import is_uniform
+from atlas.spec.system import stored_system
 from workers.model.parameter import OMEGA
 from workers.results import (
     AVERAGE,
@@ -198,14 +199,16 @@ def boundary(
 def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
     """The atlas with its exponents, and what is measured in their unit, per unit time and not per forcing period.
 
-    lambda_t = lambda / T with T = 2 pi / omega, omega the forcing frequency of each cell. The changed variables,
+    lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or several of them where the force has
+    orders that are ratios. The changed variables,
     largest, error, spectrum and sum_law_defect, say so in their ``long_name``. Loads them.
     Raises InputError where they are per unit time already, or the forcing frequency is not known.
     """
     present = [name for name in _EXPONENTS if name in ds]
     if any(rate_of(ds[name]) == PER_TIME for name in present):
         raise InputError(f"the exponents are {PER_TIME} already, not {PER_PERIOD}; nothing to convert")
-    rate = ds[_frequency(ds)] / (2.0 * np.pi)
+    system = stored_system(ds.attrs)
+    rate = ds[_frequency(ds)] / (2.0 * np.pi * (system.definition.turns if system else 1))
     made = {}
     for name in present:
         made[name] = (ds[name] * rate).transpose(*ds[name].dims)

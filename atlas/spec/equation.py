@@ -3,9 +3,9 @@
 import re
 from collections.abc import Iterable
 
-from workers.model.definition import Harmonic
 from workers.model.elements import Contact
 from workers.model.expression import Expression
+from workers.model.force import Harmonic
 from workers.model.system import System
 
 
@@ -26,7 +26,7 @@ def equation_of(system: System) -> str:
             for matrix, primes in matrices
             for entry, x in zip(matrix[i], machine.coordinates, strict=True)
         ]
-        right = [(machine.load[i], ""), *((each.force[i], _sine(each, i)) for each in machine.harmonics)]
+        right = [(machine.load[i], ""), *(part for each in machine.harmonics for part in _harmonic(each, i))]
         lines.append(f"{_sum(left)} = {_sum(right)}")
     for contact in machine.contacts:
         lines += _contact(contact, machine.coordinates)
@@ -39,7 +39,7 @@ def equation_of(system: System) -> str:
     for phase in machine.phases:
         others = [key for key in ("stiffness", "damping") if getattr(phase, key) is not None]
         changed = [f"other {name}" for name in (*others, *(name for name, _ in (*phase.contacts, *phase.friction)))]
-        rows = [(key, row) for key in ("force", "load") if (row := getattr(phase, key)) is not None]
+        rows = [(key, row) for key in ("force", "cosine", "load") if (row := getattr(phase, key)) is not None]
         changed += [f"{key} ({', '.join(map(_number, row))})" for key, row in rows]
         if changed:
             lines.append(f"from {_number(phase.start)} of the period on: {', '.join(changed)}")
@@ -65,11 +65,12 @@ def _contact(contact: Contact, coordinates: tuple[str, ...]) -> list[str]:
     return [*lines, f"beyond a stop by d: the force {_sum(known)} back{until}"]
 
 
-def _sine(harmonic: Harmonic, i: int) -> str:
-    """sin(order (omega t + tau) + phase)."""
+def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:
+    """The amplitudes of a harmonic on a coordinate, with sin(order (omega t + tau) + phase) and its cosine."""
     angle = "omega t + tau" if harmonic.order == 1 else f"{harmonic.order} (omega t + tau)"
     phase = harmonic.phase[i]
-    return f"sin({angle})" if phase.constant == 0.0 else f"sin({_sum([(None, angle), (phase, '')])})"
+    angle = angle if phase.constant == 0.0 else _sum([(None, angle), (phase, "")])
+    return [(row[i], f"{of}({angle})") for row, of in ((harmonic.force, "sin"), (harmonic.cosine, "cos")) if row]
 
 
 def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:

@@ -19,9 +19,11 @@ from workers.model.entries import NAME
 from workers.model.measures import KEYS as MEASURE_KEYS
 from workers.model.measures import MEASURES, REPORTS
 from workers.model.parameter import Parameter
-from workers.model.reading import HARMONICS, LARGEST, MANY, PARAMETER_KEYS
+from workers.model.reading import LARGEST, MANY, PARAMETER_KEYS
 from workers.model.reading_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, STOPS
+from workers.model.reading_force import HARMONIC_KEYS, HIGHEST, ORDER, POINTS, WAVEFORM_KEYS
 from workers.model.system import DEFAULT, KEYS, LATEST, TEXTS, System, packaged_system, system_names
+from workers.model.waveform import WAVEFORMS
 from workers.settings import CHOICES, WHOLE, Settings
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -153,13 +155,13 @@ def _definition() -> Schema:
     entries: Schema = {key: _TEXT for key in TEXTS}
     entries |= {key: _list(_NAME, 1, LARGEST) for key in ("coordinates", "velocities")}
     entries |= {key: matrix for key in ("mass", "damping", "stiffness")}
-    entries |= {key: row for key in ("force", "phase", "load", "gap")}
+    entries |= {key: row for key in ("force", "phase", "cosine", "load", "gap")}
     entries |= {key: _ENTRY for key in ("upper", "lower", "restitution")}
     entries |= {
         "name": {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,40}$"},
         "version": _whole(1, LATEST),
         "axes": _map(_list(_NUMBER, 2, 2)),
-        "harmonics": _list(_table({"order": _whole(1, HARMONICS), "force": row, "phase": row}, ["order", "force"])),
+        "harmonics": _list(_harmonic(row)),
         "contacts": _list(_element(CONTACT_KEYS, ["name", "gap"]), 1, STOPS),
         "friction": _list(_element(FRICTION_KEYS, ["name", "row", "kinetic"]), 0, FRICTION),
         "phases": _list(_phase(row, matrix), 0, PHASES),
@@ -169,6 +171,22 @@ def _definition() -> Schema:
         "parameters": _map(_own_parameter(), 0, MANY),
     }
     return _table({key: entries[key] for key in KEYS}, ["name", "coordinates", "mass"])
+
+
+def _harmonic(row: Schema) -> Schema:
+    """A harmonic of the force, or a waveform."""
+    wave: Schema = {"anyOf": [{"enum": [*WAVEFORMS]}, _list(_list(_NUMBER, 2, 2), 2, POINTS)]}
+    known: Schema = {
+        "order": {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]},
+        "waveform": wave,
+        "within": {**_NUMBER, **_POSITIVE, "exclusiveMaximum": 1},
+    }
+    tables = {
+        keys: _table({key: known.get(key, row) for key in keys}, required)
+        for keys, required in ((HARMONIC_KEYS, ["order"]), (WAVEFORM_KEYS, ["waveform", "within", "force"]))
+    }
+    either = {"anyOf": [{"required": ["force"]}, {"required": ["cosine"]}]}
+    return {"anyOf": [{**tables[HARMONIC_KEYS], **either}, tables[WAVEFORM_KEYS]]}
 
 
 def _element(keys: Iterable[str], required: list[str]) -> Schema:
@@ -185,8 +203,8 @@ def _element(keys: Iterable[str], required: list[str]) -> Schema:
 def _phase(row: Schema, matrix: Schema) -> Schema:
     """A part of each forcing period, and what it changes."""
     entries: Schema = {
-        "start": _ENTRY, "stiffness": matrix, "damping": matrix, "force": row, "load": row,
-        "contacts": _map(_table({key: _ENTRY for key in PAD})),
+        "start": _ENTRY, "stiffness": matrix, "damping": matrix, "force": row, "cosine": row,
+        "load": row, "contacts": _map(_table({key: _ENTRY for key in PAD})),
         "friction": _map(_table({key: _ENTRY for key in RUB})),
     }  # fmt: skip
     return _table({key: entries[key] for key in PHASE_KEYS}, ["start"])

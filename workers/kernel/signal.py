@@ -21,9 +21,14 @@ def forced(phase, w, sin_part, cos_part):
 
 @inlined
 def all_forced(waves, omega, phase):
-    """The forced part at a phase, its first three derivatives, and the sum of the moduli that add up to it."""
+    """The forced part at a phase, its first three derivatives, and the sum of the moduli that add up to it.
+
+    An order that a force does not have costs no sine.
+    """
     y, v, a, j3, scale = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(waves)):
+        if waves[k, 0] == 0.0 and waves[k, 1] == 0.0:
+            continue
         order = k + 1.0
         y_, v_, a_, j_ = forced(order * phase, order * omega, waves[k, 0], waves[k, 1])
         y, v, a, j3, scale = y + y_, v + v_, a + a_, j3 + j_, scale + abs(y_)

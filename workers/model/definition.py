@@ -1,14 +1,17 @@
 """What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
 
 import dataclasses
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, pad, rub, stops
 from workers.model.expression import Expression, Matrix, Row, evaluated
+from workers.model.force import Harmonic, amplitudes, changed, turns_of
 from workers.model.free import ULPS
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.measures import ORDERS, Measures
@@ -19,20 +22,13 @@ MATRICES = ("mass", "damping", "stiffness")
 OF_FORCE = ("force_sin", "force_cos")
 
 
-class Harmonic(NamedTuple):
-    """A part of the force: force sin(order (omega t + tau) + phase), with one amplitude and phase per coordinate."""
-
-    order: int
-    force: Row
-    phase: Row
-
-
 @dataclass(frozen=True)
 class Definition:
     """A linear oscillator with contacts and friction, every entry an expression of parameters:
 
-        M x'' + C x' + K x = load + sum over harmonics of force sin(order (omega t + tau) + phase) + contacts + friction
+        M x'' + C x' + K x = load + harmonics + contacts + friction
 
+    The force repeats after ``turns`` periods 2 pi / omega: its machines have the frequency omega / turns.
     ``let`` are names for expressions that others may use, each after those it uses itself. ``phases`` are parts of the
     forcing period in which entries differ, ``drift`` is a coordinate that may drift, ``measures`` what is reported by
     name. Tables have the order of these fields, which digests of curves depend on.
@@ -94,7 +90,7 @@ class Definition:
         """The machines of many values (N,) of each parameter with all contacts, friction and phases."""
         named, count, n = self._named(values), values[OMEGA].size, len(self.coordinates)
         contacts, friction, phases = self.contacts, self.friction, self.phases or ALWAYS
-        forces = [self._force(named, self._harmonics_in(phase)) for phase in phases]
+        forces = [self._force(named, changed(self.harmonics, phase.force, phase.cosine)) for phase in phases]
 
         def of_phases(key: str) -> list[Array]:
             return [evaluated(getattr(phase, key) or getattr(self, key), named) for phase in phases]
@@ -110,8 +106,8 @@ class Definition:
             load=np.stack(of_phases("load"), axis=1),
             force_sin=np.stack([sines for sines, _ in forces], axis=1),
             force_cos=np.stack([cosines for _, cosines in forces], axis=1),
-            omega=named[OMEGA],
-            tau=named[TAU],
+            omega=named[OMEGA] / self.turns,
+            tau=named[TAU] / self.turns,
             starts=table([*(each.start for each in phases), 1.0], P + 1),
             row=table([each.gap for each in contacts], C, n),
             stops=table([stops(each) for each in contacts], C, 2),
@@ -164,7 +160,7 @@ class Definition:
         for name, expression in self.let:
             if not expression.names.isdisjoint(changing):
                 changing.add(name)
-        entries = self._entries | dict.fromkeys(OF_FORCE, tuple((each.force, each.phase) for each in self.harmonics))
+        entries = self._entries | dict.fromkeys(OF_FORCE, self.harmonics)
         return frozenset(field for field, of in entries.items() if not _names(of).isdisjoint(changing))
 
     @property
@@ -173,27 +169,24 @@ class Definition:
         lower, upper = stops(self.stop)
         return {
             **{name: getattr(self, name) for name in (*MATRICES, "load")},
-            "gap_row": self.stop.gap, "omega": Expression(OMEGA), "tau": Expression(TAU), "upper": upper,
-            "lower": lower, "R": self.stop.restitution,
+            "gap_row": self.stop.gap, "upper": upper, "lower": lower, "R": self.stop.restitution,
+            **{name: Expression(f"{name} / {float(self.turns)!r}") for name in (OMEGA, TAU)},
         }  # fmt: skip
 
-    def _force(self, named: Mapping[str, Array], harmonics: Iterable[Harmonic]) -> tuple[Array, Array]:
-        """The force (N, H, n) of harmonics as amplitudes of the sines and of the cosines."""
-        count, n = named[OMEGA].size, len(self.coordinates)
-        force_sin = np.zeros((count, max((each.order for each in self.harmonics), default=1), n))
-        force_cos = np.zeros_like(force_sin)
-        for order, force, phase in harmonics:
-            size, angle = evaluated(force, named), evaluated(phase, named)
-            force_sin[:, order - 1], force_cos[:, order - 1] = size * np.cos(angle), size * np.sin(angle) + 0.0
-        return force_sin, force_cos
+    @cached_property
+    def turns(self) -> int:
+        """Periods 2 pi / omega of one period of the machine."""
+        return turns_of(each.order for each in self.harmonics)
 
-    def _harmonics_in(self, phase: Phase) -> tuple[Harmonic, ...]:
-        """The harmonics of the force in a phase: that of order 1 has the phase's amplitude, if it names one."""
-        if phase.force is None:
-            return self.harmonics
-        angles = {each.order: each.phase for each in self.harmonics}
-        first = Harmonic(1, phase.force, angles.get(1, (Expression("0.0"),) * len(self.coordinates)))
-        return (first, *(each for each in self.harmonics if each.order != 1))
+    @cached_property
+    def highest(self) -> int:
+        """The highest order of the force, as a multiple of the frequency omega / turns of the machine."""
+        first = not self.harmonics or any(phase.force or phase.cosine for phase in self.phases)
+        return int(self.turns * max([Fraction(first), *(each.order for each in self.harmonics)]))
+
+    def _force(self, named: Mapping[str, Array], harmonics: Collection[Harmonic]) -> tuple[Array, Array]:
+        """The force (N, H, n) of harmonics as amplitudes of the sines and of the cosines."""
+        return amplitudes(harmonics, self.turns, self.highest, named, len(self.coordinates))
 
     def table(self) -> dict[str, Any]:
         """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
@@ -233,8 +226,10 @@ def _written(entries: Any) -> Any:
     """Entries as a TOML file has them: records, and pairs of a name and an entry, are tables without what is empty."""
     if isinstance(entries, Expression):
         return entries.text if entries.constant is None else entries.constant
+    if isinstance(entries, Fraction):
+        return int(entries) if entries.denominator == 1 else str(entries)
     if isinstance(entries, Harmonic):
-        return {key: _written(of) for key, of in entries._asdict().items()}
+        return {key: _written(of) for key, of in entries._asdict().items() if of != ()}
     if dataclasses.is_dataclass(entries):
         pairs = ((field.name, _written(getattr(entries, field.name))) for field in dataclasses.fields(entries))
         return {key: entry for key, entry in pairs if entry not in (None, "", [])}

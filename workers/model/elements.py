@@ -73,8 +73,8 @@ class Friction:
 class Phase:
     """A part of each forcing period: from ``start``, a share of 2 pi / omega after the section, to that of the next.
 
-    What it names takes the place of the entry of the whole machine while it lasts: the force that of order 1, with the
-    same phase angles.
+    What it names takes the place of the entry of the whole machine while it lasts: force and cosine those of the first
+    harmonic of order 1, with the same phase angles.
     """
 
     start: Expression
@@ -82,6 +82,7 @@ class Phase:
     damping: Matrix | None = None
     force: Row | None = None
     load: Row | None = None
+    cosine: Row | None = None
     contacts: Changes = ()
     friction: Changes = ()
 

@@ -34,7 +34,7 @@ PI = "pi"
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
     "sqrt": (np.sqrt, 1, 1), "sin": (np.sin, 1, 1), "cos": (np.cos, 1, 1), "tan": (np.tan, 1, 1),
     "exp": (np.exp, 1, 1), "log": (np.log, 1, 1), "abs": (np.abs, 1, 1),
-    "min": (np.minimum, 2, 8), "max": (np.maximum, 2, 8),
+    "atan2": (np.arctan2, 2, 2), "min": (np.minimum, 2, 8), "max": (np.maximum, 2, 8),
 }  # fmt: skip
 """Each with the least and the largest number of arguments."""
 RESERVED = (PI, *FUNCTIONS)
@@ -239,5 +239,5 @@ def _check_names(tree: ast.expr, known: Collection[str]) -> None:
             raise ExpressionError(unknown_name("function", name, FUNCTIONS))
         _, least, most = FUNCTIONS[name]
         if not least <= count <= most:
-            wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
+            wanted = f"{most} argument" + "s" * (most > 1) if least == most else f"{least} to {most} arguments"
             raise ExpressionError(f"found {name} of {count}, must be of {wanted}")

@@ -8,32 +8,29 @@ from typing import Any
 
 import numpy as np
 
-from workers.model.definition import Definition, Harmonic
+from workers.model.definition import Definition
 from workers.model.entries import (
     DefinitionError,
     check_name,
-    fault,
     read_entries,
     read_flag,
     read_list,
     read_names,
     read_number,
     read_table,
-    read_tables,
     read_text,
     read_words,
     taken,
 )
-from workers.model.expression import Expression
+from workers.model.expression import Expression, Row
 from workers.model.measures import read_measures
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading_elements import read_contacts, read_friction, read_phases
+from workers.model.reading_force import read_force, with_means
 
 LARGEST = 8
 """Coordinates of a system."""
-HARMONICS = 4
-"""The highest order of a harmonic."""
 MANY = 64
 """Parameters, and names in ``let``, of a system."""
 
@@ -129,6 +126,12 @@ def read_definition(
     let = _read_let(table.get("let", {}), known, parameters)
     known = [*known, *(name for name, _ in let)]
     contacts, friction = read_contacts(table, known, n), read_friction(table, known, n)
+    phases = read_phases(table, known, n, contacts, friction)
+    harmonics, means = read_force(table, known, n)
+
+    def loaded(where: str, row: Row) -> Row:
+        return with_means(where, row, means, known)
+
     matrix, row = np.zeros((n, n)).tolist(), np.zeros(n).tolist()
     return Definition(
         coordinates=coordinates,
@@ -136,12 +139,15 @@ def read_definition(
         mass=read_entries("system.mass", table["mass"], known, n, n),
         damping=read_entries("system.damping", table.get("damping", matrix), known, n, n),
         stiffness=read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
-        harmonics=_read_harmonics(table, known, n),
-        load=read_entries("system.load", table.get("load", row), known, n),
+        harmonics=harmonics,
+        load=loaded("system.load", read_entries("system.load", table.get("load", row), known, n)),
         contacts=contacts,
         let=let,
         friction=friction,
-        phases=read_phases(table, known, n, contacts, friction),
+        phases=tuple(
+            replace(phase, load=loaded(f"system.phases[{p}].load", phase.load)) if phase.load else phase
+            for p, phase in enumerate(phases)
+        ),
         drift=_read_drift(table.get("drift"), coordinates),
         measures=read_measures(table.get("measures", {}), known, n),
     )
@@ -178,30 +184,6 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
             raise DefinitionError(f"system.let: {circle}, a circle; define one of them without the others")
         ready.append((free, waiting.pop(free)))
     return tuple(ready)
-
-
-def _read_harmonics(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Harmonic, ...]:
-    given = table.get("harmonics", [])
-    parts = read_tables("system.harmonics", given)
-    if "force" in table:
-        parts = {"system": {"order": 1} | {key: table[key] for key in ("force", "phase") if key in table}} | parts
-    elif "phase" in table:
-        raise DefinitionError("system.phase: there is no force that it could be of; give force too")
-    elif not given and not (table.get("friction") or table.get("phases")):
-        raise DefinitionError(f"system: force missing; give a list of {n}")
-    found: list[Harmonic] = []
-    for where, one in parts.items():
-        part = {"phase": [0.0] * n, **read_table(where, one, Harmonic._fields)}
-        order = part.get("order")
-        if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= HARMONICS:
-            raise fault(f"{where}.order", order, f"must be a whole number, 1 to {HARMONICS}")
-        if order in [each.order for each in found]:
-            raise DefinitionError(f"{where}.order: there is a force of order {order} already; add the two")
-        if "force" not in part:
-            raise DefinitionError(f"{where}: force missing; give a list of {n}")
-        rows = (read_entries(f"{where}.{key}", part[key], known, n) for key in ("force", "phase"))
-        found.append(Harmonic(order, *rows))
-    return tuple(sorted(found))
 
 
 def symbol_of(name: str) -> str:

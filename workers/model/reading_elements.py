@@ -19,7 +19,7 @@ _SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make 
 _SOFT = (*PAD, "release")
 CONTACT_KEYS = ("name", *_SHORT, *_SOFT)
 FRICTION_KEYS = ("name", "row", *RUB, "belt")
-PHASE_KEYS = ("start", "stiffness", "damping", "force", "load", "contacts", "friction")
+PHASE_KEYS = ("start", "stiffness", "damping", "force", "cosine", "load", "contacts", "friction")
 _SAME = ("mass", "gap", "row", "upper", "lower")  # keys of what is the same in all phases
 _LAWS = "a rigid contact has a restitution, a soft one a stiffness, damping, preload and release"
 
@@ -109,7 +109,7 @@ def read_phases(
     parts = read_tables("system.phases", table.get("phases", []))
     if len(parts) > PHASES:
         raise DefinitionError(f"system.phases: found {len(parts)}, must be at most {PHASES}")
-    shapes = {"stiffness": (n, n), "damping": (n, n), "force": (n,), "load": (n,)}
+    shapes = {"stiffness": (n, n), "damping": (n, n), "force": (n,), "cosine": (n,), "load": (n,)}
     found: list[Phase] = []
     for where, given in parts.items():
         _refuse_same(where, given)

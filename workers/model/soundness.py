@@ -1,6 +1,7 @@
 """Whether a definition makes a machine at the defaults of its parameters: what no machine can be is refused at once."""
 
 from collections.abc import Iterable, Iterator
+from fractions import Fraction
 from itertools import chain
 
 import numpy as np
@@ -72,7 +73,8 @@ def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[s
         yield _entry_in(definition, p, "load"), load
         where = _entry_in(definition, p, "force")
         for part in (machine.force_sin[p], machine.force_cos[p]):
-            yield from ((f"{where} of order {k + 1}", row) for k, row in enumerate(part))
+            orders = (Fraction(k + 1, definition.turns) for k in range(len(part)))
+            yield from ((f"{where} of order {order}", row) for order, row in zip(orders, part, strict=True))
 
 
 def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:

@@ -32,7 +32,7 @@ PROSE = (*TEXTS, "axes")
 """Keys that no number depends on."""
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
-    "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
+    "cosine", "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
     "measures", "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000

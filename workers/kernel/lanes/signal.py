@@ -41,9 +41,20 @@ def forced_pass(a, n):
         a[LANE.scale + i] = abs(y)
 
 
+@inlined
+def absent(q, n):
+    """Whether no lane has a harmonic of these fields: most orders between those of a force are nobody's."""
+    for i in range(n):  # noqa: SIM110 - a kernel has no generators
+        if q[HARMONIC.sin_part + i] != 0.0 or q[HARMONIC.cos_part + i] != 0.0:
+            return False
+    return True
+
+
 @kernel
 def harmonic_pass(a, q, order, n):
     """Add the harmonic of this order, the fields of which are q, to those sums."""
+    if absent(q, n):
+        return
     for i in range(n):
         w = order * a[LANE.omega + i]
         phase = order * fma(a[LANE.omega + i], a[LANE.time + i], a[LANE.flight_phase + i])

@@ -1,0 +1,57 @@
+"""The force of a definition: harmonics of commensurate frequencies, with sine and cosine parts."""
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.model.expression import Expression, Row, evaluated
+from workers.model.oscillator import Array
+from workers.model.parameter import OMEGA
+
+
+class Harmonic(NamedTuple):
+    """A part of the force, with entries for each coordinate; no cosine where that is empty.
+
+    force sin(order (omega t + tau) + phase) + cosine cos(order (omega t + tau) + phase)
+    """
+
+    order: Fraction
+    force: Row
+    phase: Row
+    cosine: Row = ()
+
+
+def turns_of(orders: Iterable[Fraction]) -> int:
+    """Periods 2 pi / omega after which harmonics of these orders repeat together: all are multiples of 1 / turns."""
+    return math.lcm(*(order.denominator for order in orders))
+
+
+def amplitudes(
+    harmonics: Collection[Harmonic], turns: int, highest: int, named: Mapping[str, Array], n: int
+) -> tuple[Array, Array]:
+    """The force (N, highest, n) of harmonics, [k - 1] of order k / turns, as amplitudes of the sines and cosines."""
+    sines, cosines = np.zeros((2, named[OMEGA].size, highest, n))
+    for order, force, phase, cosine in harmonics:
+        k, size, angle = int(order * turns) - 1, evaluated(force, named), evaluated(phase, named)
+        sines[:, k] += size * np.cos(angle)
+        cosines[:, k] += size * np.sin(angle)
+        if cosine:
+            size = evaluated(cosine, named)
+            sines[:, k] -= size * np.sin(angle)
+            cosines[:, k] += size * np.cos(angle)
+    return sines, cosines
+
+
+def changed(harmonics: tuple[Harmonic, ...], force: Row | None, cosine: Row | None) -> tuple[Harmonic, ...]:
+    """The harmonics, the first of order 1 with these amplitudes in place of its own, where there are any."""
+    if force is None and cosine is None:
+        return harmonics
+    none = (Expression("0.0"),) * len(force or cosine or ())
+    first = next((each for each in harmonics if each.order == 1), Harmonic(Fraction(1), none, none))
+    new = first._replace(
+        force=first.force if force is None else force, cosine=first.cosine if cosine is None else cosine
+    )
+    return (new, *(each for each in harmonics if each is not first))
