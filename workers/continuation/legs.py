@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
-from workers.kernel.borrow import row_of
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.hybrid.motion import first_event
 from workers.kernel.hybrid.state import enter, guard_rate, guard_value, leave, product, reset, right_hand_side, turned
 from workers.kernel.jit import kernel
+from workers.kernel.lend import lend, row_in
 from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.hybrid_modes import SIGNALS
 
@@ -96,7 +96,7 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
     h, V, f, late = np.empty((n, 2)), np.empty((size + M, n, 2)), np.empty(size), np.empty(size)
     maps, room, harmonics = np.empty((N, size, size)), np.empty((3, size)), pieces.waves.shape[3]
     for r in range(N):
-        modes, z, every = row_of(pieces, r), start[r].copy(), np.zeros((size + M, size))
+        modes, z, every = row_in(lend(pieces), r), start[r].copy(), np.zeros((size + M, size))
         D, W = every[:size], every[size:]
         D[:], W[:size] = np.eye(size), np.eye(size)
         now, alive, k = 0.0 if m == 0 else t[r, 0], size if m == 0 else size + 1, plan[0, MODE]
@@ -149,7 +149,7 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
     found, values = np.empty((N, K, size)), np.empty((4, N, K))
     h, V, f, none = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty(size), np.empty((0, size))
     for r, i in np.ndindex(N, K):
-        modes = row_of(pieces, r)
+        modes = row_in(lend(pieces), r)
         turn = math.floor((s[r, i] - begins[r, 0]) / span[r])
         here, leg = s[r, i] - turn * span[r], 0
         while leg + 1 < legs and begins[r, leg + 1] <= here:
@@ -176,7 +176,7 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
 def event_of_leg(pieces, r, k, z, phase, begun, H):
     """(time, signal, side) of the first guard that is reached within H from a state z in mode k; signal -1 for none, -2
     where that is undecidable."""
-    modes, n = row_of(pieces, r), len(z) // 2
+    modes, n = row_in(lend(pieces), r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
     enter(modes, k, z, none, turned(phase, modes.waves.shape[2]), h, V)
@@ -187,7 +187,7 @@ def event_of_leg(pieces, r, k, z, phase, begun, H):
 @kernel
 def beyond_range(pieces, r, k, begun, z, phase, share):
     """(signal, side) of the first one that is beyond its range by a share of its terms in mode k; (-1, 0) for none."""
-    modes = row_of(pieces, r)
+    modes = row_in(lend(pieces), r)
     turn = turned(phase, modes.waves.shape[2])
     for g in range(modes.ends.shape[1]):
         value, size = guard_value(modes, k, g, z, turn)

@@ -8,13 +8,13 @@ that nothing is to be counted only in the kernel that borrows: so each of the ho
 from typing import Any, TypeVar
 
 from numba import types
-from numba.core.cgutils import create_struct_proxy, get_null_value, pointer_add, unpack_tuple
+from numba.core.cgutils import alloca_once, create_struct_proxy, get_null_value, pointer_add, unpack_tuple
 from numba.extending import lower_builtin, type_callable
 from numba.np.arrayobj import make_array, populate_array
 
 from workers.model.oscillator import each
 
-__all__ = ["borrowed", "row_of", "row_type", "row_value", "without_counts"]
+__all__ = ["borrowed", "many_type", "many_value", "row_of", "row_type", "row_value", "without_counts"]
 
 Given = TypeVar("Given")
 
@@ -77,3 +77,33 @@ def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
     row = make_array(row_type(kind))(context, builder)
     populate_array(row, place, shape[1:], strides[1:], many.itemsize, meminfo=None)
     return row._getvalue()
+
+
+def many_type(kind: Any) -> Any:
+    """The type of a record of many of which rows have this type, see row_type."""
+    if isinstance(kind, types.NamedTuple):
+        return types.NamedTuple([many_type(field) for field in kind], kind.instance_class)
+    if isinstance(kind, types.Array):
+        return kind.copy(ndim=kind.ndim + 1)
+    return types.Array(kind, 1, "C") if isinstance(kind, types.Number | types.Boolean) else kind
+
+
+def many_value(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """A record of many that has a row of this type alone, where that lies; numbers in this frame."""
+    if isinstance(kind, types.NamedTuple):
+        fields = [many_value(context, builder, part, builder.extract_value(value, i)) for i, part in enumerate(kind)]
+        return context.make_tuple(builder, many_type(kind), fields)
+    if not isinstance(kind, types.Array | types.Number | types.Boolean):
+        return value
+    many, one = make_array(many_type(kind))(context, builder), context.get_constant(types.intp, 1)
+    if isinstance(kind, types.Array):
+        row = make_array(kind)(context, builder, value)
+        shape, strides = unpack_tuple(builder, row.shape), unpack_tuple(builder, row.strides)
+        place, size, length = row.data, row.itemsize, builder.mul(row.nitems, row.itemsize)
+    else:
+        place = alloca_once(builder, context.get_data_type(kind))
+        context.pack_value(builder, kind, value, place)
+        shape, strides = [], []
+        size = length = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind)))
+    populate_array(many, place, [one, *shape], [length, *strides], size, meminfo=None)
+    return many._getvalue()

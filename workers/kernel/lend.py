@@ -12,9 +12,9 @@ from numba.core.datamodel import models
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, register_model, type_callable
 
-from workers.kernel.borrow import row_of, row_type, row_value, without_counts
+from workers.kernel.borrow import many_type, many_value, row_of, row_type, row_value, without_counts
 
-__all__ = ["lend", "lend_value", "lent_as", "row_in", "whole", "with_phase"]
+__all__ = ["lend", "lend_value", "lent_as", "only_row", "row_in", "whole", "with_phase"]
 
 Given = TypeVar("Given")
 
@@ -27,6 +27,11 @@ def lend(given: Given) -> Given:
 def row_in(record: Given, r: int) -> Given:
     """As row_of, of a record that is lent: its fields are looked up where they are used, which suits large records."""
     return row_of(record, r)
+
+
+def only_row(record: Given) -> Given:
+    """The same record; in kernels as row_in of a record that has it alone, so that what takes rows of many takes it."""
+    return record
 
 
 def whole(given: Given) -> Given:
@@ -130,6 +135,20 @@ def _row_in_typed(context: Any) -> Any:
 def _row_in_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     number = context.cast(builder, arguments[1], signature.args[1], types.intp)
     return _row_at(context, builder, signature.return_type, arguments[0], number)
+
+
+@type_callable(only_row)
+def _only_row_typed(context: Any) -> Any:
+    return lambda record: record if isinstance(record, LentRow) else LentRow(many_type(lent_as(record).kind))
+
+
+@lower_builtin(only_row, types.Any)
+def _only_row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    given, row = signature.args[0], signature.return_type
+    if given == row:
+        return arguments[0]
+    many = many_value(context, builder, lent_as(given).kind, given_value(builder, given, arguments[0]))
+    return _row_at(context, builder, row, alloca_once_value(builder, many), context.get_constant(types.intp, 0))
 
 
 @type_callable(lend)

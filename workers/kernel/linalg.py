@@ -250,3 +250,11 @@ def sort_down(values):
             values[k] = values[k - 1]
             k -= 1
         values[k] = value
+
+
+@inline_always
+def copy_into(target, source):
+    """Write the entries of an array into another one of its shape; both are contiguous."""
+    to, values = target.ravel(), source.ravel()
+    for k in range(values.size):
+        to[k] = values[k]

@@ -7,13 +7,13 @@ from workers.kernel.borrow import row_of
 from workers.kernel.hybrid.state import enter_from_section, number_of, read_number, slot_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
-from workers.kernel.linalg import highest, sort_down
+from workers.kernel.linalg import copy_into, highest, sort_down
 from workers.kernel.motion import CONTRACTION, RUNNING, STATUS
 from workers.kernel.signal import derivative_bounds
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.orbit.floquet import floquet
-from workers.orbit.map import FixedPoint, copy_into, map_with_jacobian
+from workers.orbit.map import FixedPoint, map_with_jacobian
 from workers.orbit.newton import CYCLES, corrected
 
 UNKNOWN, STAYS, GROWS = range(3)

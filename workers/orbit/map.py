@@ -70,14 +70,6 @@ def map_with_jacobian(osc, h, contact, steps, half):
 
 
 @inline_always
-def copy_into(target, source):
-    """Write the entries of an array into another one of its shape; both are contiguous."""
-    to, values = target.ravel(), source.ravel()
-    for k in range(values.size):
-        to[k] = values[k]
-
-
-@inline_always
 def squares(values):
     """The sum of the squares of all entries of an array."""
     total = 0.0

@@ -15,12 +15,12 @@ from workers.kernel.borrow import row_of
 from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
-from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
+from workers.kernel.linalg import copy_into, highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, TALLIES
 from workers.model.oscillator import HEAD, Array
 from workers.orbit.attraction import deviation, falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet
-from workers.orbit.map import FixedPoint, copy_into, iterate_alone, map_with_jacobian, separation, squares
+from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation, squares
 from workers.orbit.rest import is_followed
 from workers.orbit.section import back_at_section, quiet_section, seen_later
 

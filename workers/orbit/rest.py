@@ -6,9 +6,10 @@ from workers.kernel.borrow import borrowed, row_of
 from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
+from workers.kernel.linalg import copy_into
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_with
 from workers.kernel.period import advance
-from workers.orbit.map import copy_into, separation, squares
+from workers.orbit.map import separation, squares
 
 FOLLOWED = 1e10
 """How far a disturbance may grow from a release to the next rest, by the norm of all tangent vectors: rounding is still

@@ -71,7 +71,7 @@ def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
             states[c] = (DETACHED if abs(states[c]) == ON else ON) * np.sign(states[c])
             return True
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            release(elements, g, c, where, states, slips, begun, 2)  # a jump: what pulls is not zero
+            release(elements, g, c, where, states, slips, begun, np.int64(2))  # a jump: what pulls is not zero
             return True
     return False
 

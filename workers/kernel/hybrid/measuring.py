@@ -17,6 +17,7 @@ from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
 from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side, turn_to, turned
 from workers.kernel.jit import kernel
+from workers.kernel.lend import lend, row_in
 from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Array
@@ -276,7 +277,7 @@ def read_motions(oscillators, meters, readings, states, codes, done, periods, cl
     """
     status = np.full(len(states), RUNNING)
     for r in cells:
-        table = row_of(oscillators, r).table
+        table = row_in(lend(oscillators), r).table
         meter, reading = row_of(meters, r), row_of(readings, r)
         period, turn = 2.0 * math.pi / table.omega, closes[r] > 0
         tally, marks = NOTHING_COUNTED.copy(), np.empty(2)

@@ -5,11 +5,11 @@ import numpy as np
 from workers.kernel.crossing import next_crossing
 from workers.kernel.hybrid.neutral import count_progress
 from workers.kernel.hybrid.state import product
-from workers.kernel.hybrid.trip import CLOCK, CLOCKS, PLACE, PLACES, Trip, begin_leg, begin_trip, end_leg
+from workers.kernel.hybrid.trip import CLOCK, PLACE, begin_leg, begin_trip, end_leg, trips_for
 from workers.kernel.jit import kernel
-from workers.kernel.lend import lend
-from workers.kernel.linalg import identity
-from workers.kernel.motion import MARCH_GAVE_UP, RUNNING, STATUS, TALLIES, spend
+from workers.kernel.lend import lend, only_row, row_in
+from workers.kernel.linalg import copy_into, identity
+from workers.kernel.motion import MARCH_GAVE_UP, RUNNING, STATUS, spend
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import HEAD, Mode
 
@@ -33,20 +33,6 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
 
 
 @kernel
-def new_trip(table, z, W, growth, triangle, tally):
-    """A trip from a physical state z (2n,) with tangent vectors W (m, 2n), which it changes; see begin_trip."""
-    size, m = len(z), W.shape[0]
-    C, F, G = table.elements.row.shape[0], table.elements.slide.shape[0], table.pieces.ends.shape[1]
-    return Trip(
-        np.zeros(CLOCKS), np.zeros(PLACES, dtype=np.int64), np.empty((size // 2, 2)), np.empty((m, size // 2, 2)),
-        np.empty((size // 2, 6)), z, W, np.empty((table.pieces.waves.shape[2], 2)),
-        np.empty(size), np.empty(size), np.empty(m),
-        np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64), np.zeros(G, dtype=np.int64),
-        growth, triangle, tally,
-    )  # fmt: skip
-
-
-@kernel
 def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
 
@@ -58,28 +44,44 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.Leg
     Stops early with tally[STATUS] set where it cannot go on.
     """
-    go_through(table, new_trip(table, z, W, growth, triangle, tally), code, hits, legs, duration)
+    trips = trips_for(only_row(table), 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
+    take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration)
 
 
 @kernel
-def go_through(table, trip, code, hits, legs, duration):
-    """through_modes of a trip that has yet to begin. Its own kernel, since what is lent lives as long as the caller."""
-    table, trip = lend(table), lend(trip)
+def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration):
+    """through_modes with room for it. Its own kernel, since what is lent lives as long as the caller."""
+    trip = row_in(lend(trips), 0)
+    copy_into(trip.z, z)
+    copy_into(trip.W, W)
+    copy_into(trip.growth, growth)
+    copy_into(trip.triangle, triangle)
+    copy_into(trip.tally, tally)
+    code[0] = go_through(only_row(table), trip, code[0], hits, legs, duration)
+    copy_into(z, trip.z)
+    copy_into(W, trip.W)
+    copy_into(growth, trip.growth)
+    copy_into(triangle, trip.triangle)
+    copy_into(tally, trip.tally)
+
+
+@kernel
+def go_through(table, trip, number, hits, legs, duration):
+    """Take a trip on from a section, in the mode of this number; that of the mode it ends in. See through_modes."""
     tally, scratch = trip.tally, np.empty_like(trip.h)
     legs[:] = np.nan
-    begin_trip(table, trip, code[0])
+    begin_trip(table, trip, number)
     while True:
         H = begin_leg(table, trip, duration)
         if tally[STATUS] != RUNNING:
-            return
+            return number
         k, phase = trip.place[PLACE.mode], trip.clock[CLOCK.phase]
         s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, scratch, tally)
         if tally[STATUS] != RUNNING:
-            return
-        number = trip.place[PLACE.number]
-        if end_leg(table, trip, s, reached, end, duration, hits, legs, False):
-            code[0] = number
-            return
+            return number
+        last = trip.place[PLACE.number]
+        if end_leg(table, trip, s, reached, end, duration, hits, legs, np.bool_(False)):
+            return last
 
 
 @kernel
@@ -97,11 +99,15 @@ def take_up(to_physical, motion, trip, more):
         for e in range(len(V)):
             trip.W[more + e, i] = product(to_physical[i], V[e].reshape(size), 0)
     if len(trip.growth) > 0:
-        trip.growth[:more], trip.growth[more:] = 0.0, motion.growth
+        trip.growth[0] = 0.0
+        for e in range(len(motion.growth)):
+            trip.growth[more + e] = motion.growth[e]
     if len(trip.triangle) > 0:
-        trip.triangle[:] = identity(len(trip.triangle))
-        trip.triangle[more:, more:] = motion.triangle
-    trip.tally[:] = motion.tally
+        copy_into(trip.triangle, identity(len(trip.triangle)))
+        for e in range(len(motion.triangle)):
+            for i in range(len(motion.triangle)):
+                trip.triangle[more + e, more + i] = motion.triangle[e, i]
+    copy_into(trip.tally, motion.tally)
 
 
 @kernel
@@ -113,30 +119,35 @@ def put_down(to_blocks, omega, motion, trip, more, resets):
         h[i // 2, i % 2] = product(to_blocks[i], trip.z, 0)
         for e in range(len(V)):
             V[e, i // 2, i % 2] = product(to_blocks[i], trip.W[more + e], 0)
-    motion.tally[:] = trip.tally
+    copy_into(motion.tally, trip.tally)
     if resets:
         count_progress(motion, h, omega)
-    motion.h[:] = h
+    copy_into(motion.h, h)
     motion.contact[0] = trip.place[PLACE.number] + FIRST_NUMBER
-    if len(trip.growth) > 0:
-        motion.growth[:] = trip.growth[more:]
-    if len(trip.triangle) > 0:
-        motion.triangle[:] = trip.triangle[more:, more:]
+    for e in range(len(motion.growth)):
+        motion.growth[e] = trip.growth[more + e]
+    for e in range(len(motion.triangle)):
+        for i in range(len(motion.triangle)):
+            motion.triangle[e, i] = trip.triangle[more + e, more + i]
 
 
 @kernel
 def propagate_hybrid(osc, motion, duration):
     """period.propagate of a machine with modes. Where a mode is missing the motion stays where it was."""
-    size, framed, square = 2 * motion.h.shape[0], motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
+    framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if osc.table.drifts > 0.0 and framed else 0
-    m = motion.V.shape[0] + more
-    growth, triangle = np.zeros(m if framed else 0), np.zeros((m if square else 0, m if square else 0))
-    trip = new_trip(osc.table, np.empty(size), np.empty((m, size)), growth, triangle, np.empty(TALLIES))
+    n, m = motion.h.shape[0], motion.V.shape[0] + more
+    take_on(osc, motion, trips_for(only_row(osc.table), 1, n, m, framed, square), more, duration)
+
+
+@kernel
+def take_on(osc, motion, trips, more, duration):
+    """propagate_hybrid with room for it. Its own kernel, since what is lent lives as long as the caller."""
+    table, motion, trip = only_row(osc.table), only_row(motion), row_in(lend(trips), 0)
     take_up(osc.to_physical, motion, trip, more)
-    code = motion.contact - FIRST_NUMBER
-    go_through(osc.table, trip, code, motion.impacts, np.empty((0, 0)), duration)
+    go_through(table, trip, motion.contact[0] - FIRST_NUMBER, motion.impacts, np.empty((0, 0)), duration)
     if trip.tally[STATUS] != RUNNING:
         motion.tally[STATUS] = trip.tally[STATUS]
         return
-    resets = osc.table.drifts > 0.0 and duration >= osc.head[HEAD.period]
-    put_down(osc.to_blocks, osc.table.omega, motion, trip, more, resets)
+    resets = table.drifts > 0.0 and duration >= osc.head[HEAD.period]
+    put_down(osc.to_blocks, table.omega, motion, trip, more, resets)

@@ -49,6 +49,7 @@ from workers.kernel.motion import (
     SIMULTANEOUS,
     STATUS,
     STUCK,
+    TALLIES,
     count_contact,
     write_down_rest,
 )
@@ -146,6 +147,24 @@ class Trip(NamedTuple):
     growth: Array
     triangle: Array
     tally: Array
+
+
+@inline_always
+def trips_for(table, N, n, m, framed, square):
+    """Trips (N, ...) of n coordinates with m tangent vectors, for machines of which ``table`` is one; see Trip.
+
+    ``framed`` and ``square`` say whether they have growth and triangle.
+    """
+    C, F, G = table.elements.row.shape[0], table.elements.slide.shape[0], table.pieces.ends.shape[1]
+    size, harmonics, r = 2 * n, table.pieces.waves.shape[2], m if square else 0
+    return Trip(
+        np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
+        np.empty((N, n, 6)),
+        np.empty((N, size)), np.empty((N, m, size)), np.empty((N, harmonics, 2)),
+        np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
+        np.zeros((N, C), dtype=np.int64), np.zeros((N, F), dtype=np.int64), np.zeros((N, G), dtype=np.int64),
+        np.zeros((N, m if framed else 0)), np.zeros((N, r, r)), np.zeros((N, TALLIES)),
+    )  # fmt: skip
 
 
 @inline_always
@@ -349,7 +368,7 @@ def strike_hard(table, trip, hits):
         trip.tally[STATUS] = SIMULTANEOUS
         return
     elif trip.states[c] != OPEN:
-        release(elements, g, c, place[PLACE.where], trip.states, trip.slips, trip.begun, 3)
+        release(elements, g, c, place[PLACE.where], trip.states, trip.slips, trip.begun, np.int64(3))
         clock[CLOCK.hop] = 0.0
     else:
         strike_stop(table, trip, g, c, side, hits)

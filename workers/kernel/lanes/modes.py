@@ -13,13 +13,11 @@ from workers.kernel.averages import add_growth
 from workers.kernel.hybrid.motion import first_event, put_down, take_up
 from workers.kernel.hybrid.trip import (
     CLOCK,
-    CLOCKS,
     PLACE,
-    PLACES,
-    Trip,
     begin_leg,
     begin_trip,
     end_leg,
+    trips_for,
 )
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import GAP_SIZE, LANE, LANES, LEFT, room_for_vectors
@@ -36,7 +34,7 @@ from workers.kernel.lanes.legs import (
 from workers.kernel.lanes.run import keep_section, over
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.lend import lend, row_in
-from workers.kernel.motion import MODE_MISSING, RUNNING, STATUS, TALLIES, spend
+from workers.kernel.motion import MODE_MISSING, RUNNING, STATUS, spend
 from workers.kernel.signal import growth_rate
 from workers.kernel.tangent import log_length
 from workers.model.hybrid import FIRST_NUMBER
@@ -82,21 +80,6 @@ def search_for(n, harmonics, signals):
     )  # fmt: skip
 
 
-@inline_always
-def trips_for(table, N, n, m, framed):
-    """Trips (N, ...) of n coordinates with m tangent vectors, see trip.Trip."""
-    C, F, G = table.elements.row.shape[1], table.elements.slide.shape[1], table.pieces.ends.shape[2]
-    size, harmonics = 2 * n, table.pieces.waves.shape[3]
-    return Trip(
-        np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
-        np.empty((N, n, 6)),
-        np.empty((N, size)), np.empty((N, m, size)), np.empty((N, harmonics, 2)),
-        np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
-        np.zeros((N, C), dtype=np.int64), np.zeros((N, F), dtype=np.int64), np.zeros((N, G), dtype=np.int64),
-        np.zeros((N, m if framed else 0)), np.zeros((N, 0, 0)), np.zeros((N, TALLIES)),
-    )  # fmt: skip
-
-
 @kernel
 def run_through_modes(batch, cells, signals, enough, lanes):
     """Advance these cells of a batch by their periods, or to where their motion or their work ends.
@@ -108,7 +91,7 @@ def run_through_modes(batch, cells, signals, enough, lanes):
     n, m = batch.motions.h.shape[1], batch.motions.V.shape[1]
     framed = batch.motions.growth.shape[1] > 0
     more = 1 if framed and np.any(batch.oscillators.table.drifts > 0.0) else 0
-    trips = trips_for(batch.oscillators.table, LANES, n, m + more, framed)
+    trips = trips_for(row_in(lend(batch).oscillators.table, 0), LANES, n, m + more, framed, False)
     search = search_for(n, batch.oscillators.gap.waves.shape[1], signals)
     take_along(batch, cells, trips, search, enough, lanes, more)
 
@@ -135,7 +118,7 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
             begin_period(batch, trips, r, slot, more)
-            if turn(batch, trips, search, r, active, BEGINS, False, more):
+            if turn(batch, trips, search, r, active, np.int64(BEGINS), np.bool_(False), more):
                 held[active] = r
                 active += 1
                 renewing = True
@@ -150,7 +133,7 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
         count = list_lanes(legs, LEG_FIELD.event, active, search.chosen)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
             lane = np.int64(search.chosen[e])
-            if turn(batch, trips, search, held[lane], lane, ARRIVES, ending, more):
+            if turn(batch, trips, search, held[lane], lane, np.int64(ARRIVES), ending, more):
                 renewing = True
                 continue
             active -= 1
@@ -188,7 +171,7 @@ def pass_leg(batch, trips, search, r, slot):
     if trip.tally[STATUS] != RUNNING:
         return False
     return end_leg(
-        table, trip, s, reached, end, 2.0 * np.pi / table.omega, batch.motions.impacts[r], search.none, False
+        table, trip, s, reached, end, 2.0 * np.pi / table.omega, batch.motions.impacts[r], search.none, np.bool_(False)
     )
 
 
@@ -200,7 +183,7 @@ def pass_found(batch, trips, search, r, slot, i):
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
     read_flow(search.records, i, trip.flow)
-    return end_leg(table, trip, s, reached, end, period, batch.motions.impacts[r], search.none, True)
+    return end_leg(table, trip, s, reached, end, period, batch.motions.impacts[r], search.none, np.bool_(True))
 
 
 @kernel
