@@ -10,12 +10,13 @@ MOST_PERIODS = 500_000_000
 LONGEST_ORBIT = 10_000
 """Forcing periods: a cell keeps a section state of each while it is solved."""
 MOST_SAMPLES = 100_000
-"""Section states of a cell: 3 MB."""
+"""Section states of a cell, 3 MB, and values of an observable."""
 CHOICES = {"exponents": EXPONENTS, "method": METHODS}
 """The settings that are words, and which words."""
 WHOLE = {
     "max_periods": (1, MOST_PERIODS), "survival": (0, MOST_PERIODS), "transient_periods": (0, MOST_PERIODS),
     "periods": (1, MOST_PERIODS), "max_period": (1, LONGEST_ORBIT), "section_samples": (0, MOST_SAMPLES),
+    "observe_values": (1, MOST_SAMPLES),
 }  # fmt: skip
 """The settings that are whole numbers, with the least and the greatest."""
 
@@ -37,6 +38,9 @@ class Settings:
     max_period         longest orbit searched for, in forcing periods; 1 to 10,000. Where the exponent is clearly
                        negative, orbits of up to 1000 periods are searched for in any case (method "adaptive")
     section_samples    K: keep the last K section states of each cell; 0 to 100,000
+    observe            observables of each cell, with commas between, such as "impact_phase:stop,maximum:gap": see
+                       model/observables.py; "" for none. A system's machines have to have them
+    observe_values     keep the first K values of each observable; 1 to 100,000
 
     Raises ValueError, in one line that names the setting, for anything else.
 
@@ -54,11 +58,15 @@ class Settings:
     periods: int = 6000
     max_period: int = 64
     section_samples: int = 0
+    observe: str = ""
+    observe_values: int = 64
 
     def __post_init__(self) -> None:
         for name, known in CHOICES.items():
             if getattr(self, name) not in known:
                 raise ValueError(f"{name}: found {getattr(self, name)!r}, must be one of {', '.join(known)}")
+        if not isinstance(self.observe, str):
+            raise ValueError(f"observe: found {self.observe!r}, must be text, observables with commas between")
         if isinstance(self.tolerance, bool) or not isinstance(self.tolerance, int | float):
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a number > 0")
         if not 0 < self.tolerance <= sys.float_info.max:

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike
 
 from workers.cell.cells import Cells, Results
 from workers.cell.measuring import measure
+from workers.cell.observing import observe
 from workers.cell.solve import solve
+from workers.model.observables import VALUE
 from workers.model.oscillator import Array
 from workers.model.system import System, find_system
 from workers.results import ATTRACTOR, Variable, empty_results
@@ -47,6 +49,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
         cells = Cells(*record.build_many(params), initial_state(record, params), settings, found)
         solve(cells)
         measure(cells, record.definition, params)
+        observe(cells, record.definition, params)
 
     kept = settings.max_period + settings.section_samples
     most = MODES_AT_ONCE if record.has_modes else sys.maxsize
@@ -97,5 +100,6 @@ def result_arrays(
     """Arrays of cells without a result, with states of ``size`` components and as many exponents, or ``exponents``, and
     room for some attractors each.
     """
-    sizes = {ATTRACTOR: attractors, "exponent": exponents or size, "state": size, "sample": settings.section_samples}
+    sizes = {ATTRACTOR: attractors, "exponent": exponents or size, "state": size}
+    sizes |= {"sample": settings.section_samples, VALUE: settings.observe_values}
     return empty_results(variables, (count,), sizes)

@@ -92,7 +92,7 @@ def _is_covered(tree: Tree, cell: dict[str, Any], value: float) -> bool:
     n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
     state, halves = np.asarray(cell["state"], dtype=np.float64), {symmetric, int(tree.system.has_modes)}
     alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in halves}
-    uncounted = p < 0 and tree.system.has_modes  # impacts of a cell that sticks are not
+    uncounted = p < 0 and tree.system.has_modes  # impacts of a cell that rests on a stop are not
     same = [each for each in tree.branches if uncounted or alike & {pattern(one) for one in set(each.itineraries)}]
     return any(_is_near(each, state, value) for each in same) or any(
         tree.is_orbit(state, Point(np.array([value]), orbit, np.zeros(0), np.zeros(0, np.complex128), 0))

@@ -1,5 +1,6 @@
 """Branches as tables: one of branches, one of points, one of events."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.query import machine
 from atlas.spec.resolved import digest_of
 from atlas.text import plural
+from workers.model.observables import Observable
 from workers.model.system import System, identity
 
 if TYPE_CHECKING:
@@ -25,7 +27,8 @@ class Branches:
     """Branches of periodic orbits of a system in one parameter, ``along``, in a ``window`` of it, (low, high).
 
     ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
-    themselves, impact by impact. ``untried`` are events whose branch was requested and is missing.
+    themselves, impact by impact. ``untried`` are events whose branch was requested and is missing. ``observable`` is
+    what a picture shows of them in place of the gap coordinate at sections.
     """
 
     system: System
@@ -34,6 +37,7 @@ class Branches:
     window: tuple[float, float]
     traced: tuple["Branch", ...]
     untried: tuple["Untried", ...] = ()
+    observable: Observable | None = None
 
     def __repr__(self) -> str:
         low, high = self.window
@@ -44,10 +48,10 @@ class Branches:
         return f"<{type(self).__name__} of {reach}: {', '.join(counts)}>"
 
     @classmethod
-    def of(cls, tree: "Tree") -> Self:
+    def of(cls, tree: "Tree", observable: Observable | None = None) -> Self:
         """The branches of a tree that has grown."""
         others = {name: value for name, value in tree.values.items() if name != tree.along}
-        return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried))
+        return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried), observable)
 
     @cached_property
     def branches(self) -> "pandas.DataFrame":
@@ -113,17 +117,41 @@ class Branches:
             if states is not None:
                 yield np.einsum("ni,nki->nk", rows, states[..., : rows.shape[1]])
 
+    def shown_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
+        """What a picture shows of a branch, and of its mirror image where there is one: values (N, K), NaN for none.
+
+        Those of neighbouring points that belong to each other have the same place.
+        """
+        if self.observable is None:
+            yield from self.gap_values(branch)
+            return
+        from workers.cell.observing import observe_orbits
+
+        parameters: dict[str, Any] = {**self.parameters, self.along: branch.values}
+        periods = np.array([own.periods for own in branch.itineraries])
+        given = {name: np.broadcast_to(value, periods.shape).astype(float) for name, value in parameters.items()}
+        for states in (branch.sections, branch.mirrored):
+            if states is not None:
+                first, name = np.ascontiguousarray(states[:, 0]), self.observable.name
+                found = observe_orbits(self.system.definition, given, first, periods, name, MOST_VALUES)
+                yield aligned(found[self.observable.variable], self.observable.turn)
+
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
-        """Lines (N, 2) of the gap coordinate over the parameter, of mirror images too, each after its stability."""
+        """Lines (N, 2) of what a picture shows over the parameter, of mirror images too, each after its stability."""
+        jump = math.inf if self.observable is None else 0.5 * self.observable.turn
         for branch in self.traced:
-            for values in self.gap_values(branch):
+            for values in self.shown_values(branch):
                 for stable, part in branch.parts:
-                    yield from ((stable, np.column_stack([branch.values[part], one])) for one in values[part].T)
+                    for one in values[part].T:
+                        line = np.column_stack([branch.values[part], one])
+                        for piece in np.split(line, np.flatnonzero(~(np.abs(np.diff(one)) < jump)) + 1):
+                            if len(piece) > 1:
+                                yield stable, piece
 
     def places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Where each event lies over the parameter, (n, 2), at its mirror image too, after its kind."""
         for branch in self.traced:
-            for values in self.gap_values(branch):
+            for values in self.shown_values(branch):
                 for k, event in zip(branch.places, branch.run.events, strict=True):
                     yield event.kind, np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
 
@@ -157,6 +185,25 @@ class Branches:
                 yield (
                     number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *own, left,
                 )  # fmt: skip
+
+
+MOST_VALUES = 256
+"""Values of an observable that are shown of an orbit."""
+
+
+def aligned(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """Values (N, K) of neighbouring orbits, in the order of time, each row begun where it fits the row before it best.
+
+    They are modulo ``turn`` where that is finite. A row with more or fewer values than the one before it stays.
+    """
+    found = values.copy()
+    for k in range(1, len(found)):
+        before, here = (row[np.isfinite(row)] for row in found[k - 1 : k + 1])
+        if len(here) == len(before) > 1:
+            away = [np.roll(here, -r) - before for r in range(len(here))]
+            away = away if math.isinf(turn) else [np.remainder(each + 0.5 * turn, turn) - 0.5 * turn for each in away]
+            found[k, : len(here)] = np.roll(here, -int(np.argmin([np.sum(np.abs(each)) for each in away])))
+    return found
 
 
 _PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")

@@ -37,6 +37,7 @@ from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import plural
+from workers.model.observables import Observable
 
 if TYPE_CHECKING:
     import pandas
@@ -70,6 +71,9 @@ TABLES = ("csv", "json")
 @click.option(
     "--switch-branches", is_flag=True, help="Follow the branches from period doublings and symmetry breakings too."
 )
+@click.option(
+    "--observe", metavar="NAME", help="What a picture shows in place of section values, such as impact_phase:stop."
+)
 @click.option("--budget", type=click.IntRange(min=1), default=MOST, show_default=True, help="Branches followed in all.")
 @click.option(
     "-o",
@@ -79,7 +83,7 @@ TABLES = ("csv", "json")
 )
 @json_option
 @look_options("vmin", "vmax")
-@settings_options("exponents", "section_samples")
+@settings_options("exponents", "section_samples", "observe", "observe_values")
 def branch(
     store: str | None,
     along: str,
@@ -91,6 +95,7 @@ def branch(
     system: str,
     switch_branches: bool,
     budget: int,
+    observe: str | None,
     out: Path | None,
     as_json: bool,
     **options: Any,
@@ -105,8 +110,9 @@ def branch(
     look = {name: options.pop(name) for name in LOOK if name in options}
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
+        observable = None if observe is None else Observable.parse(observe, seed.system.definition)
         show(Progress("following"))
-        found = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget))
+        found = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
         if out is not None:
             _write(found, out, look)
     message = {"file": str(out)} if out is not None else {}

@@ -63,7 +63,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
     if starts != Starts.count and not every:
         raise InputError("--starts goes with --attractors: without it one initial state is solved")
     record, pairs, settings = asked_cell(given, system, solve)
-    with solving(record, *((ATTRACTORS,) if every else ())):
+    with solving(record, *((ATTRACTORS,) if every else ()), settings=settings):
         if every:
             found = attractors(pairs, system=record, settings=settings, starts=starts)
         else:
@@ -84,7 +84,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
 @system_option
 @picture_option
 @look_options("vmin", "vmax")
-@settings_options("exponents", "section_samples")
+@settings_options("exponents", "section_samples", "observe", "observe_values")
 def portrait(
     store: str | None,
     given: tuple[str, ...],

@@ -18,7 +18,7 @@ from atlas.cli.completion import of_names
 from atlas.errors import ChunkError, InputError, NetworkError, shown
 from atlas.service.options import MOST_WORKERS
 from atlas.service.timing import TIMING, Timing
-from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings
+from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings, observable_settings
 from atlas.spec.system import checked_system
 from atlas.store.location import reached_by
 from workers import Settings
@@ -153,7 +153,8 @@ def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         choices = {name: click.Choice(known) for name, known in CHOICES.items()}
         for field in reversed([field for field in fields(Settings) if field.name not in without]):
-            kind = choices.get(field.name) or {int: click.INT, float: click.FLOAT}[type(field.default)]
+            kinds = {int: click.INT, float: click.FLOAT, str: click.STRING}
+            kind = choices.get(field.name) or kinds[type(field.default)]
             name = f"--{field.name.replace('_', '-')}"
             words = SETTING_MEANINGS[field.name]
             command = click.option(name, type=kind, default=field.default, show_default=True, help=words)(command)
@@ -207,7 +208,7 @@ def asked_cell(
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
     record = checked_system(system)
     checked_parameters(record, pairs)
-    return record, pairs, settings
+    return record, pairs, observable_settings(settings, record)
 
 
 def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":

@@ -46,6 +46,7 @@ from atlas.service.options import RunOptions
                 "atlas plot plane.zarr -o period.pdf --kind period --window omega=2:3 --width 85mm",
                 "atlas plot plane.zarr -o speed.png --variable max_impact_speed",
                 "atlas plot up.zarr --against down.zarr -o hysteresis.png",
+                "atlas plot sweep.zarr -o phases.png --observe impact_phase:stop",
             ),
         ]
     )
@@ -66,6 +67,11 @@ from atlas.service.options import RunOptions
     help="Map this number of each cell, such as max_impact_speed.",
 )
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
+@click.option(
+    "--observe",
+    metavar="NAME",
+    help="What a sweep shows in place of section values, such as impact_phase:stop; one of its solve.observe.",
+)
 @click.option(
     "--overlay",
     type=click.Choice(OVERLAYS),
@@ -91,6 +97,7 @@ def plot(
     kind: str | None,
     variable: str | None,
     log: bool,
+    observe: str | None,
     overlay: tuple[str, ...],
     curves: str | None,
     names: bool,
@@ -108,7 +115,7 @@ def plot(
     check_path(out)
     bounds, at = read_pairs("--window", window, read_bounds), read_pairs("--select", select, read_number)
     single = {"overlay": overlay, "curves": curves, "no-names": not names, "against": against, "log": log}
-    given = [name for name, value in {**single, "variable": variable}.items() if value]
+    given = [name for name, value in {**single, "variable": variable, "observe": observe}.items() if value]
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
@@ -121,7 +128,7 @@ def plot(
         else:
             draw(
                 atlases[0], out, kind=kind, window=bounds, overlay=overlay, curves=curves, names=names, against=other,
-                variable=variable, log=log, **look,
+                variable=variable, log=log, observe=observe, **look,
             )  # fmt: skip
     if reads.chunks:
         say(str(reads))

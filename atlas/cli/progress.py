@@ -9,6 +9,7 @@ from typing import IO
 
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.task.compile import kernels_for
+from workers import Settings
 from workers.model.system import System
 
 
@@ -18,10 +19,10 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
 
 
 @contextmanager
-def solving(record: System, *kernels: str) -> Iterator[None]:
+def solving(record: System, *kernels: str, settings: Settings | None = None) -> Iterator[None]:
     """Show on stderr that one cell is being solved, once the kernels of its system and these are ready."""
     with reporter(sys.stderr) as show:
-        prepare_kernels(show, *kernels_for(record, *kernels))
+        prepare_kernels(show, *kernels_for(record, *kernels, settings=settings))
         show(Progress("solving"))
         yield
 

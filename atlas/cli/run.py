@@ -56,6 +56,11 @@ points_option = click.option(
 )
 
 
+observe_option = click.option(
+    "--observe", metavar="NAMES", help="Observables, with commas between, in place of SPEC's: impact_phase:stop."
+)
+
+
 @click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
 @spec_argument
 @click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
@@ -63,10 +68,13 @@ points_option = click.option(
 @click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one a processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
 @points_option
+@observe_option
 @json_option
-def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | None, as_json: bool) -> None:
+def plan(
+    spec: str, out: str, workers: int | None, probe: bool, points: str | None, observe: str | None, as_json: bool
+) -> None:
     """What SPEC will cost: cells, tiles, bytes, probed time."""
-    read = Spec.from_toml(spec, points)
+    read = _read(spec, points, observe)
     made = make_plan(read, workers)
     place = place_of(out)
     refuse_packed(place)
@@ -79,6 +87,12 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
         with progress.reporter(sys.stderr) as show:
             made = probed(made, show)
     click.echo(to_json(made.as_dict()) if as_json else str(made))
+
+
+def _read(spec: str, points: str | None, observe: str | None) -> Spec:
+    """The spec of --points and --observe."""
+    read = Spec.from_toml(spec, points)
+    return read if observe is None else read.observing(observe)
 
 
 def _out_option(command: Callable[..., None]) -> Callable[..., None]:
@@ -115,6 +129,7 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @_out_option
 @_tls_options
 @points_option
+@observe_option
 @scheduler_option
 @workers_option
 @dashboard_option
@@ -131,6 +146,7 @@ def run(
     spec: str,
     out: str,
     points: str | None,
+    observe: str | None,
     scheduler: str | None,
     workers: int | None,
     dashboard: bool,
@@ -144,7 +160,7 @@ def run(
     check_workers(scheduler, workers)
     if leave:
         _check_submit(ctx, scheduler)
-    read = Spec.from_toml(spec, points)
+    read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", each) for each in tile.split(","))
     options = RunOptions(
         workers,
@@ -159,7 +175,9 @@ def run(
         _submit(out, options, lambda shown: submit_spec(read, out, shown))
         return
     words = ["run", spec, "-o", out, *["--no-dashboard"] * (not dashboard)]
-    line = _line(*words, points=points, scheduler=scheduler, workers=workers, performance_report=report, **tls)
+    line = _line(
+        *words, points=points, observe=observe, scheduler=scheduler, workers=workers, performance_report=report, **tls
+    )
     with _logged(log), _shown(ctx, options, f"resume with\n  {line}") as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)

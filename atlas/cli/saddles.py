@@ -40,7 +40,7 @@ from atlas.task.compile import ATTRACTORS
     "-o", "--out", type=click.Path(path_type=Path), help="For one mass, write the stable manifolds to this .csv file."
 )
 @click.option("--box", metavar="NAME=LOW:HIGH", multiple=True, help="With --out: the states in which they are grown.")
-@settings_options()
+@settings_options("observe", "observe_values")
 @json_option
 def saddles(
     given: tuple[str, ...],

@@ -34,7 +34,7 @@ from atlas.task.compile import ATTRACTORS
 @norm_option
 @starts_option
 @click.option("--shocks", is_flag=True, help="Also the smallest shock found that leads to another attractor.")
-@settings_options()
+@settings_options("observe", "observe_values")
 @json_option
 def stability(
     given: tuple[str, ...],

@@ -50,7 +50,7 @@ def packed(mask: NDArray[np.bool_]) -> bytes:
 def solve_patch(patch: Patch) -> dict[str, NDArray[Any]]:
     """Results of the wanted cells, row by row in arrays (N, ...); RefusedError if this worker has another solver."""
     check_solver(patch.solver_version)
-    compile_once(*kernels_for(patch.system, *(() if patch.starts is None else (ATTRACTORS,))))
+    compile_once(*kernels_for(patch.system, *(() if patch.starts is None else (ATTRACTORS,)), settings=patch.settings))
     rows, columns = np.nonzero(patch.mask)
     (x, across), (y, up) = patch.x, patch.y
     cells: dict[str, Any] = {**patch.parameters, x: np.array(across)[columns], y: np.array(up)[rows]}

@@ -52,6 +52,7 @@ def exploring(settings: Settings, tolerance: float = TOLERANCE, survival: int = 
         tolerance=max(settings.tolerance, tolerance),
         survival=min(settings.survival, survival),
         section_samples=0,
+        observe="",
     )
 
 
@@ -171,7 +172,7 @@ class Subject:
     @property
     def same_settings(self) -> bool:
         """Whether cells of the atlas itself are what exploring would make of them."""
-        asked = replace(self.spec.settings, section_samples=0)
+        asked = replace(self.spec.settings, section_samples=0, observe="")
         return self.header is not None and self.every is None and asked == self.settings
 
     def digest(self, plane: SubjectPlane) -> str:

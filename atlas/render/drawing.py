@@ -165,6 +165,8 @@ def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
     if len(axis_names(ds)) == MOST_AXES:
         return _of_stack(ds, wanted)
     kind, lines = chosen_kind(ds, wanted), wanted.overlays
+    if wanted.observe is not None and kind.axes != 1:
+        raise InputError(f"observe: goes with a sweep of one axis, found {AXES[kind.axes]}")
     if wanted.curves is not None and "curves" not in lines and kind.name != "regions":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
@@ -192,7 +194,7 @@ def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
         raise InputError(f"a stack of {count} planes: at most {MOST_PANELS} are drawn together; pick one by {first}")
     alone = {
         "overlay": wanted.overlays, "curves": wanted.curves is not None, "against": wanted.against is not None,
-        "ax": page.given, "variable": wanted.variable, "log": wanted.log,
+        "ax": page.given, "variable": wanted.variable, "log": wanted.log, "observe": wanted.observe,
     }  # fmt: skip
     for option in [option for option, given in alone.items() if given]:
         raise InputError(f"{option}: goes with one plane, found a stack of {count}; pick one by {first}")

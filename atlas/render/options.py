@@ -49,6 +49,7 @@ class _OfAtlas(TypedDict, total=False):
     names: Annotated[bool, "whether names of points and motions, and levels of lines, stand on a map"]
     against: Annotated["xr.Dataset | None", "a second sweep of the same axis, for hysteresis"]
     variable: Annotated[str | None, "the number of each cell to map, such as max_impact_speed"]
+    observe: Annotated[str | None, "the observable that a sweep shows in place of section values: impact_phase:stop"]
     log: Annotated[bool, "whether on a logarithmic scale, with variable"]
     ax: Annotated[
         "Axes | Sequence[Axes] | None",

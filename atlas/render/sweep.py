@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query import hysteresis, machine
+from atlas.query import hysteresis
 from atlas.query.attractors import branches as branches_of
 from atlas.query.attractors import leading
 from atlas.query.plane import Meaning, PlaneAxis, rising
@@ -22,9 +22,9 @@ from atlas.query.tidy import runs, turns
 from atlas.query.window import spec_of_axis
 from atlas.render import classes, raster, style, words
 from atlas.render.kinds import TABLE
+from atlas.render.observed import PlottedPoints, shown_label
 from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.wanted import Wanted
-from atlas.spec.system import stored_system
 from workers.results import (
     ATTRACTOR,
     ERROR,
@@ -35,7 +35,6 @@ from workers.results import (
     PER_PERIOD,
     PERIODIC,
     REGIME,
-    SECTION,
     SPECTRUM,
 )
 
@@ -72,24 +71,28 @@ _FEW, _MANY = 2.2, 1.5
 
 def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The sweep as a figure, each panel only if the atlas holds its variable; InputError if it holds neither."""
-    panels: dict[str, Panel] = {SECTION.name: _draw_section, LARGEST.name: _draw_largest}
-    panels = {name: panels[name] for name in held(panels, ds)}
+    shown = PlottedPoints.of(wanted.observe, ds)
+    panels: dict[str, Panel] = {} if shown is None else {shown.name: _panel_of_points(shown)}
+    panels |= dict.fromkeys(held([LARGEST.name], ds), _draw_largest)
     if not panels:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
-    read = line(ds, [*panels, *held([ERROR.name], ds)])  # an atlas of another origin may lack error bars
-    return stack(ds, read, panels, regime_legend(read[0][REGIME.name].values), wanted)
+    more = () if shown is None else shown.reads
+    read = line(ds, [*panels, *more, *held([ERROR.name], ds)])  # an atlas of another origin may lack error bars
+    legend = regime_legend(read[0][REGIME.name].values) + ([] if shown is None else shown.notes(read[0]))
+    return stack(ds, read, panels, legend, wanted, shown)
 
 
 def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The sweep with all exponents as a figure; InputError where the atlas does not hold them."""
     TABLE["spectrum"].require(ds, [SPECTRUM.name])
-    panels: dict[str, Panel] = dict.fromkeys(held([SECTION.name], ds), _draw_section)
+    shown = PlottedPoints.of(wanted.observe, ds)
+    panels: dict[str, Panel] = {} if shown is None else {shown.name: _panel_of_points(shown)}
     panels[SPECTRUM.name] = _draw_spectrum
-    read = line(ds, list(panels))
+    read = line(ds, [*panels, *(() if shown is None else shown.reads)])
     legend = regime_legend(read[0][REGIME.name].values) if len(panels) > 1 else []
     for i in range(read[0][SPECTRUM.name].shape[-1]):
         legend.append(Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$"))
-    return stack(ds, read, panels, legend, wanted)
+    return stack(ds, read, panels, legend + ([] if shown is None else shown.notes(read[0])), wanted, shown)
 
 
 def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
@@ -102,7 +105,8 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
     assert against is not None
     hysteresis.check_same_axis(ds, against)
     atlases = (ds, against)
-    names = held((SECTION.name, LARGEST.name), *atlases)
+    shown = PlottedPoints.of(wanted.observe, *atlases)
+    names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
     (first, x), (second, _) = (line(each, [*names, *held(hysteresis.COMPARED, *atlases)]) for each in atlases)
@@ -115,7 +119,7 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
         # The second on top and smaller, so that both are seen where they agree.
         for each, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
             size = point_size(x, _FEW, wanted.page) * larger
-            draw_points(ax, x, _values(each, x, name), color, size, zorder=zorder)
+            draw_points(ax, x, _values(each, x, name, shown), color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
             ax.set_ylabel(LARGEST_LABEL)
@@ -126,7 +130,7 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
     for (what, color), meaning in zip(SHADES.items(), ("mirror images", "different motions"), strict=True):
         if np.any(found == what):
             legend.append(Patch(facecolor=color, edgecolor="#a9a4b8", linewidth=0.4, label=meaning))
-    return stack(ds, (first, x), panels, legend, wanted)
+    return stack(ds, (first, x), panels, legend, wanted, shown)
 
 
 def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
@@ -138,8 +142,9 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
-    names = (held([SECTION.name], ds) or held([LARGEST.name], ds)) + ["share"]
-    panels = {name: _panel_of_attractors(name, known) for name in names[:-1]} | {"share": _panel_of_shares(known)}
+    shown = PlottedPoints.of(wanted.observe, ds)
+    names = held([LARGEST.name], ds) if shown is None else [shown.name]
+    panels = {name: _panel_of_attractors(name, known, shown) for name in names} | {"share": _panel_of_shares(known)}
     ends = [name for name in INTERVAL if name in ds]
     read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])])
     regime, entries = read[0][REGIME.name].values, list[Artist]()
@@ -151,7 +156,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
         low, high = (read[0][end].values for end in ends)
         reach = float(np.nanmax(high - low, initial=0.0)) / 2.0
         entries.append(Line2D([], [], linestyle="", label=f"shares: 95 % interval\nwithin ± {reach:.2f}"))
-    return stack(ds, read, panels, entries, wanted)
+    return stack(ds, read, panels, entries, wanted, shown)
 
 
 def figure_of_branches(branches: "Branches", page: DrawnPage = STANDARD) -> Figure:
@@ -162,7 +167,8 @@ def figure_of_branches(branches: "Branches", page: DrawnPage = STANDARD) -> Figu
     with page.context():
         drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1, words.system_line(system, shown))
         entries = draw_branches(ax, branches, page)
-        ax.set(xlabel=words.axis_label(parameter.name, meaning), ylabel=words.gap_label(system), xlim=branches.window)
+        label = shown_label(branches.observable, system)
+        ax.set(xlabel=words.axis_label(parameter.name, meaning), ylabel=label, xlim=branches.window)
         ax.margins(y=0.06)
         page.legend(drawn, entries)
     return drawn
@@ -188,28 +194,32 @@ def stack(
     panels: Mapping[str, Panel],
     legend: Sequence[Artist],
     wanted: Wanted,
+    shown: PlottedPoints | None = None,
 ) -> Figure:
-    """Panels over one shared axis, under the title line of the fixed parameters; branches over the section."""
+    """Panels over one shared axis, under the title line of the fixed parameters; branches over the section.
+
+    ``shown`` is drawn by the first panel.
+    """
     page, (cells, x), (least, share) = wanted.page, read, _HEIGHT[len(panels)]
     branches = None
     if "branches" in wanted.overlays:
         sweeps = [leading(ds), *([] if wanted.against is None else [wanted.against])]
-        if any(SECTION.name not in each for each in sweeps):
+        if shown is None:
             raise InputError(
                 "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
             )
         from atlas.branches.sweep import tree_through  # with it Numba
         from atlas.branches.table import Branches
 
-        branches = Branches.of(tree_through(sweeps))
+        branches = Branches.of(tree_through(sweeps), shown.observable)
     with page.context():
         drawn, plots = page.panels(least + share * page.width, len(panels), words.title_line(ds))
         for ax, (name, panel) in zip(plots, panels.items(), strict=True):
             panel(ax, cells, x, page)
-            if name != SECTION.name:
+            if shown is None or name != shown.name:
                 ax.set_ylim(page.vmin, page.vmax)
             else:
-                ax.set_ylabel(words.gap_label(stored_system(ds.attrs)))
+                ax.set_ylabel(shown.label(ds))
                 legend = [*legend, *(draw_branches(ax, branches, page) if branches else [])]
             raster.scale_axes(ax, ax is plots[-1], x=x)
         drawn.align_ylabels(plots)
@@ -217,11 +227,16 @@ def stack(
     return drawn
 
 
-def _draw_section(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
-    regime, section = ds[REGIME.name].values, _values(ds, x, SECTION.name)
-    for code in np.unique(regime[regime != PENDING]):
-        least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
-        draw_points(ax, x, section, style.INK[int(code)], point_size(x, least, page), cells=regime == code)
+def _panel_of_points(shown: PlottedPoints) -> Panel:
+    """Section values, or those of an observable."""
+
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
+        regime, values = ds[REGIME.name].values, shown.values(ds, x)
+        for code in np.unique(regime[regime != PENDING]):
+            least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
+            draw_points(ax, x, values, style.INK[int(code)], point_size(x, least, page), cells=regime == code)
+
+    return draw
 
 
 def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
@@ -250,13 +265,14 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> N
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 
-def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
-    """Section values or exponents of every attractor; those of larger share lie on top."""
+def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedPoints | None) -> Panel:
+    """Section values, an observable or exponents of every attractor; those of larger share lie on top."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             here = ds.isel({ATTRACTOR: k})
-            values, size = _values(here, x, name), point_size(x, (0.6 if name == SECTION.name else 1.0) * _POINT, page)
+            size = point_size(x, (1.0 if shown is None else 0.6) * _POINT, page)
+            values = _values(here, x, name, shown)
             for cells, color in _groups(here, known):
                 draw_points(ax, x, values, color, size, "o", cells=cells)
         ax.set_ylabel(LARGEST_LABEL)
@@ -350,9 +366,9 @@ def draw_points(
     ax.plot(at[shown], values[shown], marker, **look)
 
 
-def _values(ds: xr.Dataset, x: PlaneAxis, name: str) -> Array:
-    """The values of a variable along a sweep; of sections those of the gap coordinate."""
-    return machine.gap_values(ds, x.name, ds[name]) if name == SECTION.name else np.asarray(ds[name].values)
+def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedPoints | None) -> Array:
+    """The values of a variable along a sweep, or of what is shown of each cell."""
+    return np.asarray(ds[name].values) if shown is None or name != shown.name else shown.values(ds, x)
 
 
 def regime_legend(regime: NDArray[np.int8]) -> list[Artist]:

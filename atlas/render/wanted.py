@@ -34,6 +34,7 @@ class Wanted:
     pixels: tuple[int, int] | None = None
     variable: str | None = None
     log: bool = False
+    observe: str | None = None
 
     @classmethod
     def of(
@@ -48,8 +49,9 @@ class Wanted:
 
         look: dict[str, Any] = dict(options)
         lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
-        own: dict[str, Any] = {name: look.pop(name) for name in ("names", "against", "variable", "log") if name in look}
-        for name, given in (("kind", kind), ("variable", own.get("variable"))):
+        options_of = "names", "against", "variable", "log", "observe"
+        own: dict[str, Any] = {name: look.pop(name) for name in options_of if name in look}
+        for name, given in (("kind", kind), *((each, own.get(each)) for each in ("variable", "observe"))):
             if given is not None:
                 checked_name(name, given)
         for name in ("names", "log"):

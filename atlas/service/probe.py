@@ -78,7 +78,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     gives seconds, by default the processor time of this thread: a kernel runs on one thread. Continued cells are
     measured in short parts of lines; of all attractors, the cost above the probed budget is unknown and left out.
     """
-    warm_up(*kernels_for(spec.record))
+    warm_up(*kernels_for(spec.record, settings=spec.settings))
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     if spec.attractors is not None:

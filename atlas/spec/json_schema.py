@@ -129,7 +129,7 @@ def _settings() -> Schema:
     """The settings of a cell."""
     kinds: Schema = {name: {"enum": list(known)} for name, known in CHOICES.items()}
     kinds |= {name: _whole(*ends) for name, ends in WHOLE.items()}
-    kinds["tolerance"] = {**_NUMBER, **_POSITIVE}
+    kinds |= {"tolerance": {**_NUMBER, **_POSITIVE}, "observe": _TEXT}
     return _table(
         {
             each.name: {"description": SETTING_MEANINGS[each.name], **kinds[each.name], "default": each.default}

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,8 @@ SETTING_MEANINGS = {
     "periods": "Periods that are averaged, with fixed.",
     "max_period": "Longest orbit looked for, in forcing periods.",
     "section_samples": "How many of the last section states are kept.",
+    "observe": "Observables, with commas between, such as impact_phase:stop.",
+    "observe_values": "How many values of each observable are kept.",
 }
 """The settings of a cell in a few words."""
 Slices = tuple[slice, ...]
@@ -114,7 +116,7 @@ class Spec:
         _check_continuation(self.axes, record)
         fixed = checked_parameters(record, parameters)
         put(self, "parameters", {name: value for name, value in fixed.items() if name not in (axes or columns)})
-        put(self, "settings", _settings_of(solve))
+        put(self, "settings", observable_settings(_settings_of(solve), record))
         put(self, "attractors", checked_attractors(attractors, record, self.settings))
         put(self, "tile", _checked_tile(store, len(self.axes)))
         _check_whole_lines(self)
@@ -244,6 +246,13 @@ class Spec:
         """The results of each cell, ``regime`` last."""
         return self.record.variables(self.settings, attractors=self.coexistence, basins=self.basins)
 
+    def observing(self, observe: str) -> "Spec":
+        """The same spec, with these observables, see ``workers.Settings``."""
+        other = copy(self)
+        asked = replace(self.settings, observe=observe)
+        object.__setattr__(other, "settings", observable_settings(asked, self.record))
+        return other
+
     def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
         """The same spec, with tiles of this shape."""
         other = copy(self)
@@ -321,6 +330,15 @@ def checked_settings(given: Mapping[str, Any]) -> Settings:
         return Settings(**whole)
     except ValueError as error:
         raise InputError(f"solve.{error}") from None
+
+
+def observable_settings(settings: Settings, record: System) -> Settings:
+    """These settings; InputError where they ask for an observable that the system does not have."""
+    try:
+        record.observables(settings)
+    except ValueError as error:
+        raise InputError(f"solve.{error}") from None
+    return settings
 
 
 def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:

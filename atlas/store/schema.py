@@ -12,6 +12,7 @@ from atlas.spec.spec import Spec
 from atlas.store.machine import package_version
 from atlas.store.origin import Origin
 from workers import SOLVER_VERSION
+from workers.model.observables import VALUE
 from workers.model.parameter import Parameter
 from workers.results import ATTRACTOR, REASON, REASONS, REGIME, REGIMES, Variable
 
@@ -31,7 +32,8 @@ def extra_sizes(spec: Spec) -> dict[str, int]:
     """Lengths of the dimensions that a variable may have after the axes."""
     states = len(spec.record.states)
     kept = {ATTRACTOR: spec.attractors.keep} if spec.attractors is not None and spec.coexistence else {}
-    return {"exponent": spec.record.exponents, "state": states, "sample": spec.settings.section_samples} | kept
+    asked = {"sample": spec.settings.section_samples, VALUE: spec.settings.observe_values}
+    return {"exponent": spec.record.exponents, "state": states} | asked | kept
 
 
 class StoredArray(NamedTuple):

@@ -21,18 +21,21 @@ from atlas.task.child import watched_together
 from workers.model.system import DEFAULT, System, find_system
 from workers.settings import Settings
 
-CELLS, ATTRACTORS, ORBITS, MEASURES = "", "attractors", "orbits", "measures"
+CELLS, ATTRACTORS, ORBITS, MEASURES, OBSERVED = "", "attractors", "orbits", "measures", "observed"
 MODES, MODES_ATTRACTORS, MODES_ORBITS = "modes", "modes-attractors", "modes-orbits"
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
-as equations of their impacts, for branches, curves and labels; those that measure motions; and those that solve cells
-of machines whose law changes, in place of the first ones, find their attractors, and follow their orbits."""
+as equations of their impacts, for branches, curves and labels; those that measure motions; those that observe them;
+and those that solve cells of machines whose law changes, in place of the first ones, find their attractors, and follow
+their orbits."""
 
 SECONDS = {
-    CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MEASURES: 20, MODES: 120, MODES_ATTRACTORS: 10, MODES_ORBITS: 20,
+    CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MEASURES: 20, OBSERVED: 25,
+    MODES: 120, MODES_ATTRACTORS: 10, MODES_ORBITS: 20,
 }  # fmt: skip
 """What each part takes, roughly: processors differ by a factor of two."""
 FUNCTIONS = {
-    CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MEASURES: 116, MODES: 390, MODES_ATTRACTORS: 40, MODES_ORBITS: 40,
+    CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MEASURES: 116, OBSERVED: 125,
+    MODES: 390, MODES_ATTRACTORS: 40, MODES_ORBITS: 40,
 }  # fmt: skip
 """How many functions each part compiles in a process that has compiled nothing else."""
 
@@ -101,10 +104,14 @@ class Compilation:
 Report = Callable[[Compilation], None]
 
 
-def kernels_for(record: System, *more: str) -> tuple[str, ...]:
-    """The parts that cells of a system take, and ``more``, as the functions below are given them."""
+def kernels_for(record: System, *more: str, settings: Settings | None = None) -> tuple[str, ...]:
+    """The parts that cells of a system take with these settings, and ``more``, as the functions below are given them.
+
+    Those that observe motions are the same for every system.
+    """
+    more = (*more, OBSERVED) if settings is not None and settings.observe else more
     if record.has_modes:
-        return (MODES, *(_OF_MODES[part] for part in more))
+        return (MODES, *(_OF_MODES.get(part, part) for part in more))
     return (MEASURES, *more) if record.definition.measures else more
 
 
@@ -226,6 +233,9 @@ def warm_up(*parts: str) -> None:
     """
     from workers.tile import solve_tile
 
+    if OBSERVED in parts:
+        machine = System.from_mapping(WITH_MODES) if MODES in parts else DEFAULT
+        solve_tile(machine, {}, Settings(max_periods=1, observe="energy_loss"))
     if MODES in parts:
         _warm_up_modes(parts)
         return

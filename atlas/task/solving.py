@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def kernels_of(spec: Spec) -> tuple[str, ...]:
     """The kernels that cells of the spec take, see compile.kernels_for."""
-    return kernels_for(spec.record, *(() if spec.attractors is None else (ATTRACTORS,)))
+    return kernels_for(spec.record, *(() if spec.attractors is None else (ATTRACTORS,)), settings=spec.settings)
 
 
 def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Results":

@@ -11,6 +11,7 @@ from workers.attractors.same import KnownOrbits, batch_moments, nearest, orbits_
 from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER, Course
 from workers.cell.measuring import measure
+from workers.cell.observing import observe
 from workers.cell.outcome import end_impact_free, end_stopped
 from workers.kernel.cells import physical_states
 from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows
@@ -183,6 +184,7 @@ class Search:
     def _measure(self) -> None:
         """Write their machine's own results for motions of a known class."""
         measure(self.cells, self.record.definition, self.params)
+        observe(self.cells, self.record.definition, self.params)
 
     def _refer(self) -> None:
         """Go on with those motions that are on a chaos or torus that is not known, to tell what it is by.

@@ -50,8 +50,8 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         some = rows[first : first + AT_ONCE]
         values = {name: value[some] for name, value in params.items()}
         machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
-        periods, closes = _turns(cells, some)
-        states, codes = _starts(cells, some, closes)
+        periods, closes = turns_of(cells, some)
+        states, codes = starts_of(cells, some, closes)
         meters = _meters(machines, definition, values)
         readings, whole = followed(machines, meters, states, codes, periods, closes & hybrid)
         span = periods * machines.period
@@ -65,7 +65,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         put(cells, some[whole], **{name: value[whole] for name, value in found.items()})
 
 
-def _turns(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
+def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
     """Periods (N,) over which these cells are measured, and for which of them that is a turn of an orbit."""
     period = cells.found["period"][rows].astype(np.int64)
     closes = period > 0
@@ -75,7 +75,7 @@ def _turns(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
     return np.where(closes, period, WINDOW), closes
 
 
-def _starts(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
+def starts_of(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
     """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
     states, contact = cells.found["state"][rows], cells.contact[rows]
     proved = closes & (cells.oscillators.has_modes | (cells.found["regime"][rows] == PERIODIC))

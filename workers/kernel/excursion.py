@@ -42,6 +42,19 @@ def velocity_of(gap):
 
 
 @inline_always
+def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
+    """(time, side, evaluations) of the next turning point within ``left``, as next_crossing finds it.
+
+    Of a motion that falls, or rises, from block state h (n, 2) on, which it is moved to, or to the end. The zero of y'
+    is a stop of that signal: the upper one where y falls, the lower one where it rises.
+    """
+    upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
+    s, side, evaluations = next_crossing(lend(velocity), h, phase, offset, upper, lower, begun, left, scratch)
+    flow(velocity.blocks, s, h)
+    return s, side, evaluations
+
+
+@inline_always
 def turning_points(gap, state, phase, duration, start, low, high):
     """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state (n, 2).
 
@@ -51,17 +64,12 @@ def turning_points(gap, state, phase, duration, start, low, high):
     h, scratch = state.copy(), np.empty(state.shape)
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
     _, v, a, _, _ = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)
-    # The zero of y' is a stop of that signal: the upper one where y falls, the lower one where it rises.
     falls = start > 0 or (start == 0 and (v < 0.0 or (v == 0.0 and a < 0.0)))
     begun = start - np.sign(start)  # its derivatives are one order on
     t, spent = 0.0, 0
     while True:
-        upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
-        s, side, evaluations = next_crossing(
-            lend(velocity), h, phase, offset, upper, lower, begun, duration - t, scratch
-        )
+        s, side, evaluations = next_turn(velocity, offset, h, phase, falls, begun, duration - t, scratch)
         spent += max(1, evaluations)
-        flow(blocks, s, h)
         phase += omega * s
         t += s
         if side == 0:

@@ -17,6 +17,7 @@ from workers.model.entries import DefinitionError, fault, read_list, read_number
 from workers.model.hybrid import build_hybrid
 from workers.model.measures import element_variables, measure_variables, refuse_ambiguous
 from workers.model.names import NAMES
+from workers.model.observables import Observable, observables_of
 from workers.model.oscillator import Array, Machines, one_of
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
@@ -119,7 +120,21 @@ class System:
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
         """The results of a cell, see ``results.result_variables``, and the results that only this system has."""
-        return result_variables(settings, attractors, basins, self.own_variables)
+        seen = tuple(variable for each in self.observables(settings) for variable in each.variables)
+        return result_variables(settings, attractors, basins, self.own_variables + seen)
+
+    def observables(self, settings: Settings) -> tuple[Observable, ...]:
+        """The observables that settings ask for; ValueError, in one line, for one that its machines do not have.
+
+        Also for one whose results would have the name of another result.
+        """
+        try:
+            found = observables_of(settings.observe, self.definition)
+        except ValueError as error:
+            raise DefinitionError(f"observe: {error}") from None
+        names = NAMES.union(variable.name for variable in self.own_variables)
+        refuse_ambiguous((("observe", variable) for each in found for variable in each.variables), names)
+        return found
 
     def refuse_drift(self, what: str) -> None:
         """DefinitionError, in one line, that ``what`` does not exist for a drifting coordinate, if this has one."""

@@ -1,0 +1,97 @@
+"""What the upper plot of a sweep shows of each cell: the gap coordinate of its section states, or an observable."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.query import machine
+from atlas.render import words
+from atlas.spec.system import stored_system
+from atlas.text import plural
+from workers.model.observables import Observable, observables_of
+from workers.model.system import System
+from workers.results import PERIODIC, REGIME, SECTION
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from atlas.query.plane import PlaneAxis
+
+
+@dataclass(frozen=True)
+class PlottedPoints:
+    """An observable, or None for section values, which every atlas with ``section_samples`` holds."""
+
+    observable: Observable | None = None
+
+    @classmethod
+    def of(cls, asked: str | None, *atlases: "xr.Dataset") -> "PlottedPoints | None":
+        """What is asked for, or section values, or the first observable that all of these atlases hold; else None.
+
+        InputError for an observable that one of them does not hold.
+        """
+        if asked is None and all(SECTION.name in ds and ds[SECTION.name].size for ds in atlases):
+            return cls()
+        stored = [held_by(ds) for ds in atlases]
+        if asked is None:
+            common = [each for each in stored[0] if all(each in held for held in stored)]
+            return cls(common[0]) if common else None
+        for held in stored:
+            if asked not in [each.name for each in held]:
+                possible = f"it holds {', '.join(each.name for each in held)}" if held else "see [solve] observe"
+                raise InputError(f"observe: this atlas does not hold {asked!r}; {possible}")
+        return cls(next(each for each in stored[0] if each.name == asked))
+
+    @property
+    def name(self) -> str:
+        """The variable that holds it."""
+        return SECTION.name if self.observable is None else self.observable.variable
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The variables that are read for it."""
+        return (self.name,) if self.observable is None else (self.name, self.observable.number)
+
+    def values(self, ds: "xr.Dataset", x: "PlaneAxis") -> NDArray[np.float64]:
+        """Its values (N, K) along a sweep."""
+        if self.observable is None:
+            return machine.gap_values(ds, x.name, ds[self.name])
+        return np.asarray(ds[self.name].values)
+
+    def label(self, ds: "xr.Dataset") -> str:
+        """The label of its axis."""
+        return shown_label(self.observable, stored_system(ds.attrs))
+
+    def notes(self, ds: "xr.Dataset") -> list[Any]:
+        """Legend entries that say how many orbits have values that are not kept."""
+        if self.observable is None or self.observable.number not in ds:
+            return []
+        number, kept = ds[self.observable.number].values, ds[self.name].shape[-1]
+        orbits = ds[REGIME.name].values == PERIODIC
+        more, endless = (int(np.count_nonzero(orbits & each)) for each in (number > kept, number < 0))
+        says = [f"{plural(more, 'orbit')} with more than\n{kept} values: the first of them"] if more else []
+        says += [f"{plural(endless, 'orbit')} with endless values:\nat most the first {kept}"] if endless else []
+        return [Line2D([], [], linestyle="", label=each) for each in says]
+
+
+def held_by(ds: "xr.Dataset") -> tuple[Observable, ...]:
+    """The observables that an atlas holds, by its spec."""
+    import json
+
+    system, asked = stored_system(ds.attrs), json.loads(ds.attrs.get("spec", "{}")).get("solve", {}).get("observe", "")
+    if system is None or not asked:
+        return ()
+    return tuple(each for each in observables_of(asked, system.definition) if each.variable in ds)
+
+
+def shown_label(observable: Observable | None, system: System | None) -> str:
+    """The label of the axis of an observable, its words in two lines and its unit, or of section values."""
+    if observable is None:
+        return words.gap_label(system)
+    first, _, second = observable.words.partition(" at " if observable.kind.startswith("impact") else " of ")
+    link = "at" if observable.kind.startswith("impact") else "of"
+    return (f"{first}\n{link} {second}" if second else first) + words.unit_ending(observable.unit)

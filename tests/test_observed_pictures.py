@@ -1,0 +1,94 @@
+"""Observables in specs, stores, commands and pictures."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from distributed import Client
+
+import atlas
+from atlas.branches.table import aligned
+from atlas.cli.main import main
+from atlas.errors import InputError
+from atlas.render.observed import PlottedPoints, held_by
+from workers.model.observables import Observable
+
+SWEEP = {"omega": [2.3, 3.5, 4.0]}
+SOLVE = {"max_periods": 1000, "survival": 0, "observe_values": 3}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    """A sweep with two observables and without section states."""
+    path = tmp_path_factory.mktemp("observed") / "sweep.zarr"
+    solve = SOLVE | {"observe": "impact_phase:stop,energy_loss"}
+    atlas.run(atlas.Spec("two-mass", SWEEP, {"b": 0.15}, solve), path, client=client)
+    return path
+
+
+def test_a_store_keeps_so_many_values_of_each_cell_and_counts_them_all(store: Path) -> None:
+    ds = atlas.open(store)
+    assert ds["impact_phase_stop"].dims == ("omega", "value")
+    assert ds["impact_phase_stop"].shape == (3, 3)
+    assert ds["impact_phase_stop"].attrs["units"] == "rad"
+    assert int(ds["impact_phase_stop_number"][0]) > 3
+    assert ds["impact_phase_stop_number"].values[1:].tolist() == [2, 2]
+    assert [each.name for each in held_by(ds)] == ["impact_phase:stop", "energy_loss"]
+
+
+def test_a_sweep_shows_the_first_observable_where_it_holds_no_sections_and_another_one_if_asked(store: Path) -> None:
+    ds = atlas.open(store)
+    assert PlottedPoints.of(None, ds) == PlottedPoints(Observable("impact_phase", "stop", 0))
+    drawn = ds.atlas.plot(observe="energy_loss")
+    assert drawn.axes[0].get_ylabel() == "energy lost in a forcing period"
+    assert ds.atlas.plot().axes[0].get_ylabel() == "phase of the force\nat impacts on stop [rad]"
+
+
+def test_an_observable_that_an_atlas_does_not_hold_is_refused_with_those_that_it_holds(store: Path) -> None:
+    with pytest.raises(InputError, match=r"does not hold 'maximum:gap'; it holds impact_phase:stop, energy_loss"):
+        atlas.open(store).atlas.plot(observe="maximum:gap")
+
+
+def test_an_observable_of_a_spec_that_its_system_does_not_have_is_refused() -> None:
+    with pytest.raises(InputError, match=r"solve.observe: impact_phase:wall: unknown contact 'wall'; possible: stop"):
+        atlas.Spec("two-mass", SWEEP, solve={"observe": "impact_phase:wall"})
+
+
+def test_the_command_refuses_an_unknown_observable_in_one_line() -> None:
+    ran = CliRunner().invoke(main, ["point", "--observe", "phase"])
+    assert ran.exit_code == 2
+    assert "unknown observable 'phase'; possible: impact_phase[:CONTACT][:SIDE]" in ran.output
+    assert len(ran.output.strip().splitlines()) == 1
+
+
+def test_a_spec_without_observables_keeps_its_digest_and_one_with_them_comes_back_from_its_store(store: Path) -> None:
+    plain = atlas.Spec("two-mass", SWEEP, {"b": 0.15}, {key: value for key, value in SOLVE.items() if "obs" not in key})
+    assert plain.digest == plain.observing("").digest
+    spec = atlas.Spec.from_dataset(atlas.open(store))
+    assert spec.settings.observe == "impact_phase:stop,energy_loss"
+    assert spec.digest != plain.digest
+
+
+def test_values_of_neighbouring_orbits_keep_their_places_where_one_passes_the_section() -> None:
+    before, after = [0.1, 2.0, 5.0], [2.1, 5.1, 0.05 + 2.0 * math.pi - 0.1]
+    found = aligned(np.array([before, after, [1.0, np.nan, np.nan]]), 2.0 * math.pi)
+    assert found[1].tolist() == [after[2], after[0], after[1]]
+    assert found[2][0] == 1.0
+
+
+def test_phases_along_a_branch_are_those_of_the_cells_beside_it(store: Path) -> None:
+    """And a branch is drawn in pieces where a phase passes 2 pi."""
+    ds = atlas.open(store)
+    found = atlas.branch({"omega": 3.9, "b": 0.15}, along="omega", window=(3.4, 4.1))
+    table = replace(found, observable=Observable("impact_phase", "stop", 0))
+    known = np.sort(ds["impact_phase_stop"].sel(omega=4.0).values[:2])
+    for values in table.shown_values(table.traced[0]):
+        rows = np.sort(values[:, :2], axis=1)
+        along = np.argsort(table.traced[0].values)
+        for k in range(2):
+            here = np.interp(4.0, table.traced[0].values[along], rows[along, k])
+            assert here == pytest.approx(known[k], abs=1e-3)
+    assert all(np.all(np.abs(np.diff(line[:, 1])) < math.pi) for _, line in table.lines())

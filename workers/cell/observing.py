@@ -1,0 +1,105 @@
+"""What observables show of motions, by a pass over each: see model/observables.py.
+
+A cell whose class is known is followed once more, as for its measures: over one turn of its orbit, or WINDOW periods.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from workers.cell.cells import LEAST_WORK, Cells
+from workers.cell.measuring import AT_ONCE, KNOWN, WORK_PER_PERIOD, starts_of, turns_of
+from workers.cell.outcome import put
+from workers.cell.stretch import begin
+from workers.kernel.hybrid.measuring import Meters
+from workers.kernel.motion import RUNNING
+from workers.kernel.observing import COURSE, Seen, Sought, observe_motions
+from workers.model.definition import Definition
+from workers.model.hybrid import FIRST_NUMBER, build_hybrid
+from workers.model.observables import KINDS, Observable, observables_of
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.results import NO_REASON
+
+Values = dict[str, Any]
+"""Values (N, K) and counts (N,) of observables, by the names of their results."""
+
+
+@np.errstate(all="ignore")
+def observe(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Write what the observables of their settings show of cells of known classes, from parameters (N,) each."""
+    observables, hybrid = observables_of(cells.settings.observe, definition), cells.oscillators.has_modes
+    rows = np.flatnonzero(np.isin(cells.found["regime"], KNOWN))
+    for first in range(0, max(len(rows), 1) if observables else 0, AT_ONCE):  # of none, too: it compiles the kernel
+        some = rows[first : first + AT_ONCE]
+        values = {name: value[some] for name, value in params.items()}
+        machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
+        periods, closes = turns_of(cells, some)
+        motions = *starts_of(cells, some, closes), periods, closes
+        outputs = outputs_for(observables, definition, values)
+        found, whole = observed(machines, observables, outputs, motions, cells.settings.observe_values)
+        put(cells, some[whole], **{name: value[whole] for name, value in found.items()})
+
+
+def observed(
+    machines: Oscillator,
+    observables: tuple[Observable, ...],
+    outputs: tuple[Array, Array],
+    motions: tuple[Array, Rows, Rows, Mask],
+    most: int,
+) -> tuple[Values, Mask]:
+    """The first values of each observable of N motions, ``most`` at most; and which of these could be followed.
+
+    outputs: see outputs_for. motions: physical states (N, 2n), with the numbers of their modes (N, 1), the periods (N,)
+    that they go, and for which of them that is a turn of an orbit.
+    """
+    states, codes, periods, closes = motions
+    N, M, own = len(states), len(observables), machines.table.machines
+    wanted = Sought(
+        np.array([KINDS.index(each.kind) for each in observables]),
+        np.array([each.contact for each in observables]),
+        np.array([each.side for each in observables]),
+    )
+    counts, endless = np.zeros((2, N, M), dtype=np.int64)
+    seen = Seen(np.full((N, M, most), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
+    seen.course[..., COURSE.value] = np.nan
+    states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
+    allowance = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64)
+    meters = Meters(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub)
+
+    def see(some: Rows) -> None:
+        given = states, codes, done, periods, closes.astype(np.int64), allowance, some
+        status[some] = observe_motions(machines, meters, wanted, seen, *given)[some]
+
+    machines.with_modes(see, np.arange(N))
+    numbers, found = np.where(endless > 0, -1, counts), Values()
+    for m, each in enumerate(observables):
+        found |= {each.variable: seen.values[:, m], each.number: numbers[:, m]}
+    return found, status == RUNNING
+
+
+def outputs_for(
+    observables: tuple[Observable, ...], definition: Definition, values: Mapping[str, Array]
+) -> tuple[Array, Array]:
+    """The rows (N, M, n) of observables, and the derivatives (N, M) that these are rows on, see Observable.row."""
+    found = [each.row(definition, values) for each in observables]
+    rows = np.stack([row for row, _ in found], axis=1)
+    return rows, np.tile([order for _, order in found], (len(rows), 1))
+
+
+def observe_orbits(
+    definition: Definition, values: Mapping[str, Array], states: Array, periods: Rows, observed_by: str, most: int
+) -> Values:
+    """What observables, named with commas between, show of orbits from physical section states (N, 2n), over one turn.
+
+    Parameters and ``periods`` are (N,). Values are NaN, and counts 0, where an orbit cannot be followed.
+    """
+    observables = observables_of(observed_by, definition)
+    machines, reasons = build_hybrid(definition.hybrid(values))
+    begun, reasons = begin(machines, reasons, states)
+    motions = states, begun.contact - FIRST_NUMBER, periods, np.ones(len(states), dtype=bool)
+    found, whole = observed(machines, observables, outputs_for(observables, definition, values), motions, most)
+    there = whole & (reasons == NO_REASON)
+    for each in observables:
+        found[each.variable][~there], found[each.number][~there] = np.nan, 0
+    return found

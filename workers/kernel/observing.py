@@ -1,0 +1,274 @@
+"""Motions of machines with modes as observables see them: impacts, turning points, sections and losses, one by one.
+
+Nothing is sampled: impacts are events of the one loop of hybrid/motion.py, and an output turns where the certified
+search finds a zero of its rate, or where an impact turns it.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.kernel.borrow import row_of
+from workers.kernel.excursion import next_turn, velocity_of
+from workers.kernel.hybrid.measuring import AROUND, LEGS, Readings, read_leg
+from workers.kernel.hybrid.motion import through_modes
+from workers.kernel.hybrid.notes import LEG, LEG_STATE
+from workers.kernel.hybrid.outputs import LEVEL, mode_with, output_row
+from workers.kernel.hybrid.state import enter, product, read_number, turned
+from workers.kernel.jit import kernel, named_constants
+from workers.kernel.motion import MARCH_GAVE_UP, NOTHING_COUNTED, OVERDRAFT, RECORDED, RUNNING, STATUS, WORK, spend
+from workers.kernel.signal import derivative_bounds, evaluate
+from workers.model.hybrid_modes import ON
+from workers.model.observables import ENERGY_LOSS, IMPACT_PHASE, IMPACT_SPEED, KINDS, MAXIMUM, MINIMUM, SECTION
+from workers.model.oscillator import NUMBER, Array, Rows
+
+AT_SECTION, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
+    KINDS.index(kind) for kind in (SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS)
+)
+"""Kinds of observables as numbers."""
+
+ROUNDING = 1e-12
+"""Share of an output's terms by which it has to rise or fall between two turning points for them to count."""
+
+
+class Sought(NamedTuple):
+    """What is observed of machines: the kind (M,) of each observable, its contact (M,), -1 for all, and side (M,)."""
+
+    kinds: Rows
+    contacts: Rows
+    sides: Rows
+
+
+class Seen(NamedTuple):
+    """What N motions have shown so far.
+
+    values (N, M, K)  the first K of each observable, in the order of time
+    counts (N, M)     how many there are; endless (N, M) 1 where a chatter has brought infinitely many
+    course (N, M, 5)  of each output how it goes, see OutputCourse
+    """
+
+    values: Array
+    counts: Rows
+    endless: Rows
+    course: Array
+
+
+class OutputCourse(NamedTuple):
+    """How an output goes, as places in a row.
+
+    heading   whether it rises, 1, or falls, -1; value: where it was last
+    size      the greatest sum of terms that it has been, and of how far it may have gone on a leg
+    turn, at  the turning point that the next one confirms, 1 for a maximum, -1 for a minimum, 0 for none or one before
+              the time that counts; and its value
+    """
+
+    heading: int
+    value: int
+    size: int
+    turn: int
+    at: int
+
+
+COURSE = OutputCourse(*range(5))
+named_constants(OutputCourse)
+
+
+@kernel
+def put(seen, m, value):
+    """Add a value of observable m."""
+    if seen.counts[m] < seen.values.shape[1]:
+        seen.values[m, seen.counts[m]] = value
+    seen.counts[m] += 1
+
+
+@kernel
+def put_turn(seen, m, highest):
+    """Add the turning point that is confirmed, if it is of the kind that observable m wants."""
+    course = seen.course[m]
+    if course[COURSE.turn] == (1.0 if highest else -1.0):
+        put(seen, m, course[COURSE.at])
+    course[COURSE.turn] = 0.0
+
+
+@kernel
+def head(seen, m, highest, direction, y, counts):
+    """An output goes on in this direction from y. A turn that rounding may have made is none."""
+    course = seen.course[m]
+    if course[COURSE.heading] * direction < 0.0:
+        near = abs(y - course[COURSE.at]) <= ROUNDING * course[COURSE.size]
+        if course[COURSE.turn] * course[COURSE.heading] < 0.0 and near:
+            course[COURSE.turn] = 0.0
+        else:
+            put_turn(seen, m, highest)
+            course[COURSE.turn], course[COURSE.at] = course[COURSE.heading] if counts else 0.0, y
+    if direction != 0.0:
+        course[COURSE.heading] = direction
+
+
+@kernel
+def see_output(pieces, k, row, order, seen, m, highest, h, start, phase, s, begins, tally):
+    """See where an output turns in a flight of s in mode k from block state h (n, 2), which begins at time ``start``.
+
+    What happens up to the time ``begins`` does not count.
+    """
+    full, direct = output_row(pieces, k, row, order)
+    mode, offset = mode_with(pieces, k, full, direct)
+    velocity, drift = velocity_of(mode)
+    blocks, waves, omega, course = mode.blocks, mode.waves, mode.numbers[NUMBER.omega], seen.course[m]
+    y, v, a, jerk, size = evaluate(blocks, waves, omega, h, 0.0, phase, offset)
+    before, rate = course[COURSE.value], abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
+    reach = min(rate, abs(v) + abs(a) * s) * s  # of what a load alone moves there is no bound
+    course[COURSE.size] = max(course[COURSE.size], size + reach)
+    if abs(y - before) > ROUNDING * course[COURSE.size]:  # an impact makes velocities jump
+        head(seen, m, highest, np.sign(y - before), before, start > begins)
+    if rate * s > LEVEL * size:
+        there, scratch, t, begun = h.copy(), np.empty(h.shape), 0.0, 0
+        rises = v > 0.0 or (v == 0.0 and (a > 0.0 or (a == 0.0 and jerk > 0.0)))
+        while tally[STATUS] == RUNNING:
+            head(seen, m, highest, 1.0 if rises else -1.0, y, start + t > begins)
+            at = phase + omega * t
+            step, side, evaluations = next_turn(velocity, drift, there, at, not rises, begun, s - t, scratch)
+            spend(tally, evaluations)
+            t += step
+            if side == 2:
+                tally[STATUS] = MARCH_GAVE_UP
+            if side == 0:
+                break
+            y, rises, begun = evaluate(blocks, waves, omega, there, 0.0, phase + omega * t, offset)[0], not rises, side
+    course[COURSE.value] = evaluate(blocks, waves, omega, h, s, phase, offset)[0]
+
+
+@kernel
+def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
+    """See where outputs turn on a leg of a period that begins at the time ``since``, and what they are at a section."""
+    pieces, size, s, k = table.pieces, 2 * meter.rows.shape[1], leg[LEG.duration], int(leg[LEG.mode])
+    t, harmonics = leg[LEG.start], table.pieces.waves.shape[2]
+    h, nothing, flat = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty((0, size))
+    phase = table.tau + table.omega * t
+    enter(pieces, k, leg[LEG_STATE : LEG_STATE + size], flat, turned(phase, harmonics), h, nothing)
+    for m in range(len(wanted.kinds)):
+        kind, row, order = wanted.kinds[m], meter.rows[m], meter.orders[m]
+        if kind == AT_SECTION and t == 0.0 and flies and leg[LEG.signal] < 0.0:
+            full, direct = output_row(pieces, k, row, order)
+            mode, offset = mode_with(pieces, k, full, direct)
+            put(seen, m, evaluate(mode.blocks, mode.waves, table.omega, h, 0.0, phase, offset)[0])
+        if kind in (HIGHEST, LOWEST) and s > 0.0:
+            see_output(pieces, k, row, order, seen, m, kind == HIGHEST, h, since + t, phase, s, begins, tally)
+
+
+@kernel
+def see_impact(table, wanted, seen, hit, since, begins):
+    """See an impact (3,) of a period that begins at the time ``since``, see motion.through_modes.
+
+    Of speed 0 where a rest begins: where something bounces, infinitely many come before it.
+    """
+    t, which, speed = hit[0], hit[1], hit[2]
+    c, side = int(abs(which)) - 1, np.sign(which)
+    if since + t <= begins:
+        return
+    for m in range(len(wanted.kinds)):
+        kind, contact, meant = wanted.kinds[m], wanted.contacts[m], wanted.sides[m]
+        if kind not in (PHASE, SPEED) or (contact >= 0 and contact != c) or meant * side < 0.0:
+            continue
+        if speed == 0.0:
+            seen.endless[m] = max(seen.endless[m], 1 if table.elements.R[c] > 0.0 else 0)
+        else:
+            put(seen, m, (table.tau + table.omega * t) % (2.0 * math.pi) if kind == PHASE else speed)
+
+
+@kernel
+def stored(table, meter, z, number):
+    """The energy in soft contacts that push, in a physical state at a section in the mode of this number."""
+    elements, total = table.elements, 0.0
+    states = np.zeros(len(elements.row), dtype=np.int64)
+    read_number(number, states, np.zeros(len(elements.slide), dtype=np.int64))
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] > 0.0:
+            stop = elements.stops[c, 1 if states[c] > 0 else 0]
+            depth = np.sign(states[c]) * (product(elements.row[c], z, 0) - stop)
+            total += (meter.pad[0, c, 2] + 0.5 * meter.pad[0, c, 0] * depth) * depth
+    return total
+
+
+@kernel
+def loss_in(table, meter, legs, end, tally):
+    """What contacts, friction and dampers take on all legs (K, columns) up to the state ``end``."""
+    n, C, F, M = len(end) // 2, meter.pad.shape[1], meter.rub.shape[1], len(meter.orders)
+    reading = Readings(
+        np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M), np.zeros((C, 2)), np.zeros(C), np.zeros(C), np.zeros(C),
+        np.zeros(C), np.zeros(C), np.zeros(F), np.zeros(F), np.zeros(1), np.zeros((2, 2 * n)),
+    )  # fmt: skip
+    marks, before = np.full(2, np.nan), -1
+    for i in range(len(legs)):
+        last = i + 1 == len(legs)
+        signal = -1 if last else int(legs[i + 1, LEG.signal])
+        following = end if last else legs[i + 1, LEG_STATE : LEG_STATE + 2 * n]
+        read_leg(table, meter, reading, before, legs[i], signal, following, -1.0, marks, True, tally)
+        before = int(legs[i, LEG.mode])
+    return np.sum(reading.stop) + np.sum(reading.rubbed) + reading.damped[0]
+
+
+@kernel
+def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begins, flies):
+    """Take a motion from state z (2n,) and its mode in code (1,) through a period, or a part of it, and see it.
+
+    In place; see see_outputs. Where a mode is missing it stays where it was, and nothing is seen.
+    """
+    size, legs_room, hits_room = len(z), LEGS, LEGS
+    flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
+    columns = LEG_STATE + size + table.pieces.ends.shape[1]
+    while True:
+        there, number, spent = z.copy(), code.copy(), tally.copy()
+        spent[RECORDED] = 0.0
+        hits, legs = np.empty((hits_room, 3)), np.empty((legs_room, columns))
+        through_modes(table, there, flat, number, line, square, spent, hits, legs, duration)
+        if spent[STATUS] != RUNNING:
+            break
+        more_legs, more_hits = not math.isnan(legs[-1, 0]), int(spent[RECORDED]) == hits_room
+        if not (more_legs or more_hits):
+            break
+        legs_room, hits_room = legs_room * (4 if more_legs else 1), hits_room * (4 if more_hits else 1)
+    tally[:] = spent
+    if tally[STATUS] != RUNNING:
+        return
+    count = 0
+    while not math.isnan(legs[count, 0]):
+        see_outputs(table, meter, wanted, seen, legs[count], since, begins, flies, tally)
+        count += 1
+    for i in range(int(tally[RECORDED])):
+        see_impact(table, wanted, seen, hits[i], since, begins)
+    if flies and np.any(wanted.kinds == LOSS):
+        kept = stored(table, meter, there, number[0]) - stored(table, meter, z, code[0])
+        lost = loss_in(table, meter, legs[:count], there, tally) - kept
+        for m in range(len(wanted.kinds)):
+            if wanted.kinds[m] == LOSS:
+                put(seen, m, lost)
+    z[:], code[0] = there, number[0]
+
+
+@kernel
+def observe_motions(oscillators, meters, wanted, seen, states, codes, done, periods, closes, allowance, cells):
+    """Take motions on through the periods that they have to go, and see what they show; how each ends.
+
+    In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
+    (N,): 1 where these are a turn of an orbit, of which what happens at the section counts once. allowance (N,): the
+    evaluations that they may take. Of these machines with modes; a motion that misses a mode goes on when called again.
+    """
+    status = np.full(len(states), RUNNING)
+    for r in cells:
+        table = row_of(oscillators, r).table
+        meter, own = row_of(meters, r), row_of(seen, r)
+        period, turn, tally = 2.0 * math.pi / table.omega, closes[r] > 0, NOTHING_COUNTED.copy()
+        begins = AROUND * period if turn else -1.0
+        while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
+            flies = done[r] < periods[r]
+            tally[WORK] = allowance[r] - OVERDRAFT
+            duration, since = period if flies else AROUND * period, done[r] * period
+            see_period(table, meter, wanted, own, states[r], codes[r], tally, since, duration, begins, flies)
+            allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
+            done[r] += 1 if status[r] == RUNNING else 0
+        for m in range(len(wanted.kinds)):
+            if status[r] == RUNNING and wanted.kinds[m] in (HIGHEST, LOWEST):
+                put_turn(own, m, wanted.kinds[m] == HIGHEST)
+    return status

@@ -1,0 +1,176 @@
+"""Observables: numbers that a motion shows now and then, as diagrams of the literature plot them in place of states.
+
+An observable is written KIND, KIND:OF or, of impacts, KIND:CONTACT:SIDE too: ``impact_phase:stop``, ``maximum:gap``.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from workers.results import Variable
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from workers.model.definition import Definition
+    from workers.model.oscillator import Array
+
+SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS = KINDS = (
+    "section", "impact_phase", "impact_speed", "maximum", "minimum", "energy_loss",
+)  # fmt: skip
+OF_IMPACTS, OF_OUTPUTS = (IMPACT_PHASE, IMPACT_SPEED), (SECTION, MAXIMUM, MINIMUM)
+SIDES = {"upper": 1, "lower": -1}
+GAP = "gap"
+"""The output that is the coordinate which pictures show."""
+
+WORDS = {
+    SECTION: "{} at the section", MAXIMUM: "local maxima of {}", MINIMUM: "local minima of {}",
+    IMPACT_PHASE: "phase of the force at impacts{}", IMPACT_SPEED: "speed before impacts{}",
+    ENERGY_LOSS: "energy lost in a forcing period",
+}  # fmt: skip
+FORMS = "impact_phase[:CONTACT][:SIDE], impact_speed[:CONTACT][:SIDE], maximum:OUTPUT, minimum:OUTPUT, " + (
+    "section:OUTPUT, energy_loss"
+)
+"""All that can be observed, in a line."""
+
+VALUE = "value"
+"""The dimension along the values of an observable, in the order of time."""
+
+
+@dataclass(frozen=True)
+class Observable:
+    """What is observed of a motion, value by value.
+
+    section       an output at each section t = kT
+    impact_phase  omega t + tau modulo 2 pi, the phase of the force, when a contact is reached, in [0, 2 pi)
+    impact_speed  speed |y'| along the contact's row then, before what the contact does
+    maximum, minimum  an output where it ceases to rise, or to fall: at a turning point, or at an impact
+    energy_loss   what contacts, friction and dampers take in each forcing period
+
+    contact   place of the contact among the machine's, -1 for all; ``side`` +1 or -1, 0 for both. A soft contact is
+              reached where its stop is: at touch
+    of        name of the output, of those that ``outputs_of`` lists
+    """
+
+    kind: str
+    of: str = ""
+    contact: int = -1
+    side: int = 0
+
+    @classmethod
+    def parse(cls, text: str, definition: "Definition") -> Self:
+        """The observable that a text names, of a machine; ValueError in one line, with what is possible."""
+        kind, *rest = text.split(":")
+        if kind not in KINDS:
+            raise ValueError(f"unknown observable {text!r}; possible: {FORMS}")
+        if kind in OF_IMPACTS:
+            return cls._of_impacts(kind, rest, text, definition)
+        if kind == ENERGY_LOSS:
+            if rest:
+                raise ValueError(f"{text}: {ENERGY_LOSS} is of the whole machine, write {ENERGY_LOSS}")
+            return cls(kind)
+        known = outputs_of(definition)
+        if len(rest) != 1 or rest[0] not in known:
+            found = f"unknown output {rest[0]!r}" if rest else "no output"
+            raise ValueError(f"{text}: {found}, must be {kind}: and one of {', '.join(known)}")
+        return cls(kind, rest[0])
+
+    @classmethod
+    def _of_impacts(cls, kind: str, rest: list[str], text: str, definition: "Definition") -> Self:
+        names = [each.name for each in definition.contacts]
+        if not names:
+            raise ValueError(f"{text}: this machine has no contact")
+        left, contact, side = list(rest), -1, 0
+        if left and left[0] in names:  # a contact may be called upper, too
+            contact = names.index(left.pop(0))
+        if left and left[0] in SIDES:
+            side = SIDES[left.pop(0)]
+        if left:
+            raise ValueError(f"{text}: unknown contact {left[0]!r}; possible: {', '.join([*names, *SIDES])}")
+        some = definition.contacts if contact < 0 else definition.contacts[contact : contact + 1]
+        if side and all(getattr(each, rest[-1]) is None for each in some):
+            raise ValueError(f"{text}: there is no {rest[-1]} stop")
+        return cls(kind, "" if contact < 0 else names[contact], contact, side)
+
+    @property
+    def name(self) -> str:
+        """The text that names it."""
+        return ":".join(part for part in (self.kind, self.of, self._side) if part)
+
+    @property
+    def _side(self) -> str:
+        return next((name for name, side in SIDES.items() if side == self.side), "")
+
+    @property
+    def unit(self) -> str:
+        """The CF unit of its values."""
+        return "rad" if self.kind == IMPACT_PHASE else "1"
+
+    @property
+    def turn(self) -> float:
+        """What its values are modulo; infinity where they are not."""
+        return 2.0 * math.pi if self.kind == IMPACT_PHASE else math.inf
+
+    @property
+    def words(self) -> str:
+        """What its values are, as tables, axes and pages say it."""
+        if self.kind in OF_IMPACTS:
+            contact, stop = f" on {self.of}" if self.of else "", f" at the {self._side} stop" if self._side else ""
+            return WORDS[self.kind].format(contact + stop)
+        return WORDS[self.kind].format("the gap coordinate" if self.of == GAP else self.of)
+
+    @property
+    def variable(self) -> str:
+        """The name of the result that holds its values."""
+        return self.name.replace(":", "_")
+
+    @property
+    def number(self) -> str:
+        """The name of the result that counts them."""
+        return f"{self.variable}_number"
+
+    @property
+    def variables(self) -> tuple[Variable, Variable]:
+        """The results that hold its values, and that count them."""
+        counted = f"how many values of {self.name} there are, also where fewer are kept; -1 where infinitely many"
+        return (
+            Variable(self.variable, "float64", float("nan"), self.words, self.unit, (VALUE,)),
+            Variable(self.number, "int32", 0, counted, "1"),
+        )
+
+    def row(self, definition: "Definition", values: "Mapping[str, Array]") -> "tuple[Array, float]":
+        """The row (N, n) that its output is on a derivative of the displacements, and which of measures.ORDERS that is.
+
+        Of N machines with these parameters (N,); zeros where it is no output.
+        """
+        n = len(definition.coordinates)
+        shown = definition.shown_rows(values)
+        if self.of == GAP:
+            return shown, 0.0
+        for order, names in enumerate((definition.coordinates, definition.velocities)):
+            if self.kind in OF_OUTPUTS and self.of in names:
+                return np.tile(np.eye(n)[names.index(self.of)], (len(shown), 1)), float(order)
+        if self.kind in OF_OUTPUTS:
+            rows, orders, _ = definition.outputs(values)
+            place = [name for name, _ in definition.measures].index(self.of)
+            return rows[:, place], float(orders[0, place])
+        return np.zeros_like(shown), 0.0
+
+
+def outputs_of(definition: "Definition") -> tuple[str, ...]:
+    """The outputs of a machine by name: the gap coordinate, its coordinates and velocities, and its measures.
+
+    Without a coordinate that drifts: where it is does not matter.
+    """
+    coordinates = [name for name in definition.coordinates if name != definition.drift]
+    return tuple(dict.fromkeys((GAP, *coordinates, *definition.velocities, *(name for name, _ in definition.measures))))
+
+
+def observables_of(asked: str, definition: "Definition") -> tuple[Observable, ...]:
+    """The observables of a text with commas between; none of an empty one. ValueError for a wrong one or one twice."""
+    found = tuple(Observable.parse(text, definition) for text in asked.split(",") if asked)
+    if len(set(found)) < len(found):
+        raise ValueError(f"found {asked!r}, must name each observable once")
+    return found
