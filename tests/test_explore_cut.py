@@ -16,8 +16,9 @@ from atlas.explore.cut import (
     branch_job,
     cut_job,
     exponents,
-    section,
+    shown_points,
     sweep_of,
+    to_observe,
     too_long,
 )
 from atlas.explore.subject import Subject, subject_of
@@ -72,26 +73,36 @@ def test_an_orbit_of_period_one_is_one_point_of_the_section(subject: Subject) ->
     line = Line(subject, subject.plane, (3.9, 0.1, 4.0, 0.1))
     cells = solved(line, [(0, 128)])
     assert cells.results["period"].tolist() == [1, 1]
-    drawn = section(line, cells)
+    drawn = shown_points(line, cells)
     assert drawn["x"].tolist() == line.points(cells.index)[0].tolist()
     states = [atlas.point({"omega": x, "b": 0.1}, settings=subject.settings)["state"] for x in drawn["x"]]
-    assert np.allclose(drawn["gap"], [state[0] for state in states], atol=1e-6)
+    assert np.allclose(drawn["y"], [state[0] for state in states], atol=1e-6)
 
 
 def test_cells_that_come_twice_are_drawn_once(subject: Subject) -> None:
     index = np.array([0, 128, 256])
-    cells = CutCells(index, {"gap": index[:, None] / 10.0})
-    both = CutCells(np.array([64, 128]), {"gap": np.array([[6.4], [12.8]])}).joined(cells)
+    cells = CutCells(index, {"shown": index[:, None] / 10.0})
+    both = CutCells(np.array([64, 128]), {"shown": np.array([[6.4], [12.8]])}).joined(cells)
     assert both.index.tolist() == [0, 64, 128, 256]
-    assert both.results["gap"].ravel().tolist() == [0.0, 6.4, 12.8, 25.6]
+    assert both.results["shown"].ravel().tolist() == [0.0, 6.4, 12.8, 25.6]
 
 
 def test_chaos_fills_the_section_and_the_exponent_has_its_error_about_it(subject: Subject) -> None:
     line = Line(subject, subject.plane, (1.5, 0.1, 1.6, 0.1))
     cells = solved(line, [(0,)])
-    assert section(line, cells)["x"].size == SAMPLES
+    assert shown_points(line, cells)["x"].size == SAMPLES
     found = exponents(line, cells)
     assert found["low"][0] < found["largest"][0] < found["high"][0] and found["largest"][0] > 0
+
+
+def test_a_cut_shows_the_phases_of_impacts_of_its_cells(subject: Subject) -> None:
+    """Of symmetric orbits: two a cell, half a turn apart."""
+    line = Line(subject, subject.plane, (3.9, 0.15, 4.0, 0.15), to_observe(subject)["phase of the force at impacts"])
+    cells = solved(line, [(0, 128, 256)])
+    drawn = shown_points(line, cells)
+    assert drawn["x"].tolist() == [3.9, 3.9, 3.95, 3.95, 4.0, 4.0]
+    assert np.abs(np.diff(drawn["y"])[::2]) == pytest.approx([np.pi] * 3, abs=1e-5)
+    assert not cells.results["more"].any()
 
 
 def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subject) -> None:

@@ -16,6 +16,7 @@ from atlas.explore.patch import packed, solve_patch
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, SubjectPlane
 from atlas.query.machine import gap_rows
+from workers.model.observables import ENERGY_LOSS, GAP, MAXIMUM, MINIMUM, OF_IMPACTS, Observable
 from workers.results import ERROR, LARGEST, PERIODIC, REGIME, SECTION
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ TOGETHER = STEPS // COARSE + 1
 """Points that a worker solves at a time."""
 SAMPLES = 48
 """Section states of a cell that is not periodic."""
+SECTION_WORDS = "gap at t = kT"
+"""What a cut shows at first."""
 LONGEST = 36
 """Impacts of the orbits whose branches are followed: more than for a sweep, since whoever draws a cut can zoom in."""
 
@@ -37,11 +40,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Line:
-    """A line over a plane of a subject, straight on the scales of its axes; points count from 0 to STEPS."""
+    """A line over a plane of a subject, straight on the scales of its axes; points count from 0 to STEPS.
+
+    observe   the observable of its cells that is shown; section states where it is None
+    """
 
     subject: Subject
     plane: SubjectPlane
     ends: Cut
+    observe: Observable | None = None
 
     @cached_property
     def along(self) -> int:
@@ -84,7 +91,7 @@ class Line:
 
 @dataclass(frozen=True)
 class CutCells:
-    """Solved points of a line: their numbers (N,), and their results by name, with ``gap`` (N, SAMPLES)."""
+    """Solved points of a line: their numbers (N,), and their results by name, with ``shown`` (N, SAMPLES)."""
 
     index: NDArray[np.int64]
     results: dict[str, NDArray[Any]]
@@ -105,9 +112,17 @@ def cut_job(
     subject, index = line.subject, np.array(part)
     points = line.points(index)
     grid = subject.grid(line.plane, *points, packed(np.eye(len(part), dtype=bool)))
-    patch = replace(grid, settings=replace(subject.settings, section_samples=SAMPLES))
+    asked: dict[str, Any] = {"section_samples": SAMPLES}
+    if line.observe is not None:
+        asked = {"observe": line.observe.name, "observe_values": SAMPLES}
+    patch = replace(grid, settings=replace(subject.settings, **asked))
 
     def taken(found: dict[str, NDArray[Any]]) -> None:
+        if line.observe is not None:
+            shown, number = found.pop(line.observe.variable), found.pop(line.observe.number)
+            more = (found["period"] > 0) & ((number > SAMPLES) | (number < 0))
+            take(line, CutCells(index, found | {"shown": shown, "more": more}))
+            return
         values: dict[str, float | Array] = dict(line.plane.parameters)
         values.update(zip(subject.axes, points, strict=True))
         rows = gap_rows(subject.system, values)
@@ -115,7 +130,7 @@ def cut_job(
         gap = np.einsum("ni,nki->nk", rows, section[..., : rows.shape[1]])
         period = found["period"][:, None]
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
-        take(line, CutCells(index, found | {"gap": gap}))
+        take(line, CutCells(index, found | {"shown": gap}))
 
     key = line, part, take
     return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), len(part), key)
@@ -174,8 +189,19 @@ def exponents(line: Line, cells: CutCells) -> dict[str, Array]:
     return {"x": x, "largest": largest, "low": largest - error, "high": largest + error}
 
 
-def section(line: Line, cells: CutCells) -> dict[str, NDArray[np.floating]]:
-    """The gap coordinate of section states along a line, by the parameter ``x``, as columns."""
-    x, gap = line.points(cells.index)[line.along], cells.results["gap"]
-    known = np.isfinite(gap)
-    return {"x": np.broadcast_to(x[:, None], gap.shape)[known], "gap": gap[known].astype(np.float32)}
+def shown_points(line: Line, cells: CutCells) -> dict[str, NDArray[np.floating]]:
+    """What is shown of cells along a line, gap coordinates or an observable, by the parameter ``x``, as columns."""
+    x, shown = line.points(cells.index)[line.along], cells.results["shown"]
+    known = np.isfinite(shown)
+    return {"x": np.broadcast_to(x[:, None], shown.shape)[known], "y": shown[known].astype(np.float32)}
+
+
+def to_observe(subject: Subject) -> dict[str, Observable | None]:
+    """What a cut can show, by its words: section states, impacts, turning points of the gap coordinate, losses."""
+    definition = subject.system.definition
+    names = [each.name for each in definition.contacts] if len(definition.contacts) > 1 else []
+    texts = [":".join(filter(None, (kind, name))) for kind in OF_IMPACTS for name in ("", *names)]
+    texts = texts if definition.contacts else []
+    texts += [f"{kind}:{GAP}" for kind in (MAXIMUM, MINIMUM)] + [ENERGY_LOSS]
+    found = [Observable.parse(text, definition) for text in texts]
+    return {SECTION_WORDS: None} | {each.words: each for each in found}

@@ -17,6 +17,7 @@ from bokeh.models import (
     LegendItem,
     PanTool,
     Range1d,
+    Select,
     Span,
 )
 from bokeh.plotting import figure
@@ -27,7 +28,20 @@ from atlas.explore.background import Background
 from atlas.explore.branches import Drawn
 from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Cut
-from atlas.explore.cut import LONGEST, CutCells, Line, branch_job, cut_job, exponents, section, sweep_of, too_long
+from atlas.explore.cut import (
+    LONGEST,
+    SAMPLES,
+    SECTION_WORDS,
+    CutCells,
+    Line,
+    branch_job,
+    cut_job,
+    exponents,
+    shown_points,
+    sweep_of,
+    to_observe,
+    too_long,
+)
 from atlas.explore.explorer import Explorer
 from atlas.explore.patches import Errand
 from atlas.explore.plot import quiet
@@ -78,7 +92,7 @@ class CutPanel:
         self._note = ""
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
         self._sources = {
-            "section": ColumnDataSource({"x": [], "gap": []}),
+            "shown": ColumnDataSource({"x": [], "y": []}),
             "exponents": ColumnDataSource({"x": [], "largest": [], "low": [], "high": []}),
         }
         self._over_plane()
@@ -87,7 +101,7 @@ class CutPanel:
             "x_range": Range1d(0.0, 1.0), "x_axis_type": scale, "tools": "xpan,xwheel_zoom,reset,save",
             "sizing_mode": "stretch_both", "min_border_left": 76, "output_backend": "webgl", "stylesheets": [DIAGRAM],
         }  # fmt: skip
-        self._section = figure(y_axis_label="gap at t = kT", toolbar_location="right", **look)
+        self._section = figure(y_axis_label=SECTION_WORDS, toolbar_location="right", **look)
         look |= {"x_range": self._section.x_range, "toolbar_location": None}
         self._exponents = figure(y_axis_label="exponent", **look)
         self._section.toolbar.logo = None
@@ -95,9 +109,12 @@ class CutPanel:
         self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
         self._follow = Button(label="branches, stable and unstable", width=210)
         self._follow.on_click(self._find_branches)
+        self._possible = to_observe(subject)
+        self._shows = Select(options=[*self._possible], value=SECTION_WORDS, width=230)
+        self._shows.on_change("value", lambda *_: self.show(store.now))
         close = Button(label="close the cut", width=100)
         close.on_click(lambda: store.choose(cut=None))
-        head = row(self._says, self._follow, close, sizing_mode="stretch_width", stylesheets=[CUT_HEAD])
+        head = row(self._says, self._shows, self._follow, close, sizing_mode="stretch_width", stylesheets=[CUT_HEAD])
         self.panel = column(
             head, self._section, self._exponents, sizing_mode="stretch_width", visible=False, stylesheets=[CUT],
         )  # fmt: skip
@@ -121,9 +138,10 @@ class CutPanel:
                 self._drawn.data = {"xs": [], "ys": []}
                 self.close()
             return
-        if old is not None and (old.ends, old.plane) == (chosen.cut, chosen.plane):
+        line = Line(self._explorer.subject, chosen.plane, chosen.cut, self._possible[str(self._shows.value)])
+        if line == old:
             return
-        self._shown = line = Line(self._explorer.subject, chosen.plane, chosen.cut)
+        self._shown = line
         x0, y0, x1, y1 = chosen.cut
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
         self._cells = None
@@ -134,7 +152,8 @@ class CutPanel:
         self._along.data = {"along": [line.along]}
         self._section.x_range.update(start=low, end=high)
         self._label(line, low, high)
-        self._note, self._follow.disabled = "solving the cells along the cut", False
+        self._section.yaxis[0].axis_label = str(self._shows.value)
+        self._note, self._follow.disabled = "solving the cells along the cut", line.observe is not None
         self._say()
         self._note = ""
         self.panel.visible = True
@@ -151,14 +170,16 @@ class CutPanel:
         if line != self._shown:
             return
         self._cells = found = cells.joined(self._cells)
-        self._sources["section"].data = dict(section(line, found))
+        self._sources["shown"].data = dict(shown_points(line, found))
         self._sources["exponents"].data = dict(exponents(line, found))
         self._say()
 
     def _say(self) -> None:
         """Say how many cells are known, and what became of their branches."""
         count = "" if self._cells is None else f"{plural(self._cells.index.size, 'cell')} along the cut"
-        self._says.text = "; ".join(filter(None, (count, html.escape(self._note))))
+        more = 0 if self._cells is None else int(np.count_nonzero(self._cells.results.get("more", 0)))
+        long = f"{plural(more, 'orbit')} with more than {SAMPLES} values: the first of them" if more else ""
+        self._says.text = "; ".join(filter(None, (count, long, html.escape(self._note))))
 
     def _find_branches(self) -> None:
         line, cells = self._shown, self._cells
@@ -219,7 +240,7 @@ class CutPanel:
     def _draw(self) -> None:
         """What the diagrams consist of."""
         of, sources = self._section, self._sources
-        of.scatter(x="x", y="gap", source=sources["section"], size=1.8, color="#1a2433", line_color=None)
+        of.scatter(x="x", y="y", source=sources["shown"], size=1.8, color="#1a2433", line_color=None)
         self._branches = BranchLines(of)
         below = self._exponents
         below.add_layout(Span(location=0.0, dimension="width", line_color="#9aa4b0"))
