@@ -65,7 +65,8 @@ def coarse(example: str) -> str:
 
 EXAMPLES = """
 bistable-harvester bouncing-ball capsule chain-3 energy-harvester energy-sink friction-oscillator gear-mesh
-impact-damper impact-pair rotor-rub simpson-ghosh-2026 single-mass soft-impact soft-suspension stick-slip two-stops
+impact-damper impact-pair rotor-rub shaken-base simpson-ghosh-2026 single-mass soft-impact soft-suspension stick-slip
+two-stops
 """
 """Of other systems, each with a plane of its own."""
 POINTS = """
