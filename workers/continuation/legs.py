@@ -22,6 +22,9 @@ that reaches an end there, 0 the lower one; and what it does to the velocity."""
 
 NO_EVENT = -1
 
+AT_ONCE = 4.0 * float(np.finfo(np.float64).eps)
+"""Rounding of times, as a share of them: turns are added to them and taken off again."""
+
 NOTHING, REBOUNDS, RESTS, SLOWS = range(4)
 """What an event does to the velocity: nothing; a rigid contact rebounds, or comes to rest; friction begins to stick."""
 
@@ -142,17 +145,18 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
 def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal, mirror, s):
     """States (N, K, 2n) at times s (N, K), and a signal there, its rate and its ends (4, N, K), in the mode there.
 
-    begins (N, L) of the legs of a turn and their states; an event at such a time counts as past. sign and mirror: what
-    states and the signal are multiplied by from turn to turn.
+    begins (N, L) of the legs of a turn and their states; an event at such a time, to rounding, counts as past.
+    sign and mirror: what states and the signal are multiplied by from turn to turn.
     """
     (N, K), legs, size = s.shape, len(plan), states.shape[2]
     found, values = np.empty((N, K, size)), np.empty((4, N, K))
     h, V, f, none = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty(size), np.empty((0, size))
     for r, i in np.ndindex(N, K):
         modes = row_in(lend(pieces), r)
-        turn = math.floor((s[r, i] - begins[r, 0]) / span[r])
+        rounding = AT_ONCE * (abs(s[r, i]) + span[r])
+        turn = math.floor((s[r, i] + rounding - begins[r, 0]) / span[r])
         here, leg = s[r, i] - turn * span[r], 0
-        while leg + 1 < legs and begins[r, leg + 1] <= here:
+        while leg + 1 < legs and begins[r, leg + 1] <= here + rounding:
             leg += 1
         z, k = states[r, leg].copy(), plan[leg, MODE]
         before = turned(tau[r] + omega[r] * begins[r, leg], modes.waves.shape[2])
