@@ -48,7 +48,7 @@ def many_shares(cell: dict[str, float], count: int, seed: int) -> tuple[list[flo
     record = find_system(SYSTEM)
     values = {p.name: np.array([cell.get(p.name, p.default)]) for p in record.parameters}
     oscillators, _ = record.build_many(values)
-    low, high = (each[0] for each in boxes(Starts(), oscillators, record.states))
+    low, high = (each[0] for each in boxes(Starts(), oscillators, record))
     states = low + np.random.default_rng(seed).random((count, len(low))) * (high - low)
     given = cell | {name: states[:, k] for k, name in enumerate(record.states)}
     solved = solve_tile(SYSTEM, given, BRIEF)

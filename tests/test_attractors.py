@@ -35,7 +35,7 @@ def states_of(params: dict, starts: Starts) -> np.ndarray:
     record = find_system("two-mass")
     values = {p.name: np.array([params.get(p.name, p.default)]) for p in record.parameters}
     own = np.array([[values[name][0] for name in STATES]])
-    return initial_states(starts, record.build_many(values)[0], record.states, own)[0]
+    return initial_states(starts, record.build_many(values)[0], record, own)[0]
 
 
 def same(one: dict, two: dict) -> bool:

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from atlas import Spec
+from atlas import Spec, branch
 from atlas.cell.orbit import samples_of
 from atlas.query.grazing import grazing_ratio
 from atlas.query.queries import per_unit_time
+from atlas.robustness.norm import weights_of
 from atlas.spec.equation import equation_of
 from tests.oracle import Machine, simulate
 from tests.oracle.machines import random_machine
@@ -23,6 +24,7 @@ from tests.oracle.pieces.draw import random_machine as pieces_at_random
 from tests.test_family import assert_jacobians_agree, solver_jacobian, solver_sections
 from tests.test_hybrid_random import SENSITIVE, assert_few_stop, compare
 from workers import Settings, System, solve_tile
+from workers.attractors.starts import REACH, Starts, boxes
 from workers.model.entries import DefinitionError
 from workers.model.reading_force import HARMONICS, HIGHEST
 from workers.model.waveform import WAVEFORMS, Waveform
@@ -102,7 +104,8 @@ def test_a_phase_of_the_period_changes_sine_and_cosine_of_the_force() -> None:
 def test_the_equation_has_both_parts_and_orders_that_are_ratios() -> None:
     system = machine(force=["A"], cosine=["-B"], harmonics=[{"order": "3/2", "cosine": [1.0], "phase": ["pi / 3"]}])
     right = "A * sin(omega t + tau) - B * cos(omega t + tau) + cos(3/2 (omega t + tau) + pi / 3)"
-    assert equation_of(system).splitlines()[0] == f"m * x'' + c * x' + k * x = {right}"
+    lines = [f"m * x'' + c * x' + k * x = {right}", "forcing period 4 pi / omega"]
+    assert equation_of(system).splitlines()[:2] == lines
 
 
 # Commensurate frequencies
@@ -163,6 +166,32 @@ def test_exponents_per_unit_time_know_the_longer_period() -> None:
         attrs={"spec": json.dumps(system.resolved())},
     )
     assert per_unit_time(ds)["spectrum"].values.sum() == pytest.approx(-0.3 / 1.3, rel=1e-12)
+
+
+def test_units_of_velocity_are_those_of_omega_and_not_of_the_longer_period() -> None:
+    """Of initial states, which reach omega times as far as half of a wide gap, and of the norm of deviations."""
+    system = System.from_mapping(two_frequencies("3/2").table() | {"lower": "-b"})
+    values = {p.name: np.array([p.default]) for p in system.parameters} | {"omega": np.array([1.4])}
+    oscillators, _ = system.build_many(values)
+    low, high = boxes(Starts(), oscillators, system)
+    assert high[0].tolist() == pytest.approx([100.0, REACH * 1.4 * 100.0])
+    assert low == pytest.approx(-high)
+    assert weights_of({}, system, float(oscillators.period[0])) == pytest.approx([1.0, 1 / 1.4])
+
+
+@pytest.mark.slow
+def test_events_of_a_branch_of_a_ratio_are_those_of_whole_orders() -> None:
+    whole = machine(harmonics=[{"order": 2, "force": ["A"]}, {"order": 3, "force": ["B"], "phase": [0.3]}])
+    events = []
+    for system, scale in ((two_frequencies("3/2"), 1.0), (whole, 0.5)):
+        found = branch(
+            {"omega": 1.5 * scale, "b": 0.5}, along="omega", window=(scale, 2.2 * scale), system=system,
+            settings=Settings(max_periods=3000, survival=0),
+        ).events  # fmt: skip
+        events.append((found["kind"].tolist(), (found["omega"] / scale).to_numpy()))
+    assert set(events[0][0]) == {"impact_lost", "fold"}
+    assert events[0][0] == events[1][0]
+    assert events[0][1] == pytest.approx(events[1][1], rel=1e-9)
 
 
 def test_a_machine_is_symmetric_where_all_orders_are_odd_multiples_of_the_lowest() -> None:

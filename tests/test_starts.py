@@ -16,7 +16,7 @@ def oscillators(**changes: float):
 
 
 def states_of(starts: Starts, **changes: float) -> np.ndarray:
-    return initial_states(starts, oscillators(**changes), TWO_MASS.states, np.zeros((1, 4)))[0]
+    return initial_states(starts, oscillators(**changes), TWO_MASS, np.zeros((1, 4)))[0]
 
 
 @pytest.mark.parametrize(("hits", "count"), [(0, 32), (1, 7), (16, 32), (64, 64)])
@@ -62,14 +62,14 @@ def test_the_default_box_is_made_of_the_amplitudes_of_the_forced_answer() -> Non
     omega, b = 2.5, 1e-3
     M, K = np.diag([1.0, 2.0]), np.array([[1.0, -1.0], [-1.0, 6.0]])
     x = np.linalg.solve(K - omega**2 * M + 1j * omega * 0.1 * K, np.array([1.0, 0.0]))
-    low, high = boxes(Starts(), oscillators(omega=omega, b=b), TWO_MASS.states)
+    low, high = boxes(Starts(), oscillators(omega=omega, b=b), TWO_MASS)
     assert high[0, 0] == b  # between the stops
     assert high[0, 1:] == pytest.approx([REACH * abs(x[1]), *(REACH * omega * np.abs(x))])
     assert low == pytest.approx(-high)
 
 
 def test_the_default_box_reaches_twice_as_far_as_a_wide_gap() -> None:
-    _, high = boxes(Starts(), oscillators(omega=4.0, b=50.0), TWO_MASS.states)
+    _, high = boxes(Starts(), oscillators(omega=4.0, b=50.0), TWO_MASS)
     assert high[0, [0, 2]] == pytest.approx([50.0, REACH * 4.0 * 50.0])
 
 

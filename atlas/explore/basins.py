@@ -39,7 +39,7 @@ class Grid:
         """The plane of the displacement that a stop limits, as far as initial states are sought there by default."""
         system, starts = subject.system, subject.starts
         oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})
-        low, high = boxes(starts, oscillators, system.states)
+        low, high = boxes(starts, oscillators, system)
         n = len(system.states) // 2
         k = int(np.flatnonzero(oscillators.gap_row[0])[0])
         sides = [(system.states[i], np.linspace(low[0, i], high[0, i], SIDE + 2)[1:-1]) for i in (k, n + k)]

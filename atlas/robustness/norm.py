@@ -29,11 +29,12 @@ def checked_weights(given: Mapping[str, Any] | None, record: System) -> dict[str
 
 
 def weights_of(given: Mapping[str, float], record: System, period: float) -> Array:
-    """The weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2): those given, else 1, for velocities T / 2 pi.
+    """The weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2): those given, else 1, for velocities 1 / omega.
 
     So the norm has the unit of displacement by default. period: the forcing period T
     """
-    default = [1.0] * (len(record.states) // 2) + [period / (2.0 * np.pi)] * (len(record.states) // 2)
+    n, time = len(record.states) // 2, period / (2.0 * np.pi * record.definition.turns)
+    default = [1.0] * n + [time] * n
     return np.array([given.get(name, usual) for name, usual in zip(record.states, default, strict=True)])
 
 

@@ -113,7 +113,7 @@ def _box(table: "AttractorTable", given: Box | None) -> tuple["Array", "Array"]:
     from workers.attractors.starts import boxes
 
     names = table.record.states
-    low, high = (each[0].copy() for each in boxes(table.starts, table.oscillators, names))
+    low, high = (each[0].copy() for each in boxes(table.starts, table.oscillators, table.record))
     for name, ends in ({} if given is None else checked_kind("box", given, Mapping, "(low, high) by state")).items():
         first, last = checked_ends(f"box.{name}", ends)
         if name not in names or not first < last:

@@ -13,7 +13,8 @@ def equation_of(system: System) -> str:
     """The equation as the system's definition gives it in words; where it gives none, written out of its entries.
 
     A line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, with what is zero left
-    out; then the stops, the impact law, friction, phases, what may drift and the names that expressions use.
+    out; then the forcing period where it is not 2 pi / omega, the stops, the impact law, friction, phases, what may
+    drift and the names that expressions use.
     """
     if system.equation.strip():
         return system.equation
@@ -28,6 +29,8 @@ def equation_of(system: System) -> str:
         ]
         right = [(machine.load[i], ""), *(part for each in machine.harmonics for part in _harmonic(each, i))]
         lines.append(f"{_sum(left)} = {_sum(right)}")
+    if machine.turns > 1:
+        lines.append(f"forcing period {2 * machine.turns} pi / omega")
     for contact in machine.contacts:
         lines += _contact(contact, machine.coordinates)
     for friction in machine.friction:

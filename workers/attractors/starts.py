@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.oscillator import Array, Oscillator
+from workers.model.system import System
 from workers.settings import check_whole
 
 MOST_STARTS, MOST_KEPT = 10_000, 64
@@ -60,18 +61,17 @@ class Starts:
         return [range(first, end) for first, end in pairwise(sorted(ends))]
 
 
-def initial_states(starts: Starts, oscillators: Oscillator, names: tuple[str, ...], own: Array) -> Array:
+def initial_states(starts: Starts, oscillators: Oscillator, system: System, own: Array) -> Array:
     """The initial states (N, starts, 2n) of N cells, in order; NaN where too few points of the box lie between stops.
 
     own     (N, 2n) the cells' own, the first of each
-    names   of the components
     """
     N, size = own.shape
     found = np.full((N, starts.count, size), np.nan)
     found[:, 0] = own
     if starts.count == 1:
         return found
-    low, high = boxes(starts, oscillators, names)
+    low, high = boxes(starts, oscillators, system)
     points, stops = _points(size, TRIES * (starts.count - 1), starts.seed), oscillators.rigid_stops
     for k in range(N):
         states = low[k] + points * (high[k] - low[k])
@@ -84,7 +84,7 @@ def initial_states(starts: Starts, oscillators: Oscillator, names: tuple[str, ..
     return found
 
 
-def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tuple[Array, Array]:
+def boxes(starts: Starts, oscillators: Oscillator, system: System) -> tuple[Array, Array]:
     """Lowest and highest initial states (N, 2n) of N cells.
 
     By default each displacement lies within REACH a of its rest position and each velocity within REACH v of 0. a and v
@@ -101,11 +101,11 @@ def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tu
     row = np.abs(oscillators.gap_row)
     half = 0.5 * (oscillators.upper - oscillators.lower)
     gap = np.where(np.isfinite(half), half, 0.0)[:, None] * row / np.sum(row * row, axis=1)[:, None]
-    omega = 2.0 * np.pi / oscillators.period
+    omega = 2.0 * np.pi * system.definition.turns / oscillators.period
     scale = np.maximum(amplitude, np.concatenate([gap, omega[:, None] * gap], axis=1))
     low, high = middle - REACH * scale, middle + REACH * scale
     for name, first, last in starts.box:
-        k = names.index(name)
+        k = system.states.index(name)
         low[:, k], high[:, k] = first, last
     for row, upper, lower in oscillators.rigid_stops:
         (alone,) = np.nonzero((row != 0.0).sum(axis=1) == 1)

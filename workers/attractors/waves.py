@@ -74,7 +74,7 @@ class Coexistence:
         self.oscillators, self.reasons = record.build_many(params)
         self.settings, self.starts = settings, starts
         with np.errstate(all="ignore"):
-            self.states = initial_states(starts, self.oscillators, record.states, initial_state(record, params))
+            self.states = initial_states(starts, self.oscillators, record, initial_state(record, params))
         self.cells = [CellAttractors(taken(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
         self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
 
