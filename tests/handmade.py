@@ -12,11 +12,11 @@ from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import EVENT, MODE, NO_EVENT, fly_leg, saltate
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.continuation.oscillator import Family, family_of
 from workers.kernel.borrow import row_of
 from workers.kernel.hybrid.state import turned
-from workers.model.family import FLYING, Machine
+from workers.model.family import FLYING, OrbitMachines
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
@@ -69,12 +69,12 @@ def reference_event(record: dict[str, Any], free: tuple[str, ...]) -> tuple[Fami
     return family, Event(record["kind"], tuple(conditions), point, kappa), values
 
 
-def waves(lin: Machine) -> Array:
+def waves(lin: OrbitMachines) -> Array:
     """The forced part (N, H, 2) of y without impacts, as amplitudes of sines and cosines."""
     return lin.mode(FLYING).waves[:, 0]
 
 
-def amplitude(lin: Machine) -> Array:
+def amplitude(lin: OrbitMachines) -> Array:
     """The amplitude (N,) of y without impacts, under a force of one harmonic."""
     return np.asarray(np.hypot(*waves(lin)[:, 0].T))
 
@@ -86,7 +86,7 @@ def upper_peak(family: Family, values: Array) -> float:
     return float((0.5 * math.pi - math.atan2(cos, sin) - lin.tau[0]) / lin.omega[0])
 
 
-def factors(motion: Motion) -> Array:
+def factors(motion: OrbitMotion) -> Array:
     """The factors (L, 2n, 2n) of the map of a turn of one orbit: its legs, each with the event at its end."""
     lin, plan, size = motion.lin, motion.plan, motion.start.shape[1]
     modes, found = row_of(motion.pieces, 0), np.empty((len(plan.table), size, size))
@@ -107,7 +107,7 @@ def factors(motion: Motion) -> Array:
     return found
 
 
-def exponents(motion: Motion) -> Array:
+def exponents(motion: OrbitMotion) -> Array:
     """Lyapunov exponents (2n,) per forcing period of one orbit, largest first: ln|multipliers|, whatever their spread.
 
     The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost

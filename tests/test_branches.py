@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.continuation.orbits import orbit_from_state
 from workers.continuation.oscillator import family_of
 from workers.continuation.stability import multipliers
@@ -96,7 +96,7 @@ def test_the_stability_of_a_branch_changes_at_its_events_alone_though_multiplier
     """Towards a symmetry breaking the multiplier of an asymmetric orbit is 1 to rounding, on either side of it."""
     signs = cycle((1.0, -1.0))
 
-    def flickering(motion: Motion) -> NDArray[np.complex128]:
+    def flickering(motion: OrbitMotion) -> NDArray[np.complex128]:
         exact = multipliers(motion)
         return np.where(np.abs(np.abs(exact) - 1.0) < 1e-6, exact * (1.0 + 2e-6 * next(signs)), exact)
 

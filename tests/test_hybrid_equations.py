@@ -14,7 +14,7 @@ from workers import Settings
 from workers.continuation.admissible import first_fault
 from workers.continuation.equations import motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.continuation.orbits import orbit_from_state, refined
 from workers.continuation.oscillator import Family, family_of
 from workers.continuation.recording import recorded
@@ -44,7 +44,7 @@ def always(machines: HybridMachines) -> Family:
 
 
 @functools.cache
-def solved(name: str) -> Motion:
+def solved(name: str) -> OrbitMotion:
     """The orbit of a record by the equations, from times that are all a little late."""
     record = RECORDS[name]
     machines = machines_of([machine_in(record)])
@@ -54,7 +54,7 @@ def solved(name: str) -> Motion:
     return motion
 
 
-def whole_times(motion: Motion) -> np.ndarray:
+def whole_times(motion: OrbitMotion) -> np.ndarray:
     """Times of all events within the turn before, this one and the next."""
     span = float(motion.span[0])
     return np.concatenate([motion.times[0] + k * span for k in (-2, -1, 0, 1, 2)])

@@ -21,13 +21,13 @@ from workers.continuation.admissible import CONTACT, LOST, Touch, first_fault
 from workers.continuation.equations import check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.extended import Extended, solve
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.continuation.orbits import section_state
 from workers.continuation.oscillator import family_of, machine_of
 from workers.continuation.stability import multipliers
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.motion import axes
-from workers.model.family import Machine
+from workers.model.family import OrbitMachines
 from workers.model.oscillator import make_blocks
 from workers.model.system import System, find_system
 
@@ -36,7 +36,7 @@ TWO_MASS = find_system("two-mass")
 BIFURCATIONS = [record for record in CURVES if record["times"]]
 
 
-def motion_at(record: dict[str, Any]) -> Motion:
+def motion_at(record: dict[str, Any]) -> OrbitMotion:
     lin = family_of(TWO_MASS, reference_values(record), ()).model(np.zeros((1, 0)))
     return motion_of(lin, many_orbits([reference_orbit(record)]))
 
@@ -127,7 +127,7 @@ def general(damping: float, harmonics: int) -> System:
     })  # fmt: skip
 
 
-def bounced(system: System, motion: Motion, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def bounced(system: System, motion: OrbitMotion, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The naive twin: physical states at times s of one turn, and at its end, by an integrator."""
     own = system.definition.hybrid({"omega": np.array([1.7]), "tau": np.array([0.4])})
     inverse, row, rest, n = np.linalg.inv(own.mass[0]), own.row[0, 0], motion.lin.rest[0], 3
@@ -152,10 +152,10 @@ def bounced(system: System, motion: Motion, s: np.ndarray) -> tuple[np.ndarray, 
     return np.array(out), u - rest
 
 
-def general_motion(system: System) -> Motion:
+def general_motion(system: System) -> OrbitMotion:
     """No orbit: a turn of the general machine from anywhere."""
     start = np.random.default_rng(2).standard_normal((1, 6))
-    return Motion(machine_of(system, {}), Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
+    return OrbitMotion(machine_of(system, {}), Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-4, 0.05, 0.3, 2.0])
@@ -194,7 +194,7 @@ def test_the_jacobian_with_a_rigid_mode_is_that_of_finite_differences(harmonics:
     differences_of(general_motion(general(0.3, harmonics)), 1e-7)
 
 
-def differences_of(motion: Motion, tolerance: float) -> None:
+def differences_of(motion: OrbitMotion, tolerance: float) -> None:
     J, X = motion.linearised()[0], motion.unknowns
     for i in range(len(J)):
         step = 1e-6 * np.eye(1, len(J), i)
@@ -239,7 +239,7 @@ def test_the_bouncing_ball_has_the_multipliers_of_its_map() -> None:
 
 
 def test_sticking_and_false_symmetry_are_refused_in_one_line() -> None:
-    def pair(**changes: float) -> Machine:
+    def pair(**changes: float) -> OrbitMachines:
         return machine_of(find_system("impact-pair"), {"alpha": 0.3, "nu": 1.0} | changes)
 
     with pytest.raises(ValueError, match="R = 0"):

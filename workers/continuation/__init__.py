@@ -9,7 +9,7 @@ from workers.continuation.extended import Condition
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.orbits import orbit_from_state, section_state, section_states
 from workers.continuation.oscillator import Family, family_of
-from workers.model.family import Machine
+from workers.model.family import OrbitMachines
 
 __all__ = [
     "BranchRun",
@@ -17,8 +17,8 @@ __all__ = [
     "Event",
     "Family",
     "Itinerary",
-    "Machine",
     "Orbit",
+    "OrbitMachines",
     "Point",
     "Start",
     "branch",

@@ -11,7 +11,7 @@ import numpy as np
 
 from workers.continuation.itinerary import turns_round
 from workers.continuation.legs import ACT, MODE, NO_EVENT, REBOUNDS, RESTS, beyond_range, event_of_leg
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.kernel.chatter import chatter_time
 from workers.model.hybrid_modes import OPEN, SIGNALS
 
@@ -50,7 +50,7 @@ class Touch(NamedTuple):
     side: int
 
 
-def first_fault(motion: Motion, touches: Sequence[Touch] = (), lost: int = -1) -> Fault | None:
+def first_fault(motion: OrbitMotion, touches: Sequence[Touch] = (), lost: int = -1) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
     ``touches`` are allowed: where signals graze ends of their ranges and turn back. An event ``lost`` has no rate: an
@@ -69,7 +69,7 @@ def first_fault(motion: Motion, touches: Sequence[Touch] = (), lost: int = -1) -
     )
 
 
-def _in_turn(motion: Motion, touch: Touch) -> Touch:
+def _in_turn(motion: OrbitMotion, touch: Touch) -> Touch:
     """A touch as it is in the turn that begins with the first event, maybe of the mirror image."""
     begin, span = float(motion.begins[0, 0]), float(motion.span[0])
     turns = math.floor((touch.time - begin) / span)
@@ -78,7 +78,7 @@ def _in_turn(motion: Motion, touch: Touch) -> Touch:
     return Touch(touch.time - turns * span, touch.signal, side)
 
 
-def _would_stick(motion: Motion) -> Fault | None:
+def _would_stick(motion: OrbitMotion) -> Fault | None:
     """A turn of friction that would rather stick."""
     for event, signal, _ in motion.plan.turning:
         low, high = (float(motion.holding(event, signal, side)[0]) for side in (-1, 1))
@@ -87,7 +87,7 @@ def _would_stick(motion: Motion) -> Fault | None:
     return None
 
 
-def _would_hop(motion: Motion) -> Fault | None:
+def _would_hop(motion: OrbitMotion) -> Fault | None:
     """A rest that takes the place of chatter whose hops are too long for that, as the load on the stop now changes.
 
     The load must change by a share of itself of HOPS at most while they last.
@@ -106,7 +106,7 @@ def _would_hop(motion: Motion) -> Fault | None:
     return None
 
 
-def _not_in_range(motion: Motion, k: int) -> Fault | None:
+def _not_in_range(motion: OrbitMotion, k: int) -> Fault | None:
     """A leg in whose mode a signal is beyond its range from the beginning."""
     leg, mode = motion.plan.legs[k][0], motion.plan.table[k, MODE]
     signal, side = beyond_range(
@@ -115,13 +115,13 @@ def _not_in_range(motion: Motion, k: int) -> Fault | None:
     return Fault(HELD, motion.plan.legs[k - 1][1] if k else NO_EVENT, signal=signal, side=side) if signal >= 0 else None
 
 
-def _phase(motion: Motion, k: int, later: float = 0.0) -> float:
+def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
     """The phase of the force some time after the beginning of a leg."""
     own = motion.lin
     return math.fmod(float(own.tau[0]) + float(own.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi)
 
 
-def _of_leg(motion: Motion, k: int, period: float, touches: Sequence[Touch], lost: int) -> Fault | None:
+def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch], lost: int) -> Fault | None:
     """What else happens on a leg than its event at its end."""
     (leg, event), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
     tolerance = AT_ONCE * period
@@ -158,20 +158,20 @@ def _of_leg(motion: Motion, k: int, period: float, touches: Sequence[Touch], los
         begun[signal] = 2 * side
 
 
-def _near(motion: Motion, touch: Touch, here: float, period: float) -> bool:
+def _near(motion: OrbitMotion, touch: Touch, here: float, period: float) -> bool:
     span = float(motion.span[0])
     apart = (touch.time - here) / span
     return abs(apart - round(apart)) * span <= NEAR_TOUCH * period
 
 
-def _turns_back(motion: Motion, touch: Touch, period: float) -> bool:
+def _turns_back(motion: OrbitMotion, touch: Touch, period: float) -> bool:
     """Whether a signal comes nearer to its end before a touch, and leaves it after."""
     times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
     _, (_, rates, _, _) = motion.at(times, touch.signal)
     return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
 
 
-def peak_of(motion: Motion, why: Fault) -> float | None:
+def peak_of(motion: OrbitMotion, why: Fault) -> float | None:
     """About when a signal, beyond its end since the time of a fault, turns back, if within the leg."""
     k = int(np.searchsorted(motion.begins[0], why.time, side="right")) - 1
     s = np.linspace(why.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
@@ -180,7 +180,7 @@ def peak_of(motion: Motion, why: Fault) -> float | None:
     return float(s[turned[0]]) if len(turned) else None
 
 
-def name_of_touch(motion: Motion, touch: Touch) -> str:
+def name_of_touch(motion: OrbitMotion, touch: Touch) -> str:
     """What it is called where a signal touches an end of its range."""
     k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
     code = motion.plan.legs[max(k, 0)][0].code

@@ -15,7 +15,7 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on
 from workers.continuation.legs import ACT, SLOWS
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.continuation.onward import asks_multipliers, is_smooth
 from workers.continuation.shorter import without_event
 from workers.continuation.walk import Step
@@ -73,7 +73,7 @@ def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     return None if peak is None else solved_on(step, X, (*own, graze), (peak,))
 
 
-def _of_holding(step: Step, X: Array, motion: Motion, why: Fault) -> LocatedEvent | None:
+def _of_holding(step: Step, X: Array, motion: OrbitMotion, why: Fault) -> LocatedEvent | None:
     """Where the force that would hold friction at an event is its static level."""
     if why.impact < 0 or why.signal < SIGNALS * motion.lin.elements.soft.shape[1]:
         return None
@@ -82,7 +82,7 @@ def _of_holding(step: Step, X: Array, motion: Motion, why: Fault) -> LocatedEven
     return solved_on(step, X, (*step.equations.conditions, condition))
 
 
-def _of_loss(step: Step, X: Array, motion: Motion, why: Fault, near: float = 0.0) -> LocatedEvent | None:
+def _of_loss(step: Step, X: Array, motion: OrbitMotion, why: Fault, near: float = 0.0) -> LocatedEvent | None:
     """Where an event is lost: an impact, or a slide that sticks, has no speed there; of another the graze of the orbit
     without it, on the step or ``near`` it.
     """

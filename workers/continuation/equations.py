@@ -6,26 +6,26 @@ import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import ACT, END, REBOUNDS, SIGNAL
-from workers.continuation.motion import Motion, plan_of
-from workers.model.family import Machine
+from workers.continuation.motion import OrbitMotion, plan_of
+from workers.model.family import OrbitMachines
 from workers.model.hybrid_modes import SIGNALS
 from workers.model.modes import stacked
 from workers.model.oscillator import Array, Mask
 
 
-def check_orbits(lin: Machine, itinerary: Itinerary) -> None:
+def check_orbits(lin: OrbitMachines, itinerary: Itinerary) -> None:
     """ValueError, in one line, where these equations hold for no machine: see ``admit``."""
     for wrong, why in _faults(lin, itinerary):
         if np.all(wrong):
             raise ValueError(why)
 
 
-def admit(lin: Machine, itinerary: Itinerary) -> Mask:
+def admit(lin: OrbitMachines, itinerary: Itinerary) -> Mask:
     """For which machines (N,) these equations hold: not for false symmetry, rebounds with R = 0, missing stops."""
     return ~np.any([np.broadcast_to(wrong, lin.omega.shape) for wrong, _ in _faults(lin, itinerary)], axis=0)
 
 
-def _faults(lin: Machine, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
+def _faults(lin: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
     """For which machines (N,) the equations do not hold, and why."""
     unknown = itinerary.periods < 1 or (not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides))
     yield np.array(unknown), f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1"
@@ -46,20 +46,20 @@ def _faults(lin: Machine, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
         yield ~np.isfinite(stop), f"an impact at the {name} stop, which is not there: b_{name} = {abs(stop[0])}"
 
 
-def motion_of_unknowns(lin: Machine, itinerary: Itinerary, X: Array) -> Motion:
+def motion_of_unknowns(lin: OrbitMachines, itinerary: Itinerary, X: Array) -> OrbitMotion:
     """Motions of unknowns X (N, ...), of which states and times come first."""
     size = lin.dimension
     start, times = np.split(X[:, : size + len(itinerary.sides)], [size], axis=1)
-    return Motion(lin, itinerary, np.ascontiguousarray(times), np.ascontiguousarray(start))
+    return OrbitMotion(lin, itinerary, np.ascontiguousarray(times), np.ascontiguousarray(start))
 
 
-def motion_of(lin: Machine, orbits: Orbit) -> Motion:
+def motion_of(lin: OrbitMachines, orbits: Orbit) -> OrbitMotion:
     """Motions with events at the times of a record of many orbits, and the states that solve the equations best.
 
     For given times these are linear in the state, 2n + m equations for 2n numbers.
     """
     times, size = np.ascontiguousarray(orbits.times), lin.dimension
-    still = Motion(lin, orbits.itinerary, times, np.zeros((len(times), size)))
+    still = OrbitMotion(lin, orbits.itinerary, times, np.zeros((len(times), size)))
     J, right = still.linearised()[:, :, :size], still.turn.residuals[..., None]
     start = -stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
-    return Motion(lin, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))
+    return OrbitMotion(lin, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))

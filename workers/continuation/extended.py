@@ -15,11 +15,11 @@ import numpy as np
 
 from workers.continuation.equations import check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.continuation.newton import Solved, newton
 from workers.continuation.oscillator import Family
 from workers.continuation.stability import multipliers, pair_near
-from workers.model.family import Machine, NoOscillatorError
+from workers.model.family import NoOscillatorError, OrbitMachines
 from workers.model.modes import stacked
 from workers.model.oscillator import Array, Rows
 
@@ -111,7 +111,7 @@ class Extended:
         self.totals = [2.0 * condition.kappa for condition in conditions]
         self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
 
-    def model(self, values: Array) -> Machine:
+    def model(self, values: Array) -> OrbitMachines:
         """The oscillator at parameters (free,), as the only one of a record of many."""
         return self._model(*values.tolist())
 
@@ -128,7 +128,7 @@ class Extended:
         """The parameters (..., free) of unknowns (..., N)."""
         return X[..., X.shape[-1] - self.free :]
 
-    def motion(self, X: Array) -> Motion:
+    def motion(self, X: Array) -> OrbitMotion:
         """Oscillator, itinerary and impacts of unknowns (N,), as one of many."""
         return self._motion(*X.tolist())
 
@@ -178,7 +178,7 @@ class Extended:
                 found.totals[i] = float(total[0])
         return found
 
-    def _all(self, X: Array, motion: Motion) -> Array:
+    def _all(self, X: Array, motion: OrbitMotion) -> Array:
         """All equations (B, equations) at unknowns (B, N), which are these motions."""
         contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
         for i, condition in enumerate(self.conditions):
@@ -198,7 +198,7 @@ class Extended:
                 parts.append(self._solved(i, motion)[:, -1:])
         return np.concatenate(parts, axis=1)
 
-    def _bordered_matrix(self, condition: Condition, motion: Motion) -> Array:
+    def _bordered_matrix(self, condition: Condition, motion: OrbitMotion) -> Array:
         """J_z of a condition on a multiplier where all events are impacts, else DP - z, each in units of the unknowns.
 
         J_z has no poles where an impact has no speed. Where a soft contact is hardly touched it is nearly singular
@@ -215,7 +215,7 @@ class Extended:
         first condition at unknowns X (N,)."""
         return self._of_unknowns(self.motion(X), self.at(X).borders[0][1][None])[0]
 
-    def _of_unknowns(self, motion: Motion, along: Array) -> Array:
+    def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
         """The direction (B, states) of unknowns that a null vector of ``_bordered_matrix`` is, in units of scale."""
         if motion.plan.impacts:
             return along
@@ -223,7 +223,7 @@ class Extended:
         found = motion.unknowns_along(along * size) / self.scale[: self.states]
         return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
-    def _solved(self, i: int, motion: Motion) -> Array:
+    def _solved(self, i: int, motion: OrbitMotion) -> Array:
         """(w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular, along w."""
         J = self._bordered_matrix(self.conditions[i], motion)
         size = J.shape[1]
@@ -233,7 +233,7 @@ class Extended:
         right[:, -1] = 1.0
         return np.asarray(stacked(np.linalg.solve, right.shape, matrix, right)[..., 0])
 
-    def curvature(self, motion: Motion) -> Array:
+    def curvature(self, motion: OrbitMotion) -> Array:
         """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
         along = self._of_unknowns(motion, self._solved(fold, motion)[:, :-1]) * self.scale[: self.states]

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workers.model.family import FLYING, Machine
+from workers.model.family import FLYING, OrbitMachines
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code
 from workers.model.oscillator import Array
 
@@ -82,7 +82,7 @@ class Itinerary(NamedTuple):
         other = self._replace(legs=())
         return other if other.chains == self.legs else self
 
-    def span(self, lin: Machine) -> Array:
+    def span(self, lin: OrbitMachines) -> Array:
         """The length (N,) of a turn of machines."""
         found: Array = (0.5 if self.symmetric else 1.0) * self.periods * 2.0 * math.pi / lin.omega
         return found

@@ -32,7 +32,7 @@ from workers.continuation.legs import (
     between_events,
     turns_of_modes,
 )
-from workers.model.family import Machine
+from workers.model.family import OrbitMachines
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code, Pieces
 from workers.model.modes import stacked
 from workers.model.oscillator import Array
@@ -50,7 +50,7 @@ PLANS = 256
 """Plans that are kept: itineraries, one for all points of a branch, are few."""
 
 
-class Plan(NamedTuple):
+class TurnPlan(NamedTuple):
     """What an itinerary alone decides of a turn.
 
     legs     each with the event at its end, NO_EVENT for none; that before event 0 has no length
@@ -72,13 +72,13 @@ class Plan(NamedTuple):
     slows: bool
 
 
-def plan_of(lin: Machine, itinerary: Itinerary) -> Plan:
+def plan_of(lin: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
     """The plan of an itinerary of machines."""
     return _plan_of(itinerary, tuple(lin.elements.soft[0].tolist()))
 
 
 @lru_cache(PLANS)
-def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> Plan:
+def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> TurnPlan:
     """The plan of an itinerary of machines, 1 for each of their contacts that is soft and 0 for others."""
     m, chains = len(itinerary.sides), itinerary.chains
     legs = [(leg, NO_EVENT) for leg in chains[0]]
@@ -104,7 +104,7 @@ def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> Plan:
     signs = np.sign(itinerary.sides).astype(np.int64) * (2 * reached[:, END] - 1)
     impacts = len(legs) == max(m + 1, 1) and bool(np.all(reached[:, ACT] == REBOUNDS))
     slows = bool(np.any(reached[:, ACT] == SLOWS))
-    return Plan(tuple(legs), tuple(turning), tuple(codes), table, reached, signs, impacts, slows)
+    return TurnPlan(tuple(legs), tuple(turning), tuple(codes), table, reached, signs, impacts, slows)
 
 
 def _act(before: Code, after: Leg, soft: tuple[float, ...]) -> int:
@@ -131,13 +131,13 @@ class Turn(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Motion:
+class OrbitMotion:
     """N orbits of one itinerary with their machines: times (N, m) of events, states (N, 2n) before the first of them.
 
     Without events the states are at time 0.
     """
 
-    lin: Machine
+    lin: OrbitMachines
     itinerary: Itinerary
     times: Array
     start: Array
@@ -153,7 +153,7 @@ class Motion:
         return np.concatenate([self.start, self.times], axis=1)
 
     @cached_property
-    def plan(self) -> Plan:
+    def plan(self) -> TurnPlan:
         """The legs and events of a turn."""
         return plan_of(self.lin, self.itinerary)
 

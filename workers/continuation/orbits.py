@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from workers.continuation.admissible import first_fault
 from workers.continuation.equations import admit, check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.continuation.newton import newton
 from workers.continuation.oscillator import Family, family_of
 from workers.continuation.recording import halved, recorded
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
-from workers.model.family import Machine, machines_over
+from workers.model.family import OrbitMachines, machines_over
 from workers.model.oscillator import Array, Mask, Rows
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION
@@ -66,7 +66,7 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
     start = motion_of(own, here._replace(times=phases / own.omega[:, None]))
     scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / own.omega[:, None]], axis=1)
 
-    def motion(X: Array, rows: Rows) -> Motion:
+    def motion(X: Array, rows: Rows) -> OrbitMotion:
         return motion_of_unknowns(own.taken(rows), itinerary, X)
 
     def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
@@ -91,7 +91,7 @@ def attract(family: Family, orbits: Many) -> Mask:
     motion = motion_of(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
     good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
     for k in np.flatnonzero(good[rows])[:, None]:
-        one = Motion(motion.lin.taken(k), motion.itinerary, motion.times[k], motion.start[k])
+        one = OrbitMotion(motion.lin.taken(k), motion.itinerary, motion.times[k], motion.start[k])
         good[rows[k]] = is_minimal(one) and not (family.certified and first_fault(one))
     return good
 
@@ -155,7 +155,7 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     return states_at_sections(machines, many_orbits(orbits), shift)
 
 
-def states_at_sections(lin: Machine, many: Orbit, shift: float = 0.0) -> Array:
+def states_at_sections(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
     """The physical states (N, n, 2d) of orbits at the sections of a turn: see ``section_states``."""
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)

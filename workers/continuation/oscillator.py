@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.model.family import Machine, NoOscillatorError, machines_over
+from workers.model.family import NoOscillatorError, OrbitMachines, machines_over
 from workers.model.oscillator import Array
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
@@ -21,7 +21,7 @@ class Family(NamedTuple):
     """
 
     free: tuple[str, ...]
-    model: Callable[[Array], Machine]
+    model: Callable[[Array], OrbitMachines]
     certified: bool = True
 
 
@@ -36,7 +36,7 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     system.refuse_drift("branches and curves")
     machines = machines_over(system, values, free)
 
-    def model(rows: Array) -> Machine:
+    def model(rows: Array) -> OrbitMachines:
         found, reasons = machines(rows)
         if np.any(reasons != NO_REASON):
             bad = int(np.flatnonzero(reasons != NO_REASON)[0])
@@ -47,7 +47,7 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     return Family(free, model)
 
 
-def machine_of(system: System, values: Mapping[str, float]) -> Machine:
+def machine_of(system: System, values: Mapping[str, float]) -> OrbitMachines:
     """The machine of values of parameters, as the only one of a record of many; raises as ``family_of``."""
     return family_of(system, values, ()).model(np.zeros((1, 0)))
 

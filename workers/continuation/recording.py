@@ -3,7 +3,7 @@
 import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
-from workers.model.family import Machine
+from workers.model.family import OrbitMachines
 from workers.model.oscillator import Array
 from workers.orbit.passed import passed
 
@@ -12,7 +12,7 @@ ALIKE, ASKED = 1e-6, 1e-2
 to be symmetric."""
 
 
-def recorded(machine: Machine, state: Array, periods: int, symmetric: bool = False) -> Orbit:
+def recorded(machine: OrbitMachines, state: Array, periods: int, symmetric: bool = False) -> Orbit:
     """The orbit of one machine as its events are passed in some periods from a physical section state.
 
     A symmetric one where the second half is the mirror image of the first. ValueError where it cannot be followed.
@@ -40,7 +40,7 @@ def recorded(machine: Machine, state: Array, periods: int, symmetric: bool = Fal
     return halved(machine, Orbit(itinerary, np.array(times), np.array(speeds)), ASKED if symmetric else ALIKE)
 
 
-def halved(machine: Machine, orbit: Orbit, alike: float = ALIKE) -> Orbit:
+def halved(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:
     """The half of an orbit of one machine whose other half is its mirror image; else the orbit itself.
 
     Times of events of both halves may differ by the share ``alike`` of a turn.

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.model.oscillator import Array
 
 SAME = 1e-7
@@ -62,7 +62,7 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
     return tuple(found)
 
 
-def difference(motion: Motion, to: Itinerary) -> Array:
+def difference(motion: OrbitMotion, to: Itinerary) -> Array:
     """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
     itinerary, t, v = motion.orbits.taken(0)
     k, span = len(to.sides), motion.span[0]
@@ -71,7 +71,7 @@ def difference(motion: Motion, to: Itinerary) -> Array:
     return np.concatenate([later * motion.lin.omega[0], (speeds - to.sign * v) / np.max(np.abs(v))])
 
 
-def is_minimal(motion: Motion) -> bool:
+def is_minimal(motion: OrbitMotion) -> bool:
     """Whether one orbit is none of those repeated that its itinerary allows."""
     return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.itinerary))
 

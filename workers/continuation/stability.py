@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.motion import Motion
+from workers.continuation.motion import OrbitMotion
 from workers.model.oscillator import Array
 
 
-def multipliers(motion: Motion) -> NDArray[np.complex128]:
+def multipliers(motion: OrbitMotion) -> NDArray[np.complex128]:
     """Multipliers (N, 2n) of a turn, those of D_G for symmetric orbits, of largest modulus first; inf where an impact
     has no speed, and exactly 0 in directions that are lost."""
     maps = motion.turn.maps

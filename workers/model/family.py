@@ -30,7 +30,7 @@ class NoOscillatorError(ValueError):
 
 
 @dataclass
-class Machine:
+class OrbitMachines:
     """N machines of n coordinates and their modes, each built when it is first asked for.
 
     omega, tau (N,)  forcing frequency, forcing phase at a section
@@ -65,9 +65,9 @@ class Machine:
         """The machines as the kernels of cells take them."""
         return self.build()
 
-    def taken(self, rows: Rows) -> "Machine":
+    def taken(self, rows: Rows) -> "OrbitMachines":
         """These rows, in their order, with the modes of the whole."""
-        return Machine(
+        return OrbitMachines(
             self.omega[rows], self.tau[rows], taken(self.elements, rows), self.rest[rows],
             lambda code: taken(self.mode(code), rows), lambda: taken(self.machines, rows),
             lambda: taken(self.oscillators, rows),
@@ -89,7 +89,7 @@ def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, .
     return (_Switching if system.has_modes else _Flying)(system, fixed, free)
 
 
-def with_modes(machines: HybridMachines) -> Machine:
+def with_modes(machines: HybridMachines) -> OrbitMachines:
     """Machines whose law changes in any way: each mode is built as such."""
 
     def make(code: Code) -> Pieces:
@@ -98,7 +98,7 @@ def with_modes(machines: HybridMachines) -> Machine:
             raise NoOscillatorError("a mode of this orbit has no bounded motion there")
         return found
 
-    return Machine(
+    return OrbitMachines(
         machines.omega, machines.tau, elements_of(machines), np.zeros((len(machines.omega), machines.dimension)), make,
         lambda: machines, lambda: build_hybrid(machines)[0],
     )  # fmt: skip
@@ -123,7 +123,7 @@ class _Over:
 class _Switching(_Over):
     """Of a system whose law changes in any way."""
 
-    def __call__(self, rows: Array) -> tuple[Machine, NDArray[np.int8]]:
+    def __call__(self, rows: Array) -> tuple[OrbitMachines, NDArray[np.int8]]:
         """The machines of rows of values (N, free), and the reason against each."""
         values = self.others(rows) | self.given(rows)
         own = self.system.definition.hybrid(values)
@@ -152,7 +152,7 @@ class _Flying(_Over):
         self._kept: dict[int, _Kept] = {}
 
     @np.errstate(all="ignore")
-    def __call__(self, rows: Array) -> tuple[Machine, NDArray[np.int8]]:
+    def __call__(self, rows: Array) -> tuple[OrbitMachines, NDArray[np.int8]]:
         """The machines of rows of values (N, free), and the reason against each."""
         values, kept = self.given(rows), self._kept.get(len(rows))
         if kept:
@@ -200,7 +200,7 @@ class _Flying(_Over):
             load = (machines.mass @ acceleration[..., -1:])[..., 0]
             return _described(machines, load, elements)
 
-        found = Machine(
+        found = OrbitMachines(
             machines.omega, phase_of(machines.tau), elements, rest, {FLYING: mode}.__getitem__, describe,
             lambda: build(machines)[0],
         )  # fmt: skip
