@@ -18,7 +18,7 @@ from workers import Settings, System, solve_tile
 from workers.cell.observing import observe_orbits, observed
 from workers.model.observables import Observable, observables_of
 from workers.model.system import find_system
-from workers.results import CHAOTIC, PERIODIC
+from workers.results import CHAOTIC, INVALID, PERIODIC
 
 TWO_PI = 2.0 * math.pi
 IMPACTS = "impact_phase:upper,impact_phase:lower,impact_speed"
@@ -204,6 +204,14 @@ def test_what_is_observed_changes_no_other_result_and_depends_on_no_neighbour() 
         np.testing.assert_array_equal(with_more[name], values)
     alone = seen("two-mass", {"omega": 2.3, "b": 0.15}, f"energy_loss,{IMPACTS}", max_periods=2000)
     np.testing.assert_array_equal(alone["impact_speed"], with_more["impact_speed"][0])
+
+
+@pytest.mark.parametrize("system", ["two-mass", "soft-impact"])
+def test_cells_without_a_class_show_nothing(system: str) -> None:
+    found = seen(system, {"omega": [-1.0, -2.0]}, "impact_phase,maximum:gap")
+    assert np.all(found["regime"] == INVALID)
+    assert np.all(np.isnan(found["impact_phase"]))
+    assert found["maximum_gap_number"].tolist() == [0, 0]
 
 
 def test_orbits_are_observed_from_their_states_as_cells_are() -> None:

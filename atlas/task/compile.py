@@ -234,8 +234,7 @@ def warm_up(*parts: str) -> None:
     from workers.tile import solve_tile
 
     if OBSERVED in parts:
-        machine = System.from_mapping(WITH_MODES) if MODES in parts else DEFAULT
-        solve_tile(machine, {}, Settings(max_periods=1, observe="energy_loss"))
+        _observe_a_period()
     if MODES in parts:
         _warm_up_modes(parts)
         return
@@ -267,6 +266,15 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
         solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
     if MODES_ORBITS in parts:
         _follow_an_orbit(system, {})
+
+
+def _observe_a_period() -> None:
+    """What a period shows of a machine whose law changes: all others are observed as such."""
+    from workers.cell.observing import observe_orbits
+
+    record = System.from_mapping(WITH_MODES)
+    values = {p.name: np.array([p.default]) for p in record.parameters}
+    observe_orbits(record.definition, values, np.zeros((1, 2)), np.ones(1, dtype=np.int64), "energy_loss", 1)
 
 
 def _follow_an_orbit(record: System, values: dict[str, float]) -> None:

@@ -17,7 +17,7 @@ from workers.kernel.motion import RUNNING
 from workers.kernel.observing import COURSE, Seen, Sought, observe_motions
 from workers.model.definition import Definition
 from workers.model.hybrid import FIRST_NUMBER, build_hybrid
-from workers.model.observables import KINDS, Observable, observables_of
+from workers.model.observables import IMPACT_PHASE, KINDS, Observable, observables_of
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
 from workers.results import NO_REASON
 
@@ -30,14 +30,16 @@ def observe(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
     """Write what the observables of their settings show of cells of known classes, from parameters (N,) each."""
     observables, hybrid = observables_of(cells.settings.observe, definition), cells.oscillators.has_modes
     rows = np.flatnonzero(np.isin(cells.found["regime"], KNOWN))
-    for first in range(0, max(len(rows), 1) if observables else 0, AT_ONCE):  # of none, too: it compiles the kernel
+    for first in range(0, len(rows) if observables else 0, AT_ONCE):
         some = rows[first : first + AT_ONCE]
         values = {name: value[some] for name, value in params.items()}
         machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
         periods, closes = turns_of(cells, some)
         motions = *starts_of(cells, some, closes), periods, closes
         outputs = outputs_for(observables, definition, values)
-        found, whole = observed(machines, observables, outputs, motions, cells.settings.observe_values)
+        found, whole = observed(
+            machines, observables, outputs, motions, cells.settings.observe_values, definition.turns
+        )
         put(cells, some[whole], **{name: value[whole] for name, value in found.items()})
 
 
@@ -47,11 +49,12 @@ def observed(
     outputs: tuple[Array, Array],
     motions: tuple[Array, Rows, Rows, Mask],
     most: int,
+    turns: int,
 ) -> tuple[Values, Mask]:
     """The first values of each observable of N motions, ``most`` at most; and which of these could be followed.
 
     outputs: see outputs_for. motions: physical states (N, 2n), with the numbers of their modes (N, 1), the periods (N,)
-    that they go, and for which of them that is a turn of an orbit.
+    that they go, and for which of them that is a turn of an orbit. turns: see Definition.
     """
     states, codes, periods, closes = motions
     N, M, own = len(states), len(observables), machines.table.machines
@@ -74,7 +77,10 @@ def observed(
     machines.with_modes(see, np.arange(N))
     numbers, found = np.where(endless > 0, -1, counts), Values()
     for m, each in enumerate(observables):
-        found |= {each.variable: seen.values[:, m], each.number: numbers[:, m]}
+        shown = seen.values[:, m]
+        if each.kind == IMPACT_PHASE:  # of the machine, whose frequency is omega / turns
+            shown = np.mod(turns * shown, each.turn)
+        found |= {each.variable: shown, each.number: numbers[:, m]}
     return found, status == RUNNING
 
 
@@ -98,7 +104,9 @@ def observe_orbits(
     machines, reasons = build_hybrid(definition.hybrid(values))
     begun, reasons = begin(machines, reasons, states)
     motions = states, begun.contact - FIRST_NUMBER, periods, np.ones(len(states), dtype=bool)
-    found, whole = observed(machines, observables, outputs_for(observables, definition, values), motions, most)
+    found, whole = observed(
+        machines, observables, outputs_for(observables, definition, values), motions, most, definition.turns
+    )
     there = whole & (reasons == NO_REASON)
     for each in observables:
         found[each.variable][~there], found[each.number][~there] = np.nan, 0
