@@ -129,6 +129,16 @@ def test_a_ratio_makes_the_machine_of_whole_orders_of_the_lower_frequency() -> N
         assert np.array_equal(found, other[name], equal_nan=found.dtype.kind == "f"), name
 
 
+def test_the_phase_of_an_impact_is_that_of_omega_where_the_force_repeats_later() -> None:
+    whole = machine(harmonics=[{"order": 2, "force": ["A"]}, {"order": 3, "force": ["B"], "phase": [0.3]}])
+    settings = Settings(observe="impact_phase", observe_values=16)
+    one = solve_tile(two_frequencies("3/2"), RATIO, settings)
+    other = solve_tile(whole, RATIO | {"omega": RATIO["omega"] / 2, "tau": 0.35}, settings)
+    assert np.any(one["impact_phase_number"] > 0)
+    turned = np.mod(2.0 * other["impact_phase"], 2 * math.pi)
+    assert one["impact_phase"] == pytest.approx(turned, abs=1e-12, nan_ok=True)
+
+
 def test_a_ratio_in_lower_terms_is_the_same_machine() -> None:
     assert two_frequencies("6/4") == two_frequencies("3/2")
     assert two_frequencies("4/2").table()["harmonics"][1]["order"] == 2
