@@ -69,6 +69,7 @@ def _fields_of(machine: Machine, H: int) -> tuple[Any, ...]:
         np.reshape(pads, (P, C, 3)),
         np.reshape([f.row for f in machine.friction], (F, n)), [f.belt for f in machine.friction],
         np.reshape([[[f.kinetic, f.static, f.slope] for f in law.friction] for law in laws], (P, F, 3)),
+        np.zeros((C, 2, 1, 3)), np.zeros((F, 1, 3)), np.ones(C),
     )  # fmt: skip
 
 

@@ -287,7 +287,7 @@ def rig(**changes: Any) -> dict[str, Any]:
 
 SOFT = {"gap": [1, 0], "upper": 1, "stiffness": 1}
 SLIDE = {"row": [1, 0], "kinetic": 1}
-BOTH = "a rigid contact has a restitution, a soft one a stiffness, damping, preload and release"
+BOTH = "a rigid contact has a restitution, a soft one a stiffness or law, damping, preload and release"
 
 WRONG = [
     ({"gap": [1, 0]}, "system.gap: stands beside [[system.contacts]]; write it into one of these"),

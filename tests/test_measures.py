@@ -46,7 +46,8 @@ def meters_of(hybrid: Oscillator) -> Meters:
     """Each displacement, velocity and acceleration, all with their extremes."""
     own, n = hybrid.table.machines, hybrid.gap_row.shape[1]
     orders = np.repeat(np.arange(3.0), n)[None]
-    return Meters(np.tile(np.eye(n), (3, 1))[None], orders, np.ones((1, 3 * n)), own.damping, own.pad, own.rub)
+    rows, elements = np.tile(np.eye(n), (3, 1))[None], (own.damping, own.pad, own.rub, own.law, own.grip)
+    return Meters(rows, orders, np.ones((1, 3 * n)), *elements)
 
 
 @functools.cache

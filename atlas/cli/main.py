@@ -26,6 +26,7 @@ _COMMANDS: _Table = {
     },
     "Compute": {
         "plan": ("run.plan", "Tell what SPEC will cost: cells, bytes, time."),
+        "check-law": ("law.check", "Tell whether the segments of a law matter."),
         "run": ("run.run", "Compute SPEC into a store, or resume that."),
         "extend": ("run.extend", "Make a larger or finer atlas of STORE."),
         "retry": ("run.retry", "Solve cells of STORE again, with more periods."),

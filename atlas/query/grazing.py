@@ -76,8 +76,8 @@ def with_one_stop(system: System) -> tuple[System, ...]:
     does not reach it. InputError where friction or phases make motions without impact other than linear.
     """
     own = system.definition
-    if own.friction or own.phases:
-        what = "friction" if own.friction else "phases of the forcing period"
+    if own.friction or own.phases or own.springs:
+        what = "friction" if own.friction else "phases of the forcing period" if own.phases else "springs with a law"
         raise InputError(
             f"overlay 'grazing': {system.name} has {what}, so that its motion without impacts is no linear response; "
             "atlas find curves finds the grazes of its orbits"

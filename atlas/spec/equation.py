@@ -1,11 +1,14 @@
 """The equation of motion of a system, in text: its author's, or its definition written out."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from workers.model.elements import Contact
+import numpy as np
+
+from workers.model.elements import Contact, Friction, Spring
 from workers.model.expression import Expression
 from workers.model.force import Harmonic
+from workers.model.laws import segments_of
 from workers.model.system import System
 
 
@@ -19,6 +22,8 @@ def equation_of(system: System) -> str:
     if system.equation.strip():
         return system.equation
     machine = system.definition
+    defaults = {p.name: np.array([p.default]) for p in system.parameters}
+    counts = {id(element): segments_of(element, table) for _, element, (table,) in machine.laws(defaults)}
     matrices = ((machine.mass, "''"), (machine.damping, "'"), (machine.stiffness, ""))
     lines = []
     for i in range(len(machine.coordinates)):
@@ -32,11 +37,11 @@ def equation_of(system: System) -> str:
     if machine.turns > 1:
         lines.append(f"forcing period {2 * machine.turns} pi / omega")
     for contact in machine.contacts:
-        lines += _contact(contact, machine.coordinates)
+        lines += _contact(contact, machine.coordinates, counts)
     for friction in machine.friction:
         v = _sum(zip(friction.row, machine.velocities, strict=True))
         v += "" if friction.belt.constant == 0.0 else f" - {_factor(friction.belt)}"
-        level = _sum([(friction.kinetic, ""), (friction.slope, "|v|")])
+        level = _level(friction, counts)
         static = "" if friction.static is None else f", {_number(friction.static)} at rest"
         lines.append(f"friction {friction.name}: {level} against {v if v == 'v' else f'v = {v}'}{static}")
     for phase in machine.phases:
@@ -46,12 +51,16 @@ def equation_of(system: System) -> str:
         changed += [f"{key} ({', '.join(map(_number, row))})" for key, row in rows]
         if changed:
             lines.append(f"from {_number(phase.start)} of the period on: {', '.join(changed)}")
+    for spring in machine.springs:
+        y = _sum(zip(spring.row, machine.coordinates, strict=True))
+        on = y if y in machine.coordinates else f"y = {y}"
+        lines.append(f"spring {spring.name} on {on}: {_law(spring, counts)} back")
     if machine.drift:
         lines.append(f"{machine.drift} may drift")
     return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
 
 
-def _contact(contact: Contact, coordinates: tuple[str, ...]) -> list[str]:
+def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int, int]) -> list[str]:
     """The lines of a contact: its coordinate, where it is free, and what it does else."""
     gap = _sum(zip(contact.gap, coordinates, strict=True))
     name = gap if gap in coordinates else "gap"
@@ -63,9 +72,29 @@ def _contact(contact: Contact, coordinates: tuple[str, ...]) -> list[str]:
     if contact.restitution is not None:
         return [*lines, f"at a stop {name}' -> -{_factor(contact.restitution)} * {name}'"]
     force = [(contact.preload, ""), (contact.stiffness, "d"), (contact.damping, "d'")]
-    known = [(each, of) for each, of in force if each is not None]
+    known = _sum([(each, of) for each, of in force if each is not None])
+    if contact.law is not None:
+        known = _law(contact, counts) + ("" if known == "0" else f" + {known}")
     until = ", as long as that pushes" if contact.release == "force" else ""
-    return [*lines, f"beyond a stop by d: the force {_sum(known)} back{until}"]
+    return [*lines, f"beyond a stop by d: the force {known} back{until}"]
+
+
+def _level(friction: Friction, counts: Mapping[int, int]) -> str:
+    """The force of friction that slides."""
+    if friction.law is not None:
+        return _law(friction, counts)
+    return _sum([(friction.kinetic, ""), (friction.slope, "|v|")])
+
+
+def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str:
+    """The law of an element: its expression, or the first and the last point, and how many segments it has."""
+    law, count = element.law, counts[id(element)]
+    if isinstance(law, Expression):
+        assert element.within is not None
+        return f"{_number(law)} within {_number(element.within)} of the largest, in {count} segments at the defaults,"
+    assert law is not None
+    first, last = (f"({', '.join(map(_number, law[i]))})" for i in (0, -1))
+    return f"{count} segments from {first} to {last}"
 
 
 def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:

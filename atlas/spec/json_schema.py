@@ -16,12 +16,14 @@ from workers.attractors.starts import WHOLE as STARTS
 from workers.attractors.starts import Starts
 from workers.model.elements import PAD, RELEASES, RUB
 from workers.model.entries import NAME
+from workers.model.laws import SEGMENTS
 from workers.model.measures import KEYS as MEASURE_KEYS
 from workers.model.measures import MEASURES, REPORTS
 from workers.model.parameter import Parameter
 from workers.model.reading import LARGEST, MANY, PARAMETER_KEYS
-from workers.model.reading_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, STOPS
+from workers.model.reading_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, SPRINGS, STOPS
 from workers.model.reading_force import HARMONIC_KEYS, HIGHEST, ORDER, POINTS, WAVEFORM_KEYS
+from workers.model.reading_laws import SPRING_KEYS
 from workers.model.system import DEFAULT, KEYS, LATEST, TEXTS, System, packaged_system, system_names
 from workers.model.waveform import WAVEFORMS
 from workers.settings import CHOICES, WHOLE, Settings
@@ -163,7 +165,8 @@ def _definition() -> Schema:
         "axes": _map(_list(_NUMBER, 2, 2)),
         "harmonics": _list(_harmonic(row)),
         "contacts": _list(_element(CONTACT_KEYS, ["name", "gap"]), 1, STOPS),
-        "friction": _list(_element(FRICTION_KEYS, ["name", "row", "kinetic"]), 0, FRICTION),
+        "friction": _list(_element(FRICTION_KEYS, ["name", "row"]), 0, FRICTION),
+        "springs": _list(_element(SPRING_KEYS, [*SPRING_KEYS[:3]]), 0, SPRINGS),
         "phases": _list(_phase(row, matrix), 0, PHASES),
         "drift": _NAME,
         "measures": _map(_measure(row), 0, MEASURES),
@@ -196,6 +199,8 @@ def _element(keys: Iterable[str], required: list[str]) -> Schema:
         "gap": _list(_ENTRY, 1, LARGEST),
         "row": _list(_ENTRY, 1, LARGEST),
         "release": {"enum": list(RELEASES), "default": RELEASES[0]},
+        "law": {"anyOf": [_list(_list(_ENTRY, 2, 2), 2, SEGMENTS + 1), {"type": "string"}]},
+        "range": {"anyOf": [_ENTRY, _list(_ENTRY, 2, 2)]},
     }
     return _table({key: known.get(key, _ENTRY) for key in keys}, required)
 

@@ -100,6 +100,8 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
         damping=own.damping,
         pad=own.pad,
         rub=own.rub,
+        law=own.law,
+        grip=own.grip,
     )
 
 

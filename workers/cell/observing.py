@@ -68,7 +68,7 @@ def observed(
     seen.course[..., COURSE.value] = np.nan
     states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
     allowance = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64)
-    meters = Meters(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub)
+    meters = Meters(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.grip)
 
     def see(some: Rows) -> None:
         given = states, codes, done, periods, closes.astype(np.int64), allowance, some

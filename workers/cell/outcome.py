@@ -125,8 +125,11 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     sticks = orbits.tally[:, motion.STUCK] > 0.0
     free = (impact_count(orbits.tally) == 0.0) & ~sticks
     if cells.oscillators.has_modes:
-        _, contacts, frictions = cells.oscillators.table.machines.sizes
-        regime = np.where(free & (contacts > 0 or frictions == 0), results.NO_IMPACT, results.PERIODIC)
+        machines = cells.oscillators.table.machines
+        springs, contacts = (np.sum(machines.counted[:1] == each) for each in (0.0, 1.0))
+        linear = contacts > 0 or (machines.sizes[2] == 0 and springs == 0)
+        free &= (springs == 0) | (orbits.period == 1)  # springs make orbits of many periods without a contact
+        regime = np.where(free & linear, results.NO_IMPACT, results.PERIODIC)
     else:
         if free.any():
             put_impact_free(cells, rows[free], orbits.h[free])

@@ -19,7 +19,6 @@ from workers.kernel.hybrid.state import enter, product, read_number, turned
 from workers.kernel.jit import kernel, named_constants
 from workers.kernel.motion import MARCH_GAVE_UP, NOTHING_COUNTED, OVERDRAFT, RECORDED, RUNNING, STATUS, WORK, spend
 from workers.kernel.signal import derivative_bounds, evaluate
-from workers.model.hybrid_modes import ON
 from workers.model.observables import ENERGY_LOSS, IMPACT_PHASE, IMPACT_SPEED, KINDS, MAXIMUM, MINIMUM, SECTION
 from workers.model.oscillator import NUMBER, Array, Rows
 
@@ -182,12 +181,16 @@ def stored(table, meter, z, number):
     """The energy in soft contacts that push, in a physical state at a section in the mode of this number."""
     elements, total = table.elements, 0.0
     states = np.zeros(len(elements.row), dtype=np.int64)
-    read_number(number, states, np.zeros(len(elements.slide), dtype=np.int64))
+    read_number(elements, number, states, np.zeros(len(elements.slide), dtype=np.int64))
     for c in range(len(states)):
-        if abs(states[c]) == ON and elements.soft[c] > 0.0:
+        if states[c] % 2 != 0 and elements.soft[c] > 0.0 and elements.counted[c] > 0.0:
             stop = elements.stops[c, 1 if states[c] > 0 else 0]
             depth = np.sign(states[c]) * (product(elements.row[c], z, 0) - stop)
             total += (meter.pad[0, c, 2] + 0.5 * meter.pad[0, c, 0] * depth) * depth
+            law = meter.law[c, 1 if states[c] > 0 else 0]
+            for j in range((abs(states[c]) + 1) // 2):
+                end = depth if j == (abs(states[c]) - 1) // 2 else law[j + 1, 0]
+                total += (law[j, 2] + 0.5 * law[j, 1] * (end + law[j, 0])) * (end - law[j, 0])
     return total
 
 

@@ -1,7 +1,8 @@
 """What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
 
 import dataclasses
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -9,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, pad, rub, stops
+from workers.model import laws
+from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, Spring, pad, rub, stops
 from workers.model.expression import Expression, Matrix, Row, evaluated
 from workers.model.force import Harmonic, amplitudes, changed, turns_of
 from workers.model.free import ULPS
@@ -47,6 +49,7 @@ class Definition:
     phases: tuple[Phase, ...] = ()
     drift: str = ""
     measures: Measures = ()
+    springs: tuple[Spring, ...] = ()
 
     @property
     def stop(self) -> Contact:
@@ -98,8 +101,20 @@ class Definition:
         def table(entries: list[Any], *shape: int) -> Array:
             return evaluated(entries, named).reshape(named[OMEGA].size, *shape)
 
-        C, F, P = len(contacts), len(friction), len(phases)
-        found = HybridMachines(
+        C, F, P, N = len(contacts), len(friction), len(phases), named[OMEGA].size
+        pads = table([[pad(each, phase.contacts) for each in contacts] for phase in phases], P, C, 3)
+        rubs = table([[rub(each, phase.friction) for each in friction] for phase in phases], P, F, 3)
+        law, grip = [laws.none(N, 2)] * C, [laws.none(N)] * F
+        for c, contact in enumerate(contacts):
+            if contact.law is not None:
+                first, found = laws.one_sided(laws.vertices(contact, named), falls=False)
+                pads[:, :, c, 2], law[c] = first[:, None], np.stack([found, found], axis=1)
+        for f, each in enumerate(friction):
+            if each.law is not None:
+                first, grip[f] = laws.one_sided(laws.vertices(each, named), falls=True)
+                rubs[:, :, f, 0] = first[:, None]
+                rubs[:, :, f, 1] = np.where(np.isnan(rubs[:, :, f, 1]), first[:, None], rubs[:, :, f, 1])
+        machines = HybridMachines(
             mass=symmetrised(evaluated(self.mass, named)),
             damping=np.stack([symmetrised(each) for each in of_phases("damping")], axis=1),
             stiffness=np.stack([symmetrised(each) for each in of_phases("stiffness")], axis=1),
@@ -114,13 +129,27 @@ class Definition:
             R=table([each.restitution or 1.0 for each in contacts], C),
             soft=table([float(not each.rigid) for each in contacts], C),
             by_force=table([float(each.release == "force") for each in contacts], C),
-            pad=table([[pad(each, phase.contacts) for each in contacts] for phase in phases], P, C, 3),
+            pad=pads,
             slide=table([each.row for each in friction], F, n),
             belt=table([each.belt for each in friction], F),
-            rub=table([[rub(each, phase.friction) for each in friction] for phase in phases], P, F, 3),
+            rub=rubs,
+            law=laws.widened(law, (N, 2)),
+            grip=laws.widened(grip, (N,)),
+            counted=np.ones((N, C)),
             drift=np.full_like(named[OMEGA], self.coordinates.index(self.drift) if self.drift else -1),
         )
-        return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in found))
+        for spring in self.springs:
+            row = evaluated(spring.row, named)
+            machines = laws.sprung(machines, row, laws.two_sided(laws.vertices(spring, named)))
+        return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in machines))
+
+    def laws(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Contact | Friction | Spring, Array]]:
+        """The entry of each law, whose it is, and its vertices (N, V, 2) of values (N,) of each parameter."""
+        named, count = self._named(values), values[OMEGA].size
+        for kind in ("contacts", "friction", "springs"):
+            for i, element in enumerate(getattr(self, kind)):
+                if element.law is not None:
+                    yield f"system.{kind}[{i}].law", element, laws.vertices(element, named, math.inf)[:count]
 
     @np.errstate(all="ignore")
     def outputs(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:

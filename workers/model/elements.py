@@ -19,6 +19,12 @@ PAD = ("stiffness", "damping", "preload")
 RUB = ("kinetic", "static", "slope")
 """The constants of friction that phases may change."""
 
+LAW = ("law", "within", "range")
+"""The keys of a law: a table, or an expression of its variable with a bound, and where that counts."""
+
+SegmentsOf = tuple[Row, ...] | Expression
+"""A law as its table [[argument, force], ...], or as an expression of its argument."""
+
 Changes = tuple[tuple[str, tuple[tuple[str, Expression], ...]], ...]
 """Constants that a phase changes, by the name of the element and by their own."""
 
@@ -29,7 +35,8 @@ class Contact:
 
     A rigid one has a restitution R and turns y' into -R y'. A soft one has none: at depth delta >= 0 beyond its stop it
     pushes back along the gap row with the force preload + stiffness delta + damping delta', as long as delta > 0 where
-    it is released by "displacement", and no longer than that force is positive where by "force".
+    it is released by "displacement", and no longer than that force is positive where by "force". One with a law has
+    law(delta) in the place of preload + stiffness delta: see laws.py.
     """
 
     name: str
@@ -41,6 +48,9 @@ class Contact:
     damping: Expression | None = None
     preload: Expression | None = None
     release: str = ""
+    law: SegmentsOf | None = None
+    within: Expression | None = None
+    range: Expression | Row | None = None
 
     @property
     def rigid(self) -> bool:
@@ -57,16 +67,30 @@ class Contact:
 class Friction:
     """Dry friction on the sliding velocity v = row . x' - belt.
 
-    While it slides it resists with the force kinetic + slope |v| along the row, and it holds v = 0 as long as the force
-    that this takes is at most ``static``, which is kinetic where it is None.
+    While it slides it resists with the force kinetic + slope |v| along the row, or with law(|v|): see laws.py. It holds
+    v = 0 as long as the force that this takes is at most ``static``, which is kinetic, or law(0), where it is None.
     """
 
     name: str
     row: Row
-    kinetic: Expression
+    kinetic: Expression | None
     static: Expression | None
     belt: Expression
-    slope: Expression
+    slope: Expression | None
+    law: SegmentsOf | None = None
+    within: Expression | None = None
+    range: Expression | Row | None = None
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A spring on y = row . x, which pulls back along its row with the force law(y), wherever y is: see laws.py."""
+
+    name: str
+    row: Row
+    law: SegmentsOf
+    within: Expression | None = None
+    range: Expression | Row | None = None
 
 
 @dataclass(frozen=True)
@@ -102,10 +126,10 @@ def pad(contact: Contact, changes: Changes) -> tuple[Expression | float, ...]:
     return tuple(in_phase(contact, changes, key) or 0.0 for key in PAD)
 
 
-def rub(friction: Friction, changes: Changes) -> tuple[Expression | None, ...]:
-    """Kinetic and static level and slope of friction in a phase."""
+def rub(friction: Friction, changes: Changes) -> tuple[Expression | float, ...]:
+    """Kinetic and static level and slope of friction in a phase; NaN for levels that its law says."""
     kinetic, static, slope = (in_phase(friction, changes, key) for key in RUB)
-    return kinetic, static or kinetic, slope
+    return kinetic or math.nan, static or kinetic or math.nan, slope or 0.0
 
 
 def stops(contact: Contact) -> tuple[Expression | float, Expression | float]:

@@ -232,7 +232,7 @@ def _contact(structure: Structure, machines: Machines) -> Elements:
     return Elements(
         np.ascontiguousarray(machines.gap_row[:, None]), kick[:, None], 1.0 / structure.inverse_gap_mass[:, None],
         nothing, nothing, none, rub, rub, nothing, np.zeros((N, 1, 0)), np.zeros((N, 0, 1)),
-        np.tile([0.0, 1.0], (N, 1)),
+        np.tile([0.0, 1.0], (N, 1)), none + 1.0, np.zeros((N, 1, 2, 1)), np.zeros((N, 0, 1)),
     )  # fmt: skip
 
 
@@ -243,5 +243,6 @@ def _described(machines: Machines, load: Array, elements: Elements) -> HybridMac
         machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
         machines.force_sin[:, None], machines.force_cos[:, None], machines.omega, machines.tau, elements.starts,
         elements.row, elements.stops, elements.R, elements.soft, np.zeros((N, 1)), np.zeros((N, 1, 1, 3)),
-        elements.slide, elements.belt, np.zeros((N, 1, 0, 3)), np.full(N, -1.0),
+        elements.slide, elements.belt, np.zeros((N, 1, 0, 3)), np.zeros((N, 1, 2, 1, 3)), np.zeros((N, 0, 1, 3)),
+        elements.counted, np.full(N, -1.0),
     )  # fmt: skip

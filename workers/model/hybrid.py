@@ -3,6 +3,7 @@
 A mode, see hybrid_modes.py, is built when a motion comes to it for the first time.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,8 @@ class Elements(NamedTuple):
 
     kick (N, C, n) M^-1 g / (g M^-1 g) and weight (N, C) 1 / (g M^-1 g) of each contact's row g; brake (N, F, n) as
     kick, of each friction's row; even (N, P, F): 1 where static = kinetic; along (N, F, C): the factor a
-    where a friction's row is a times a contact's, else 0.
+    where a friction's row is a times a contact's, else 0. depths (N, C, 2, S) and speeds (N, F, S'): where segments of
+    laws begin, infinite for none.
     """
 
     row: Array
@@ -50,6 +52,9 @@ class Elements(NamedTuple):
     even: Array
     along: Array
     starts: Array
+    counted: Array
+    depths: Array
+    speeds: Array
 
 
 def elements_of(machines: HybridMachines) -> Elements:
@@ -65,6 +70,7 @@ def elements_of(machines: HybridMachines) -> Elements:
     return Elements(
         machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
         machines.slide, along(machines.slide), machines.belt, even, along_contacts(machines), machines.starts,
+        machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.law, machines.grip)),
     )  # fmt: skip
 
 
@@ -96,7 +102,8 @@ class Table(NamedTuple):
         rows, number, used = (field[(number >= 0) & (used < self.codes.shape[1])] for field in (rows, number, used))
         for each in np.unique(number).tolist():
             some, place = rows[number == each], used[number == each]
-            made, wrong = pieces_of(taken(self.machines, some), code_of(each, *self.machines.sizes[1:]))
+            code = code_of(each, *self.machines.sizes[1:], *self.machines.segments)
+            made, wrong = pieces_of(taken(self.machines, some), code)
             self.codes[some, place], self.wrong[some, place], self.missing[some, 0] = each, wrong, -1
             for field, new in zip(self.pieces, made, strict=True):
                 field[some, place] = new
@@ -107,7 +114,7 @@ FIRST_NUMBER = 4
 """Added to numbers of modes in contacts of motions, above all contacts of motions without modes."""
 
 ROOM = 64
-"""Modes that there is room for in the table of a machine, at most."""
+"""Modes that there is room for in the table of a machine, at most; two more for each segment of its laws."""
 
 
 @np.errstate(all="ignore")
@@ -142,24 +149,27 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(np.isfinite(swing), swing, 0.0)
     # What a soft contact takes in, not counted yet, is nothing where its force depends on its depth alone.
     keeps = np.all((machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.pad[..., 1] == 0.0, 1)), 1)
-    none, endless = np.zeros(N), np.full(N, np.inf)
+    none, endless, shown = np.zeros(N), np.full(N, np.inf), bool(np.any(machines.counted[:, :1] > 0.0))
     head = Head(
         top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
         time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), symmetric=none,
-        upper=machines.stops[:, 0, 1] if C else endless, lower=machines.stops[:, 0, 0] if C else -endless,
+        upper=machines.stops[:, 0, 1] if shown else endless, lower=machines.stops[:, 0, 0] if shown else -endless,
         gap_mass=np.where(keeps, 1.0, np.nan), trace=np.full(N, np.nan), growth=growth,
     )  # fmt: skip
     numbers = np.zeros((N, len(NUMBER)))
     numbers[:, NUMBER.omega] = machines.omega
-    sides = np.isfinite(machines.stops).any(axis=0).sum(axis=1) * np.where(machines.by_force[:1] > 0.0, 2, 1)
-    room = min(ROOM, P * 3**F * int(np.prod(1 + sides)))  # enough for all: none has more than it can need
+    pushes = np.any(np.isfinite(elements.depths) & np.isfinite(machines.stops)[..., None], axis=0)  # (C, 2, S)
+    sides = np.sum(pushes, axis=(1, 2)) * np.where(machines.by_force.any(axis=0), 2, 1)
+    slides = np.isfinite(elements.speeds).any(axis=0).sum(axis=1)
+    most = ROOM + 2 * int(np.sum(sides) + np.sum(slides)) if machines.segments != (1, 1) else ROOM
+    room = min(most, P * math.prod([*(1 + 2 * slides).tolist(), *(1 + sides).tolist()]))  # all that there are, or most
     table = Table(
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
         Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
         elements, machines.omega, phase_of(machines.tau),
         np.where(machines.drift >= 0.0, 1.0, 0.0), machines,
     )  # fmt: skip
-    row = machines.row[:, 0] if C else np.tile(np.eye(1, n), (N, 1))
+    row = machines.row[:, 0] if shown else np.tile(np.eye(1, n), (N, 1))
     found = Oscillator(
         gap=Mode(blocks, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
         to_physical=to_physical,
@@ -173,7 +183,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
-    fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
+    fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
     return found, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
 

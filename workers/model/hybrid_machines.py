@@ -34,6 +34,10 @@ class HybridMachines(NamedTuple):
     pad          (N, P, C, 3)     stiffness, damping and preload of soft contacts, 0 of rigid ones
     slide        (N, F, n)        row of each friction, belt (N, F) the velocity of what it rubs on
     rub          (N, P, F, 3)     kinetic and static level, slope
+    law          (N, C, 2, S, 3)  what the lower and the upper stop of a soft contact push with besides: in each segment
+                                  the depth where it begins, slope, and force continued to depth 0; see laws.py
+    grip         (N, F, S', 3)    what friction resists with besides, likewise over |v|
+    counted      (N, C)           1 for contacts, 0 for springs, whose stops are the ends of the segment at rest
     drift        (N,)             the coordinate that may drift, -1 for none; alike in all
 
     All are in the units of the definition: pad in force per displacement, force per velocity and force along the row,
@@ -58,6 +62,9 @@ class HybridMachines(NamedTuple):
     slide: Array
     belt: Array
     rub: Array
+    law: Array
+    grip: Array
+    counted: Array
     drift: Array
 
     @property
@@ -74,6 +81,11 @@ class HybridMachines(NamedTuple):
     def sizes(self) -> tuple[int, int, int]:
         """How many phases, contacts and frictions there are."""
         return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
+
+    @property
+    def segments(self) -> tuple[int, int]:
+        """How many segments there is room for in laws of contacts and in those of friction."""
+        return self.law.shape[3], self.grip.shape[2]
 
     @property
     def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
@@ -100,8 +112,9 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     """The reason against each of N machines, or NO_REASON, as far as its numbers alone tell.
 
     Each lower stop has to be below the upper one, 0 <= R <= 1, and no stiffness, damping or preload of a contact
-    negative; 0 <= kinetic <= static; starts rising from 0 and below 1; rows that can be held at once independent, see
-    ``held_rows``, and such that a force along each moves it that way, see ``yields``. Nothing ties down what drifts.
+    negative, nor any slope of a contact's law; segments one after the other; 0 <= kinetic <= static; starts rising from
+    0 and below 1; rows that can be held at once independent, see ``held_rows``, and such that a force along each moves
+    it that way, see ``yields``. Nothing ties down what drifts.
     """
     own = machines
     lower, upper = own.stops[..., 0], own.stops[..., 1]
@@ -111,6 +124,8 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
         (lower < upper) & (own.R >= 0.0) & (own.R <= 1.0),
         own.pad >= 0.0,
         (own.rub[..., 0] >= 0.0) & (own.rub[..., 1] >= own.rub[..., 0]),
+        ~np.isnan(own.law[..., 0]),
+        ~np.isnan(own.grip[..., 0]),
         own.starts[:, :1] == 0.0,
         np.diff(own.starts, axis=1) > 0.0,
     )
@@ -120,7 +135,8 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     if own.drifting >= 0:
         ties = own.stiffness[..., own.drifting], own.row[..., own.drifting]
         reasons[_any(ties[0] != 0.0) | _any(ties[1] != 0.0)] = NO_OSCILLATOR
-    reasons[_any(np.isnan(own.stops)) | ~finite(own._replace(stops=own.R))] = OUT_OF_DOUBLES
+    bounded = own._replace(stops=own.R, law=own.law[..., 1:], grip=own.grip[..., 1:])
+    reasons[_any(np.isnan(own.stops)) | ~finite(bounded)] = OUT_OF_DOUBLES
     return reasons
 
 
@@ -138,6 +154,7 @@ def mirrors(machines: HybridMachines) -> Mask:
     later += [(each, sign * each) for each in (own.force_sin, own.force_cos)]
     uneven = [_any(np.roll(each, -half, axis=1) != image) for each, image in later]
     uneven += [_any(own.stops[..., 0] != -own.stops[..., 1]), _any(own.belt != 0.0)]
+    uneven.append(_any(own.law[:, :, 0] != own.law[:, :, 1]))
     if phases > 1:
         uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
     return ~np.any(uneven, axis=0)

@@ -25,10 +25,7 @@ from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, mak
 
 OPEN, ON, DETACHED = 0, 1, 2
 """What a contact does, with the sign of its side: it is open; held by a rigid stop or engaged by a soft one; or within
-a soft one that can only push and does not."""
-
-CONTACT_DIGIT, SLIP_DIGIT = 5, 3
-"""Bases of the digits of contacts and of slips in the number of a mode."""
+a soft one that can only push and does not. In segment j of a law it is ON + 2 j or DETACHED + 2 j: odd numbers push."""
 
 ROUNDING = 1e-12
 """Share of the terms of a sum, or of the largest eigenvalue, that may be what rounding leaves of zero."""
@@ -41,7 +38,10 @@ SIGNALS = 2
 
 
 class Code(NamedTuple):
-    """Which mode it is: the phase, what each contact does and the sign of each slip, 0 while it sticks."""
+    """Which mode it is: the phase, what each contact does and the sign of each slip, 0 while it sticks.
+
+    A slip in segment j of its law, from 0 on, is +-(1 + j).
+    """
 
     phase: int
     contacts: tuple[int, ...]
@@ -49,25 +49,48 @@ class Code(NamedTuple):
 
     @property
     def number(self) -> int:
-        """The code as one number, the phase first."""
+        """The code as one number, the phase first, for a machine without laws."""
+        return self.number_of(1, 1)
+
+    def number_of(self, segments: int, slip_segments: int) -> int:
+        """The code as one number, for a machine whose laws have room for these numbers of segments."""
         found = self.phase
         for state in self.contacts:
-            found = CONTACT_DIGIT * found + state + CONTACT_DIGIT // 2
+            found = (4 * segments + 1) * found + state + 2 * segments
         for sign in self.slips:
-            found = SLIP_DIGIT * found + sign + SLIP_DIGIT // 2
+            found = (2 * slip_segments + 1) * found + sign + slip_segments
         return found
 
 
-def code_of(number: int, contacts: int, slips: int) -> Code:
-    """The code of a number, for a machine with these numbers of contacts and frictions."""
+def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> Code:
+    """The code of a number, for a machine with these numbers of contacts and frictions, and segments of their laws."""
     signs, states = [], []
     for _ in range(slips):
-        number, digit = divmod(number, SLIP_DIGIT)
-        signs.append(digit - SLIP_DIGIT // 2)
+        number, digit = divmod(number, 2 * slip_segments + 1)
+        signs.append(digit - slip_segments)
     for _ in range(contacts):
-        number, digit = divmod(number, CONTACT_DIGIT)
-        states.append(digit - CONTACT_DIGIT // 2)
+        number, digit = divmod(number, 4 * segments + 1)
+        states.append(digit - 2 * segments)
     return Code(number, tuple(reversed(states)), tuple(reversed(signs)))
+
+
+def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
+    """Stiffness, damping and preload (N,) of a soft contact in phase p and this state: in its segment of the law."""
+    stiffness, damping, preload = machines.pad[:, p, c].T
+    _, slope, level = machines.law[:, c, 1 if state > 0 else 0, (abs(state) - 1) // 2].T
+    return stiffness + slope, damping, preload + level
+
+
+def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
+    """Kinetic level and slope (N,) of friction that slides in phase p, in its segment of the law."""
+    kinetic, _, slope = machines.rub[:, p, f].T
+    _, more, level = machines.grip[:, f, abs(sign) - 1].T
+    return kinetic + level, slope + more
+
+
+def _segment(starts: Array, i: int) -> tuple[Array, Array]:
+    """Where segment i begins and ends (N,), of those that begin at starts (N, S)."""
+    return starts[:, i], starts[:, i + 1] if i + 1 < starts.shape[1] else np.full(len(starts), np.inf)
 
 
 class Pieces(NamedTuple):
@@ -136,18 +159,18 @@ def _pieces_alike(
         row = machines.row[:, c]
         if abs(state) == ON and not machines.soft[0, c]:
             held.append(row)
-        elif abs(state) == ON:
-            (k, d, preload), stop = machines.pad[:, p, c].T, machines.stops[:, c, 1 if state > 0 else 0]
+        elif state % 2:
+            (k, d, preload), stop = pushing(machines, p, c, state), machines.stops[:, c, 1 if state > 0 else 0]
             square = row[:, :, None] * row[:, None, :]
             stiffness += k[:, None, None] * square
             damping += d[:, None, None] * square
-            load += (k * stop - state * preload)[:, None] * row
+            load += (k * stop - np.sign(state) * preload)[:, None] * row
     stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
     for f, sign in enumerate(code.slips):
         if sign != 0:
-            row, (kinetic, _, slope) = machines.slide[:, f], machines.rub[:, p, f].T
+            row, (kinetic, slope) = machines.slide[:, f], resisting(machines, p, f, sign)
             damping += slope[:, None, None] * row[:, :, None] * row[:, None, :]
-            load += (slope * machines.belt[:, f] - sign * kinetic)[:, None] * row
+            load += (slope * machines.belt[:, f] - np.sign(sign) * kinetic)[:, None] * row
     belts = [machines.belt[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
     G, moves = np.zeros((N, 0, n)), np.zeros((N, 0), np.bool_)
     if held or stuck:
@@ -246,12 +269,13 @@ def _signals(
             ends[:, k] = machines.stops[:, c]
             continue
         stop = machines.stops[:, c, outer]
-        ends[:, k, inner] = stop
+        begins, over = _segment(machines.law[:, c, outer, :, 0], (abs(state) - 1) // 2)
+        ends[:, k, inner], ends[:, k, outer] = stop + side * begins, stop + side * over
         if machines.by_force[0, c]:
-            stiffness, damping, preload = machines.pad[:, p, c].T
+            stiffness, damping, preload = pushing(machines, p, c, state)
             rows[:, k + 1, :n], rows[:, k + 1, n : 2 * n] = (side * f[:, None] * row for f in (stiffness, damping))
             rows[:, k + 1, 2 * n] = preload - side * stiffness * stop
-            ends[:, k + 1, 0 if abs(state) == ON else 1] = 0.0
+            ends[:, k + 1, 0 if state % 2 else 1] = 0.0
     for f, sign in enumerate(code.slips):
         k = SIGNALS * C + f
         if f in resting:
@@ -262,7 +286,8 @@ def _signals(
             ends[:, k, 0], ends[:, k, 1] = -static, static
             continue
         rows[:, k, n : 2 * n], rows[:, k, 2 * n] = machines.slide[:, f], -machines.belt[:, f]
-        ends[:, k, 0 if sign > 0 else 1] = 0.0
+        begins, over = _segment(machines.grip[:, f, :, 0], abs(sign) - 1)
+        ends[:, k] = np.stack([begins, over] if sign > 0 else [-over, -begins], axis=1)
     return rows, direct, ends
 
 

@@ -26,7 +26,7 @@ from workers.model.expression import Expression, Row
 from workers.model.measures import read_measures
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
-from workers.model.reading_elements import read_contacts, read_friction, read_phases
+from workers.model.reading_elements import read_contacts, read_friction, read_phases, read_springs, refuse_many
 from workers.model.reading_force import read_force, with_means
 
 LARGEST = 8
@@ -126,6 +126,8 @@ def read_definition(
     let = _read_let(table.get("let", {}), known, parameters)
     known = [*known, *(name for name, _ in let)]
     contacts, friction = read_contacts(table, known, n), read_friction(table, known, n)
+    springs = read_springs(table, known, n)
+    refuse_many(contacts, friction, springs)
     phases = read_phases(table, known, n, contacts, friction)
     harmonics, means = read_force(table, known, n)
 
@@ -150,6 +152,7 @@ def read_definition(
         ),
         drift=_read_drift(table.get("drift"), coordinates),
         measures=read_measures(table.get("measures", {}), known, n),
+        springs=springs,
     )
 
 

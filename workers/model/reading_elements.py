@@ -3,10 +3,12 @@
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from workers.model.elements import NO_STOP, PAD, RELEASES, RUB, STOP, Changes, Contact, Friction, Phase
+from workers.model.elements import LAW, NO_STOP, PAD, RELEASES, RUB, STOP, Changes, Contact, Friction, Phase, Spring
 from workers.model.entries import DefinitionError, check_name, fault, read_entries, read_table, read_tables, read_text
 from workers.model.expression import Expression
+from workers.model.laws import SEGMENTS
 from workers.model.parameter import unknown_name
+from workers.model.reading_laws import read_law, read_spring
 
 STOPS = 4
 """Stops of all contacts, sides counted."""
@@ -14,21 +16,25 @@ FRICTION = 4
 """Friction elements."""
 PHASES = 16
 """Phases of a forcing period."""
+SPRINGS = 4
+"""Springs with a law."""
+LAWFUL = 6
+"""Contacts, springs and friction elements of a machine with a law: its modes are numbered in a double."""
 
 _SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact by themselves
-_SOFT = (*PAD, "release")
+_SOFT = (*PAD, "release", *LAW)
 CONTACT_KEYS = ("name", *_SHORT, *_SOFT)
-FRICTION_KEYS = ("name", "row", *RUB, "belt")
+FRICTION_KEYS = ("name", "row", *RUB, "belt", *LAW)
 PHASE_KEYS = ("start", "stiffness", "damping", "force", "cosine", "load", "contacts", "friction")
 _SAME = ("mass", "gap", "row", "upper", "lower")  # keys of what is the same in all phases
-_LAWS = "a rigid contact has a restitution, a soft one a stiffness, damping, preload and release"
+_LAWS = "a rigid contact has a restitution, a soft one a stiffness or law, damping, preload and release"
 
 
 def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Contact, ...]:
     """The contacts in a table [system] of n coordinates; gap, stops and restitution there are those of a rigid one."""
     short = {key: table[key] for key in _SHORT if key in table}
     if "contacts" not in table:
-        if not short and (table.get("friction") or table.get("phases")):
+        if not short and (table.get("friction") or table.get("phases") or table.get("springs")):
             return ()
         return (_read_contact("system", {"name": STOP, **short}, known, n),)
     if short:
@@ -60,13 +66,15 @@ def _read_contact(where: str, given: object, known: Collection[str], n: int) -> 
         return Contact(name, gap, restitution, upper, lower)
     if "restitution" in table:
         raise DefinitionError(f"{where}: found restitution and {soft[0]}; {_LAWS}")
-    if "stiffness" not in table:
+    if "stiffness" not in table and "law" not in table:
         raise DefinitionError(f"{where}: stiffness missing; {_LAWS}")
-    constants = {key: read_entries(f"{where}.{key}", table.get(key, 0.0), known) for key in PAD}
+    law = _read_law(where, table, known, Contact, ("stiffness", "preload"))
+    own = ("damping",) if law else PAD
+    constants = {key: read_entries(f"{where}.{key}", table.get(key, 0.0), known) for key in own}
     release = table.get("release", RELEASES[0])
     if release not in RELEASES:
         raise fault(f"{where}.release", release, f"must be {' or '.join(map(repr, RELEASES))}")
-    return Contact(name, gap, None, upper, lower, **constants, release=release)
+    return Contact(name, gap, None, upper, lower, **constants, release=release, **law)
 
 
 def _read_stop(where: str, table: Mapping[str, Any], key: str, known: Collection[str]) -> Expression | None:
@@ -88,17 +96,52 @@ def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> t
     for where, given in parts.items():
         one = read_table(where, given, FRICTION_KEYS)
         name = _read_name(where, one)
-        for key in ("row", "kinetic"):
+        law = _read_law(where, one, known, Friction, ("kinetic", "slope"))
+        for key in ("row",) if law else ("row", "kinetic"):
             if key not in one:
                 raise DefinitionError(f"{where}: {key} missing; give {'a row' if key == 'row' else 'a force'}")
         row = read_entries(f"{where}.row", one["row"], known, n)
-        kinetic, belt, slope = (
-            read_entries(f"{where}.{key}", one.get(key, 0.0), known) for key in ("kinetic", "belt", "slope")
+        belt = read_entries(f"{where}.belt", one.get("belt", 0.0), known)
+        slope = None if law else read_entries(f"{where}.slope", one.get("slope", 0.0), known)
+        kinetic, static = (
+            read_entries(f"{where}.{key}", one[key], known) if key in one else None for key in ("kinetic", "static")
         )
-        static = read_entries(f"{where}.static", one["static"], known) if "static" in one else None
-        found.append(Friction(name, row, kinetic, static, belt, slope))
+        found.append(Friction(name, row, kinetic, static, belt, slope, **law))
     _refuse_twice("friction element", parts, [each.name for each in found])
     return tuple(found)
+
+
+def read_springs(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Spring, ...]:
+    """The springs in a table [system] of n coordinates."""
+    parts = read_tables("system.springs", table.get("springs", []))
+    if len(parts) > SPRINGS:
+        raise DefinitionError(f"system.springs: found {len(parts)}, must be at most {SPRINGS}")
+    found = tuple(read_spring(where, one, known, n) for where, one in parts.items())
+    _refuse_twice("spring", parts, [each.name for each in found])
+    return found
+
+
+def refuse_many(*elements: Collection[Contact] | Collection[Friction] | Collection[Spring]) -> None:
+    """DefinitionError where a law stands among more elements than modes can be numbered of."""
+    laws = [each.law for kind in elements for each in kind]
+    if any(law is not None for law in laws) and len(laws) > LAWFUL:
+        raise DefinitionError(
+            f"system: found {len(laws)} contacts, springs and friction elements, must be at most {LAWFUL} where one "
+            f"has a law; with segments up to {SEGMENTS} each the modes would be too many to number"
+        )
+
+
+def _read_law(
+    where: str, table: Mapping[str, Any], known: Collection[str], kind: type, instead: Collection[str]
+) -> dict[str, Any]:
+    """The law of a contact or friction, whose keys it stands ``instead`` of; none is an empty table."""
+    if "law" not in table:
+        for key in (key for key in LAW if key in table):
+            raise DefinitionError(f"{where}.{key}: there is no law that it could be of; give law too")
+        return {}
+    for key in (key for key in instead if key in table):
+        raise DefinitionError(f"{where}: found law and {key}; the law at 0 and beyond takes the place of {key}")
+    return read_law(where, table, known, kind)
 
 
 def read_phases(
@@ -139,7 +182,10 @@ def _read_changes(
             raise DefinitionError(unknown_name(f"element in {where}", name, names or ["none"]))
     found = []
     for element in elements:
-        inside, keys = f"{where}.{element.name}", RUB if isinstance(element, Friction) else PAD
+        inside = f"{where}.{element.name}"
+        keys: tuple[str, ...] = RUB if isinstance(element, Friction) else PAD
+        if element.law is not None:
+            keys = ("damping",) if isinstance(element, Contact) else ("static",)  # the law is one in all phases
         changes = table.get(element.name, {})
         _refuse_same(inside, changes)
         changes = read_table(inside, changes)

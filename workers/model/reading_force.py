@@ -38,7 +38,7 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
         parts = {"system": {key: table[key] for key in FORCE_KEYS if key in table}} | parts
     elif "phase" in table:
         raise DefinitionError("system.phase: there is no force that it could be of; give force too")
-    elif not parts and not (table.get("friction") or table.get("phases")):
+    elif not parts and not (table.get("friction") or table.get("phases") or table.get("springs")):
         raise DefinitionError(f"system: force missing; give a list of {n}")
     tables = {
         where: read_table(where, one, WAVEFORM_KEYS if _is_waveform(one) else HARMONIC_KEYS)

@@ -7,13 +7,17 @@ from itertools import chain
 import numpy as np
 
 from workers.model.definition import Definition
-from workers.model.elements import ALWAYS, PAD, RUB, Changes
+from workers.model.elements import ALWAYS, PAD, RUB, Changes, Contact, Friction, Spring
 from workers.model.entries import DefinitionError
+from workers.model.expression import Expression
 from workers.model.free import UNSEEN
 from workers.model.hybrid_machines import HybridMachines, dependent, held_rows, yields
+from workers.model.laws import SEGMENTS, segments_of
 from workers.model.modes import undamped_modes
 from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
+
+OF_EXPRESSION = ", within above 0 and the range around 0"
 
 ROUNDING = 1e-12
 """Relative size of an eigenvalue that counts as zero."""
@@ -28,12 +32,16 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     see every free motion, K x = 0, but that of the coordinate that may drift, which nothing ties down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
+    for where, element, tables in definition.laws(defaults):
+        _check_law(where, element, tables[0])
     many = definition.hybrid(defaults)
     machine = HybridMachines(*(field[0] for field in many))
     matrices = {"system.mass": machine.mass}
     for key in ("damping", "stiffness"):
         matrices |= {_entry_in(definition, p, key): each for p, each in enumerate(getattr(machine, key))}
-    rows = {f"{_contact(definition, c)}.gap": row for c, row in enumerate(machine.row)}
+    C = len(definition.contacts)
+    rows = {f"{_contact(definition, c)}.gap": row for c, row in enumerate(machine.row[:C])}
+    rows |= {f"system.springs[{s}].row": row for s, row in enumerate(machine.row[C:])}
     rows |= {f"system.friction[{f}].row": row for f, row in enumerate(machine.slide)}
     constants = dict(_constants(definition, machine))
     for where, entries in chain(matrices.items(), rows.items(), _forces(definition, machine), constants.items()):
@@ -116,6 +124,45 @@ def _check_static(definition: Definition, machine: HybridMachines) -> None:
                 raise DefinitionError(f"{where}: {found}, must not be below kinetic")
 
 
+def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -> None:
+    """table (V, 2): the vertices of an element's law."""
+    if not np.isfinite(table).all():
+        found = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
+        raise DefinitionError(
+            f"{where}: found {found} at the defaults, must be finite numbers" + OF_EXPRESSION * (found[0] == "n")
+        )
+    if (n := segments_of(element, table)) > SEGMENTS:
+        assert element.within is not None
+        enough = 1.1 * (len(table) - 1) ** 2 / SEGMENTS**2  # their number falls as the root of the bound
+        right = (
+            "a larger within" if element.within.constant is None else f"within = {enough * element.within.constant:.2g}"
+        )
+        raise DefinitionError(
+            f"{where}: takes {n} segments at the defaults, must be at most {SEGMENTS}; {right} would do"
+        )
+    (x, F), argument = table.T, {Contact: "depth", Friction: "|v|", Spring: "y"}[type(element)]
+    for i in range(len(x) - 1):
+        if not x[i] < x[i + 1]:
+            raise DefinitionError(
+                f"{where}: found {argument} {x[i + 1]:g} after {x[i]:g} at the defaults, must increase"
+            )
+        if isinstance(element, Contact) and F[i + 1] < F[i]:
+            raise DefinitionError(
+                f"{where}: falls from {F[i]:g} to {F[i + 1]:g} at the defaults where depth grows to {x[i + 1]:g}; a "
+                "contact's must not fall; a spring's may, [[system.springs]]"
+            )
+    if isinstance(element, Spring):
+        return
+    if x[0] != 0.0:
+        raise DefinitionError(f"{where}: begins at {argument} {x[0]:g} at the defaults, must begin at 0")
+    if not np.all(F >= 0.0):
+        raise DefinitionError(f"{where}: found force {np.min(F):g} at the defaults, must be 0 or more")
+    if F[-1] < F[-2]:
+        raise DefinitionError(
+            f"{where}: falls for ever from {argument} {x[-2]:g} on at the defaults; give a last row with the same force"
+        )
+
+
 def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array]) -> None:
     (rows,), _, (weights,) = outputs
     for (name, measure), row, weight in zip(definition.measures, rows, weights, strict=True):
@@ -135,7 +182,7 @@ def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array])
 
 
 def _check_stops(definition: Definition, machine: HybridMachines) -> None:
-    for c, (lower, upper) in enumerate(machine.stops):
+    for c, (lower, upper) in enumerate(machine.stops[: len(definition.contacts)]):
         if not lower < upper:
             raise DefinitionError(
                 f"{_contact(definition, c)}.upper: found {upper:g}, lower {lower:g} at the defaults, "

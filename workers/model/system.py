@@ -34,7 +34,7 @@ PROSE = (*TEXTS, "axes")
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
     "cosine", "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
-    "measures", "let", "parameters",
+    "springs", "measures", "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000
 """The highest version of a definition."""
@@ -104,7 +104,7 @@ class System:
     def has_modes(self) -> bool:
         """Whether its law changes otherwise than by one contact with a restitution: see model/hybrid.py."""
         own = self.definition
-        return bool(own.friction or own.phases) or [each.rigid for each in own.contacts] != [True]
+        return bool(own.friction or own.phases or own.springs) or [each.rigid for each in own.contacts] != [True]
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:

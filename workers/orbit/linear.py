@@ -38,12 +38,12 @@ def meets_nothing(osc, h, contact):
     if F > 0 or C == 0:
         return F == 0
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    k = slot_of(table.codes, number_of(states, slips, 0))
-    read_number(contact - FIRST_NUMBER, states, slips)
+    k = slot_of(table.codes, number_of(table.elements, states, slips, 0))
+    read_number(table.elements, contact - FIRST_NUMBER, states, slips)
     if k < 0 or np.any(states != OPEN):
         return False
     for p in range(1, P):
-        other = slot_of(table.codes, number_of(states, slips, p))
+        other = slot_of(table.codes, number_of(table.elements, states, slips, p))
         same = other >= 0 and np.all(pieces.acceleration[other] == pieces.acceleration[k])
         if not (same and np.all(pieces.drive[other] == pieces.drive[k])):
             return False

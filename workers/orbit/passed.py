@@ -81,14 +81,14 @@ def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
 
 def _through_modes(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
     """``passed`` through all modes that come."""
-    table = one_of(oscillators, 0).table
+    table, own = one_of(oscillators, 0).table, oscillators.table.machines
     state, number = np.array(state, dtype=np.float64), _shown(oscillators.table, np.asarray(state))
     size, found = len(state), list[Passed]()
     for k in range(periods):
         rows, state, number = _one_period(oscillators, state, number)
         for row in rows:
             time, begun = float(row[LEG.start]) + k * 2.0 * np.pi / table.omega, row[LEG_STATE + size :]
-            code = code_of(int(row[LEG.number]), *oscillators.table.machines.sizes[1:])
+            code = code_of(int(row[LEG.number]), *own.sizes[1:], *own.segments)
             found.append(
                 Passed(
                     time, int(row[LEG.signal]), int(row[LEG.side]), float(row[LEG.rate]), code, tuple(map(int, begun))
@@ -103,16 +103,23 @@ def _shown(table: Table, z: Array) -> int:
     x, v = z[:n], z[n:]
     far, fast = AT_REST * np.max(np.abs(z)) + 1e-300, AT_REST * np.max(np.abs(v)) + 1e-300
     contacts, slips = [], []
-    for row, stops, soft in zip(own.row[0], own.stops[0], own.soft[0], strict=True):
+    for c, (row, stops, soft) in enumerate(zip(own.row[0], own.stops[0], own.soft[0], strict=True)):
         y, rate = float(row @ x), float(row @ v)
         side = 1 if y > 0.5 * (max(stops[0], -1e300) + min(stops[1], 1e300)) else -1
         depth = side * (y - stops[1 if side > 0 else 0])
         on = depth > 0.0 if soft else abs(depth) <= far and abs(rate) <= fast
-        contacts.append(side * ON if on else OPEN)
-    for row, belt in zip(own.slide[0], own.belt[0], strict=True):
+        contacts.append(side * (ON + 2 * _segment(own.depths[0, c, 1 if side > 0 else 0], depth)) if on else OPEN)
+    for e, (row, belt) in enumerate(zip(own.slide[0], own.belt[0], strict=True)):
         sliding = float(row @ v) - belt
-        slips.append(int(np.sign(sliding)) if abs(sliding) > fast else 0)
-    return Code(0, tuple(contacts), tuple(slips)).number
+        slips.append(
+            int(np.sign(sliding)) * (1 + _segment(own.speeds[0, e], abs(sliding))) if abs(sliding) > fast else 0
+        )
+    return Code(0, tuple(contacts), tuple(slips)).number_of(own.depths.shape[3], own.speeds.shape[2])
+
+
+def _segment(starts: Array, at: float) -> int:
+    """The segment of a law that its argument is in, of those that begin at ``starts`` (S,)."""
+    return max(0, int(np.sum(starts < at)) - 1)
 
 
 def _one_period(oscillators: Oscillator, state: Array, number: int) -> tuple[Array, Array, int]:

@@ -12,7 +12,16 @@ import numpy as np
 
 from workers.kernel.chatter import chatter_left
 from workers.kernel.contact import REBOUND, load_at_rest, outcome
-from workers.kernel.hybrid.state import damping_along, guard_value, number_of, product, reset, right_hand_side, slot_of
+from workers.kernel.hybrid.state import (
+    damping_along,
+    guard_value,
+    number_of,
+    product,
+    reset,
+    right_hand_side,
+    slip_of,
+    slot_of,
+)
 from workers.kernel.jit import inlined, kernel
 from workers.kernel.signal import evaluate
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, RESONANT, SIGNALS
@@ -30,7 +39,7 @@ CHANGES = 4
 @inlined
 def mode_of(table, states, slips, where):
     """Where the mode of these contacts and slips in this phase is, MISSING, WRONG or RESONATES; and its number."""
-    number = number_of(states, slips, where)
+    number = number_of(table.elements, states, slips, where)
     k = slot_of(table.codes, number)
     if k >= 0 and table.wrong[k] != 0:
         k = RESONATES if table.wrong[k] == RESONANT else WRONG
@@ -64,11 +73,12 @@ def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
         c = g // SIGNALS
         if g >= SIGNALS * C:
             f = g - SIGNALS * C
-            slips[f] = -side if slips[f] == 0 else -slips[f]
-            begun[g] = -slips[f]
+            before = slips[f]
+            slips[f] = -side if before == 0 else slip_of(elements, f, value)
+            begun[g] = -slips[f] if abs(slips[f]) == 1 and before * slips[f] <= 0 else 0
             return True
         if g % SIGNALS == 1:
-            states[c] = (DETACHED if abs(states[c]) == ON else ON) * np.sign(states[c])
+            states[c] = other_push(states[c])
             return True
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
             release(elements, g, c, where, states, slips, begun, np.int64(2))  # a jump: what pulls is not zero
@@ -95,11 +105,16 @@ def release(elements, g, c, where, states, slips, begun, order):
 
 @kernel
 def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun):
-    """Friction e begins to slip, or slides no more: then it sticks where it can, else it slides the other way.
+    """Friction e begins to slip, or slides no more: then it sticks where it can, else it slides the other way. Or it
+    goes on in another segment of its law, in which nothing jumps.
 
     Where the mode is in which it sticks and its number, as of mode_of: that has to be built to know.
     """
-    elements = table.elements
+    elements, sign = table.elements, 1 if slips[e] > 0 else -1
+    if slips[e] != 0 and (slips[e] != sign or side == sign):  # of a law, the next segment or the one before
+        slips[e] += side
+        begun[g] = -side
+        return np.int64(0), np.int64(0)
     if slips[e] == 0:
         slips[e] = -side
         begun[g] = side * (2 if elements.even[where, e] > 0.0 else 1)  # with static = kinetic the force is continuous
@@ -123,18 +138,24 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun
 
 
 @inlined
+def other_push(state):
+    """A soft contact that pushes detaches, and one that is detached pushes."""
+    return state + (1 if state > 0 else -1) * (1 if state % 2 != 0 else -1)
+
+
+@inlined
 def soft_event(g, c, side, states, begun):
-    """A soft contact engages or opens, or its force begins or ceases to push. Nothing jumps."""
+    """A soft contact engages or opens, its law has another segment, or it begins or ceases to push. Nothing jumps."""
     state = states[c]
+    begun[g] = -side
     if g % SIGNALS == 1:
-        states[c] = (DETACHED if abs(state) == ON else ON) * np.sign(state)
-        begun[g] = -side
+        states[c] = other_push(state)
     elif state == OPEN:
         states[c] = side
-        begun[g] = -side
-    else:
+    elif side * state < 0 and abs(state) <= DETACHED:
         states[c] = OPEN
-        begun[g] = np.sign(state)
+    else:
+        states[c] += 2 * side
 
 
 @kernel
@@ -170,7 +191,7 @@ def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, 
     for e in range(len(slips)):
         sliding = product(elements.slide[e], z, n) - elements.belt[e]
         if product(elements.slide[e], kick, 0) != 0.0 and sliding != 0.0:
-            slips[e] = np.sign(sliding)
+            slips[e] = slip_of(elements, e, sliding)
             begun[SIGNALS * len(states) + e] = 0
         if rests and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
             slips[e] = 0

@@ -19,7 +19,7 @@ from workers.kernel.hybrid.state import enter, leave, product, read_number, righ
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, row_in
 from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
-from workers.model.hybrid_modes import ON, OPEN, SIGNALS
+from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.model.oscillator import Array
 
 EARLY = 0.3819660112501051
@@ -37,7 +37,8 @@ class Meters(NamedTuple):
     """What is measured of N machines of n coordinates with P phases, C contacts and F frictions.
 
     rows (N, M, n) of the outputs, orders (N, M) which derivative each is a row on, peaks (N, M) 1 for their extremes;
-    damping (N, P, n, n), pad (N, P, C, 3) and rub (N, P, F, 3): see HybridMachines
+    damping (N, P, n, n), pad (N, P, C, 3), rub (N, P, F, 3), law (N, C, 2, S, 3) and grip (N, F, S', 3): see
+    HybridMachines
     """
 
     rows: Array
@@ -46,6 +47,8 @@ class Meters(NamedTuple):
     damping: Array
     pad: Array
     rub: Array
+    law: Array
+    grip: Array
 
 
 class Readings(NamedTuple):
@@ -106,12 +109,13 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
                 for j in range(n):
                     reading.damped[0] += weight * z[n + i] * meter.damping[where, i, j] * z[n + j]
             for c in range(len(states)):
-                if abs(states[c]) == ON and elements.soft[c] > 0.0:
+                if states[c] % 2 != 0 and elements.soft[c] > 0.0:
                     reading.stop[c] += weight * meter.pad[where, c, 1] * product(elements.row[c], z, n) ** 2
             for e in range(len(slips)):
                 if slips[e] != 0:
                     sliding = product(elements.slide[e], z, n) - elements.belt[e]
-                    reading.rubbed[e] += weight * meter.rub[where, e, 2] * sliding * sliding
+                    slope = meter.rub[where, e, 2] + meter.grip[e, abs(slips[e]) - 1, 1]
+                    reading.rubbed[e] += weight * slope * sliding * sliding
         since += step
 
 
@@ -145,12 +149,13 @@ def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, 
 def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, phase, s, tally):
     """What a contact that is on, or detached, shows on a leg from state z to state ``end``, but for its damper."""
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
-    n, pushes = len(row), state == ON
+    n, pushes = len(row), state % 2 != 0
     if pushes:
         reading.touching[c] += s
     if table.elements.soft[c] == 0.0:
         return
-    stiffness, damping, preload = meter.pad[where, c, 0], meter.pad[where, c, 1], meter.pad[where, c, 2]
+    law, damping = meter.law[c, 1 if side > 0 else 0, (state - 1) // 2], meter.pad[where, c, 1]
+    stiffness, preload = meter.pad[where, c, 0] + law[1], meter.pad[where, c, 2] + law[2]
     full, direct = np.zeros(2 * n + 1), np.zeros(table.pieces.direct.shape[2:])
     full[:n] = row
     low, high = extremes(table.pieces, k, full, direct, h, phase, s, tally)
@@ -171,7 +176,7 @@ def read_impact(elements, reading, c, end, following, counts):
     n = len(end) // 2
     before, after = product(elements.row[c], end, n), product(elements.row[c], following, n)
     reaches_upper = before > 0.0
-    if not counts:
+    if not counts or elements.counted[c] == 0.0:
         return
     if elements.soft[c] > 0.0:
         reading.hits[c, 1 if reaches_upper else 0] += 1.0
@@ -196,7 +201,7 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
     t, s, k = leg[LEG.start], leg[LEG.duration], int(leg[LEG.mode])
     states = np.zeros(len(elements.row), dtype=np.int64)
     slips = np.zeros(len(elements.slide), dtype=np.int64)
-    where = read_number(table.codes[k], states, slips)
+    where = read_number(elements, table.codes[k], states, slips)
     phase, harmonics = table.tau + table.omega * t, pieces.waves.shape[2]
     h, nothing, flat, end = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), np.empty(2 * n)
     enter(pieces, k, z, flat, turned(phase, harmonics), h, nothing)
@@ -225,7 +230,7 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
             low, high = extremes(pieces, k, row, direct, h, phase, s, tally)
             reading.low[m], reading.high[m] = min(reading.low[m], low), max(reading.high[m], high)
     for c in range(len(states)):
-        if states[c] != OPEN:
+        if states[c] != OPEN and elements.counted[c] > 0.0:
             side = np.sign(states[c])
             read_contact(table, meter, reading, k, where, c, side, abs(states[c]), z, end, h, phase, s, tally)
     for e in range(len(slips)):
@@ -233,7 +238,7 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
             reading.stuck[e] += s
             continue
         path = product(elements.slide[e], end, 0) - product(elements.slide[e], z, 0) - elements.belt[e] * s
-        reading.rubbed[e] += meter.rub[where, e, 0] * abs(path)
+        reading.rubbed[e] += (meter.rub[where, e, 0] + meter.grip[e, abs(slips[e]) - 1, 2]) * abs(path)
 
 
 @kernel

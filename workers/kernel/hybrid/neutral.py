@@ -47,7 +47,7 @@ def freeze(osc, motion):
     n, m = motion.h.shape[0], motion.V.shape[0]
     states, slips = np.zeros(elements.row.shape[0], dtype=np.int64), np.zeros(elements.slide.shape[0], dtype=np.int64)
     number = motion.contact[0] - FIRST_NUMBER
-    read_number(number, states, slips)
+    read_number(elements, number, states, slips)
     k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
     W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
     leave_frame(osc.to_physical, motion.V, W)

@@ -6,7 +6,7 @@ from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lend import only_row
 from workers.model.hybrid_machines import PARALLEL
-from workers.model.hybrid_modes import CONTACT_DIGIT, ON, SLIP_DIGIT
+from workers.model.hybrid_modes import ON
 from workers.model.oscillator import COLUMN
 
 ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
@@ -14,26 +14,42 @@ ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 
 @inlined
-def number_of(states, slips, where):
+def number_of(elements, states, slips, where):
     """The number of the mode of these contacts and slips in this phase, see model.hybrid.Code."""
-    number = where
+    number, half, most = where, 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for state in states:
-        number = CONTACT_DIGIT * number + state + CONTACT_DIGIT // 2
+        number = (2 * half + 1) * number + state + half
     for sign in slips:
-        number = SLIP_DIGIT * number + sign + SLIP_DIGIT // 2
+        number = (2 * most + 1) * number + sign + most
     return number
 
 
 @inlined
-def read_number(number, states, slips):
+def read_number(elements, number, states, slips):
     """Write what contacts and slips do in the mode of this number; its phase."""
+    half, most = 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for f in range(len(slips) - 1, -1, -1):
-        slips[f] = number % SLIP_DIGIT - SLIP_DIGIT // 2
-        number //= SLIP_DIGIT
+        slips[f] = number % (2 * most + 1) - most
+        number //= 2 * most + 1
     for c in range(len(states) - 1, -1, -1):
-        states[c] = number % CONTACT_DIGIT - CONTACT_DIGIT // 2
-        number //= CONTACT_DIGIT
+        states[c] = number % (2 * half + 1) - half
+        number //= 2 * half + 1
     return number
+
+
+@inlined
+def segment_of(starts, at):
+    """The segment that an argument of a law is in, of those that begin at ``starts`` (S,): the first one is 0."""
+    i = 0
+    while i + 1 < len(starts) and starts[i + 1] < at:
+        i += 1
+    return i
+
+
+@inlined
+def slip_of(elements, e, sliding):
+    """How friction e slides at this velocity, which is not 0: see model.hybrid_modes.Code."""
+    return (1 if sliding > 0.0 else -1) * (1 + segment_of(elements.speeds[e], abs(sliding)))
 
 
 @inline_always
@@ -229,7 +245,7 @@ def shown_number(elements, z):
             stop = elements.stops[c, 1 if side > 0 else 0]
             depth = side * (y - stop)
             if elements.soft[c] > 0.0 and depth > 0.0:
-                states[c] = side
+                states[c] = side * (ON + 2 * segment_of(elements.depths[c, 1 if side > 0 else 0], depth))
             elif elements.soft[c] == 0.0 and depth > near:
                 return -1
             elif elements.soft[c] == 0.0 and abs(depth) <= near and abs(v) <= slow:
@@ -237,8 +253,8 @@ def shown_number(elements, z):
     for e in range(len(slips)):
         sliding = product(elements.slide[e], z, n) - elements.belt[e]
         if abs(sliding) > ROUNDING * (size_of(elements.slide[e], z, n) + abs(elements.belt[e])):
-            slips[e] = np.sign(sliding)
-    return number_of(states, slips, 0)
+            slips[e] = slip_of(elements, e, sliding)
+    return number_of(elements, states, slips, 0)
 
 
 @kernel
@@ -250,7 +266,7 @@ def show(elements, number, z):
     C, F, n = len(elements.row), len(elements.slide), elements.row.shape[1]
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)
     rows, values, count = np.zeros((C + F, n)), np.zeros(C + F), 0
-    read_number(number, states, slips)
+    read_number(elements, number, states, slips)
     for c in range(C):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
             rows[count], values[count] = elements.row[c], elements.stops[c, 1 if states[c] > 0 else 0]

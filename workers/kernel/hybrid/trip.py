@@ -245,7 +245,7 @@ def follow(table, trip):
 def begin_trip(table, trip, number):
     """Begin a trip at a section, from its physical state and tangent vectors, in the mode of this number."""
     clock, place = trip.clock, trip.place
-    read_number(number, trip.states, trip.slips)
+    read_number(table.elements, number, trip.states, trip.slips)
     trip.begun[:] = 0
     clock[:] = 0.0
     clock[CLOCK.phase] = table.tau
@@ -342,7 +342,7 @@ def strike_soft(table, trip, hits):
     clock, place = trip.clock, trip.place
     g, side = place[PLACE.hit], place[PLACE.side]
     c = g // SIGNALS
-    if trip.states[c] == OPEN:
+    if trip.states[c] == OPEN and table.elements.counted[c] > 0.0:
         count_contact(trip.tally, hits, clock[CLOCK.time], side * (1.0 + c), abs(clock[CLOCK.rate]))
     soft_event(g, c, side, trip.states, trip.begun)
     clock[CLOCK.hop] = 0.0

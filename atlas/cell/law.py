@@ -1,0 +1,130 @@
+"""Whether the segments of a law matter: a coarse plane with twice as many."""
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from atlas.errors import InputError
+from atlas.spec.spec import Spec
+from workers import solve_tile
+from workers.model.definition import Definition
+from workers.model.elements import Contact, Friction, Spring
+from workers.model.expression import Expression
+from workers.model.laws import SEGMENTS, segments_of
+from workers.model.system import System
+from workers.results import INVALID, REGIMES
+
+CELLS = 12
+"""Cells along an axis of the coarse plane."""
+
+FINER = 4.0
+"""By how much the bound is smaller: the number of segments grows as its root."""
+
+CLASS = ("regime", "period", "impacts_upper", "impacts_lower")
+"""What tells the classes of cells apart."""
+
+_Element = TypeVar("_Element", Contact, Friction, Spring)
+
+
+@dataclass(frozen=True)
+class LawCheck:
+    """Cells of a coarse plane by the law and by one of twice as many segments.
+
+    segments   of each law by its entry, here and there, at the defaults
+    cells      of the plane; ``beyond`` of them invalid in either
+    changed    those of another class: values of the axes, classes here and there
+    state      the largest change of a component of the state among periodic cells of the same class, its share of the
+               largest one, and the cell; None where there is none
+    """
+
+    segments: dict[str, tuple[int, int]]
+    cells: int
+    beyond: int
+    changed: list[tuple[dict[str, float], str, str]]
+    state: tuple[float, float, dict[str, float]] | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The check as plain JSON."""
+        change = dict(
+            zip(("state_change", "state_change_share", "state_change_at"), self.state or (None,) * 3, strict=True)
+        )
+        changed = [{"at": at, "class": here, "finer_class": there} for at, here, there in self.changed]
+        return {"segments": self.segments, "cells": self.cells, "invalid": self.beyond, "changed": changed, **change}
+
+
+def check_law(spec: Spec, cells: int = CELLS) -> LawCheck:
+    """Compare a coarse plane of a spec, ``cells`` along each axis, with that of laws within a quarter of their bounds.
+
+    States converge as the square of the segments' length, exponents only within an envelope: the classes and the states
+    of periodic cells are compared. InputError where no law is an expression, or the finer one has too many segments.
+    """
+    if spec.points:
+        raise InputError("points: found a table of parameter sets; check-law takes a plane, [axes.NAME]")
+    fine = replace(spec.record, definition=_finer(spec.record.definition))
+    segments = _segments(spec.record, fine)
+    if not segments:
+        raise InputError(f"{spec.system}: no law is an expression; a law that is a table is exact as it stands")
+    for where, (_, count) in segments.items():
+        if count > SEGMENTS:
+            raise InputError(
+                f"{where}: takes {count} segments within a quarter of its bound, must be at most {SEGMENTS}"
+            )
+    lines = [
+        np.unique(np.asarray(axis.values)[np.linspace(0, len(axis) - 1, cells).round().astype(int)])
+        for axis in spec.axes
+    ]
+    grids = dict(zip((axis.name for axis in spec.axes), np.meshgrid(*lines), strict=True))
+    params = {**spec.parameters, **{name: grid.ravel() for name, grid in grids.items()}}
+    here, there = (solve_tile(record, params, spec.settings) for record in (spec.record, fine))
+    invalid = (here["regime"] == INVALID) | (there["regime"] == INVALID)
+    other = np.any([here[name] != there[name] for name in CLASS], axis=0) & ~invalid
+
+    def at(k: int) -> dict[str, float]:
+        return {axis.name: float(params[axis.name][k]) for axis in spec.axes}
+
+    changed = [(at(k), _named(here, k), _named(there, k)) for k in np.flatnonzero(other).tolist()]
+    change = np.max(np.abs(here["state"] - there["state"]), axis=-1)
+    change = np.where((here["period"] > 0) & ~other & ~invalid, change, np.nan)
+    state = None
+    if not np.all(np.isnan(change)):
+        k = int(np.nanargmax(change))
+        state = float(change[k]), float(change[k] / np.max(np.abs(here["state"][k]))), at(k)
+    return LawCheck(segments, len(other), int(np.sum(invalid)), changed, state)
+
+
+def _finer(definition: Definition) -> Definition:
+    return replace(
+        definition,
+        contacts=tuple(map(_of_quarter, definition.contacts)),
+        friction=tuple(map(_of_quarter, definition.friction)),
+        springs=tuple(map(_of_quarter, definition.springs)),
+    )
+
+
+def _of_quarter(element: _Element) -> _Element:
+    """The element whose law is an expression within a quarter of its bound; any other one as it is."""
+    if element.within is None:
+        return element
+    return replace(element, within=Expression(f"( {element.within.text} ) / {FINER}"))
+
+
+def _segments(here: System, there: System) -> dict[str, tuple[int, int]]:
+    """How many segments laws have at the defaults that are expressions, by their entries."""
+    defaults = {p.name: np.array([p.default]) for p in here.parameters}
+    pairs = zip(*(record.definition.laws(defaults) for record in (here, there)), strict=True)
+    return {
+        where: (segments_of(element, table), segments_of(element, finer))
+        for (where, element, (table,)), (_, _, (finer,)) in pairs
+        if element.within is not None
+    }
+
+
+def _named(found: dict[str, Any], k: int) -> str:
+    """The class of a cell in words."""
+    name = next(regime.name for regime in REGIMES if regime.code == found["regime"][k])
+    period, *impacts = (int(found[key][k]) for key in CLASS[1:])
+    return f"{name} {period} ({', '.join(map(str, impacts))})" if period > 0 else name
+
+
+__all__ = ["CELLS", "LawCheck", "check_law"]

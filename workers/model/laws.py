@@ -1,0 +1,207 @@
+"""Laws of springs, contacts and friction, piecewise linear in their argument: numbers of their segments.
+
+    law = [[x_0, F_0], [x_1, F_1], ...]     the last segment goes on for ever, of a spring the first one too
+
+A contact has a law of its depth and friction one of |v|, from 0 on. What either has at 0 is its preload or its kinetic
+level; the law of HybridMachines is what comes on top of that. A spring has a law of y. The segment of it that y = 0 is
+in belongs to the stiffness and the load of the machine, and its ends are the stops of a contact that adds the rest.
+
+An expression becomes such a table of the fewest segments, see chords.py. What is no law has NaN for starts.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from workers.model.chords import POINTS, fewest
+from workers.model.elements import Contact, Friction, Spring
+from workers.model.expression import Expression, evaluated
+from workers.model.hybrid_machines import HybridMachines
+from workers.model.oscillator import Array
+from workers.model.parameter import OMEGA
+
+EVEN = 8.0 * float(np.finfo(np.float64).eps)
+"""Share of slopes by which two segments that meet may differ and be one: rounding of a table that is odd."""
+
+
+class SpringTables(NamedTuple):
+    """N springs: stiffness and force at 0 of the segment at rest (N,), its ends (N, 2), and the rest (N, 2, S, 3) as of
+    HybridMachines.law."""
+
+    stiffness: Array
+    force: Array
+    stops: Array
+    law: Array
+
+
+SEGMENTS = 64
+"""Segments of a law, at most."""
+
+ARGUMENTS: dict[type, str] = {Contact: "d", Spring: "y", Friction: "v"}
+"""The argument of a law in an expression: the depth of a contact, the coordinate of a spring, |v| of friction."""
+
+
+@np.errstate(all="ignore")
+def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], most: float = SEGMENTS) -> Array:
+    """The vertices (N, V, 2) of an element's law, argument and force; infinite arguments where a machine has fewer.
+
+    NaN where an expression takes more than ``most`` segments, or has no value.
+    """
+    if not isinstance(element.law, Expression):
+        return evaluated(element.law, named)
+    law, count = element.law, named[OMEGA].size
+    names = sorted(law.names & named.keys())
+    bounds = np.concatenate([evaluated((element.within,), named), _ranges(element, named)], axis=1)
+    every = np.concatenate([*(named[name][:, None] for name in names), bounds], axis=1)
+    kinds, kind = np.unique(every, axis=0, return_inverse=True)
+    tables = [_fitted(element, dict(zip(names, each, strict=False)), *each[-3:].tolist()) for each in kinds]
+    tables = [each if len(each) - 1 <= most else np.full((2, 2), np.nan) for each in tables]
+    found = np.full((len(kinds), max(map(len, tables), default=2), 2), [np.inf, 0.0])
+    for k, each in enumerate(tables):
+        found[k, : len(each)] = each
+    return found[kind.reshape(count)]
+
+
+def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) -> Array:
+    """The range (N, 2) of the arguments over which an expression counts."""
+    if isinstance(element.range, tuple):
+        return evaluated(element.range, named)
+    (reach,) = evaluated((element.range,), named).T
+    return np.stack([-reach if isinstance(element, Spring) else 0.0 * reach, reach], axis=1)
+
+
+def _fitted(
+    element: Contact | Friction | Spring, numbers: Mapping[str, float], within: float, low: float, high: float
+) -> Array:
+    """The vertices (V, 2) of the fewest segments of an element's law, for these numbers of its names."""
+    law, argument = element.law, ARGUMENTS[type(element)]
+    assert isinstance(law, Expression)
+
+    def force(x: Array) -> Array:
+        values = {name: np.full_like(x, number) for name, number in {OMEGA: 1.0, **numbers}.items()}
+        return law(values | {argument: x})
+
+    if not (low <= 0.0 <= high and low < high and high - low < np.inf):
+        return np.full((2, 2), np.nan)
+    forces = [force(np.linspace(0.0, end, POINTS + 1)) for end in (low, high)]
+    bound = within * float(np.max(np.abs(forces)))
+    rises = isinstance(element, Contact) and bool(np.all(np.diff(forces[1]) >= 0.0))
+    sides = [fewest(force, end, bound, 0.0 if rises else -np.inf) for end in (low, high) if end != 0.0]
+    found = sides[-1] if high != 0.0 else sides[0][::-1]
+    if len(sides) == 2:
+        found = np.concatenate([sides[0][:0:-1], found])
+    if isinstance(element, Friction) and len(found) > 1 and found[-1, 1] < found[-2, 1]:
+        found = np.concatenate([found, [[2.0 * high, found[-1, 1]]]])  # beyond the range it falls no further
+    return found
+
+
+@np.errstate(all="ignore")
+def segments_of(element: Contact | Friction | Spring, table: Array) -> int:
+    """How many segments a law of these vertices (V, 2) has."""
+    if not isinstance(element, Spring):
+        return len(table) - 1
+    found = two_sided(table[None])
+    return 1 + int(np.sum(np.isfinite(found.law[0, :, :, 0]) & np.isfinite(found.stops[0])[:, None]))
+
+
+def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
+    """Force at 0 (N,) and segments (N, S, 3), as of HybridMachines.law, of vertices (N, V, 2) that begin at 0.
+
+    Where it ``falls``, as friction may, no force may be below 0 nor the last segment fall; else none.
+    """
+    x, slope, rises = _chords(table)
+    first = table[:, 0, 1]
+    found = _segments(x[:, :-1], np.where(np.isfinite(x[:, 1:]), slope, np.nan))
+    last = np.take_along_axis(slope, np.sum(np.isfinite(x), axis=1)[:, None] - 2, axis=1)[:, 0]
+    sound = rises & (x[:, 0] == 0.0) & (last >= 0.0)
+    above = np.where(np.isfinite(x), table[..., 1] >= 0.0, True)
+    sound &= np.all(above if falls else slope >= 0.0, axis=1)
+    found[np.logical_not(sound), :, 0] = np.nan
+    return first, found
+
+
+def two_sided(table: Array) -> SpringTables:
+    """Springs with these vertices (N, V, 2)."""
+    x, slope, rises = _chords(table)
+    N, S = slope.shape
+    count = np.sum(np.isfinite(x), axis=1)
+    rest = np.clip(np.sum(x <= 0.0, axis=1) - 1, 0, count - 2)  # the segment with y = 0
+
+    def at(field: Array, i: Any) -> Array:
+        return np.take_along_axis(field, np.clip(i, 0, field.shape[1] - 1)[:, None], axis=1)[:, 0]
+
+    before, here = at(slope, rest - 1), at(slope, rest)
+    alike = np.abs(here - before) <= EVEN * (np.abs(here) + np.abs(before))
+    low = rest - ((rest > 0) & (at(x, rest) == 0.0) & alike)
+    ends = np.stack([low, rest + 1], axis=1)
+    (x0, x1), (F0, F1) = (np.take_along_axis(of, ends, axis=1).T for of in (x, table[..., 1]))
+    stiffness, force = (F1 - F0) / (x1 - x0), (F0 * x1 - F1 * x0) / (x1 - x0)
+    law = np.empty((N, 2, S, 3))
+    for side, sign in ((0, -1), (1, 1)):
+        first = low - 1 if sign < 0 else rest + 1
+        places = first[:, None] + sign * np.arange(S)
+        there = (places >= 0) & (places < count[:, None] - 1)
+        inside = np.clip(places, 0, S - 1)
+        begins = np.take_along_axis(x, inside + (sign < 0), axis=1)
+        more = np.take_along_axis(slope, inside, axis=1) - stiffness[:, None]
+        starts = sign * (begins - (x0 if sign < 0 else x1)[:, None])
+        law[:, side] = _segments(np.where(there, starts, np.inf), np.where(there, more, np.nan))
+    stops = np.where(np.isfinite(law[:, :, 0, 0]), np.stack([x0, x1], axis=1), [-np.inf, np.inf])
+    law[:, :, 0, 0] = 0.0
+    law[np.logical_not(rises), ..., 0] = np.nan
+    return SpringTables(stiffness, force, stops, law)
+
+
+def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> HybridMachines:
+    """Machines with one spring more on y = row . x, rows (N, n)."""
+    N, C = len(row), machines.sizes[1]
+
+    def and_one(field: Array, value: Any, axis: int = 1) -> Array:
+        shape = field.shape[:axis] + field.shape[axis + 1 :]
+        return np.concatenate([field, np.expand_dims(np.broadcast_to(value, shape), axis)], axis=axis)
+
+    pull = spring.stiffness[:, None, None] * (row[:, :, None] * row[:, None, :])
+    parts = [machines.law[:, c] for c in range(C)]
+    return machines._replace(
+        stiffness=machines.stiffness + pull[:, None],
+        load=machines.load - (spring.force[:, None] * row)[:, None],
+        row=and_one(machines.row, row), stops=and_one(machines.stops, spring.stops), R=and_one(machines.R, 1.0),
+        soft=and_one(machines.soft, 1.0), by_force=and_one(machines.by_force, 0.0),
+        pad=and_one(machines.pad, 0.0, axis=2), law=widened([*parts, spring.law], (N, 2)),
+        counted=and_one(machines.counted, 0.0),
+    )  # fmt: skip
+
+
+def widened(laws: list[Array], shape: tuple[int, ...]) -> Array:
+    """Laws (N, ..., S, 3) of several elements as one array (N, elements, ..., S, 3) with room for the longest."""
+    most = max([1, *(each.shape[-2] for each in laws)])
+    found = np.zeros((shape[0], len(laws), *shape[1:], most, 3))
+    found[..., 1:, 0] = np.inf
+    for i, each in enumerate(laws):
+        found[:, i, ..., : each.shape[-2], :] = each
+    return found
+
+
+def none(*shape: int) -> Array:
+    """The law of elements that have none."""
+    return np.zeros((*shape, 1, 3))
+
+
+def _chords(table: Array) -> tuple[Array, Array, Array]:
+    """Arguments (N, V), slopes (N, V - 1) with 0 beyond the last vertex, and which machines have rising arguments."""
+    x, F = table[..., 0], table[..., 1]
+    there = np.isfinite(x[:, 1:]) | np.isnan(x[:, 1:])
+    run = np.where(there, np.diff(np.where(x == np.inf, 0.0, x), axis=1), 1.0)
+    slope = np.where(there, np.diff(F, axis=1) / run, 0.0)
+    return x, slope, np.all((run > 0.0) & np.isfinite(slope), axis=1)
+
+
+def _segments(starts: Array, slope: Array) -> Array:
+    """Segments (N, S, 3) that begin at starts with these slopes, NaN for none, and with no force at the first start."""
+    there = np.isfinite(slope)
+    slope = np.where(there, slope, 0.0)
+    safe = np.where(there, starts, 0.0)
+    rise = np.where(there[:, 1:], slope[:, :-1] * np.diff(safe, axis=1), 0.0)
+    level = np.concatenate([np.zeros((len(safe), 1)), np.cumsum(rise, axis=1)], axis=1)
+    return np.stack([np.where(there, starts, np.inf), slope, np.where(there, level - slope * safe, 0.0)], axis=-1)

@@ -1,0 +1,53 @@
+"""Laws of springs, contacts and friction in a table, each fault in one line: see laws.py."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from workers.model.elements import LAW, Spring
+from workers.model.entries import DefinitionError, check_name, fault, read_entries, read_list, read_table, read_text
+from workers.model.laws import ARGUMENTS, SEGMENTS
+
+SPRING_KEYS = ("name", "row", *LAW)
+
+
+def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind: type) -> dict[str, Any]:
+    """The entries LAW of an element of this kind."""
+    given, argument = table["law"], ARGUMENTS[kind]
+    if isinstance(given, str):
+        if argument in known:
+            raise DefinitionError(f"{where}.law: {argument} is its argument, and a parameter; give that another name")
+        for key, meaning in (
+            ("within", "largest error, as a share of the largest force"),
+            ("range", "largest argument"),
+        ):
+            if key not in table:
+                raise DefinitionError(f"{where}: {key} missing; a law as an expression has its {meaning}")
+        ends = (2,) if kind is Spring and isinstance(table["range"], list | tuple) else ()
+        return {
+            "law": read_entries(f"{where}.law", given, [*known, argument]),
+            "within": read_entries(f"{where}.within", table["within"], known),
+            "range": read_entries(f"{where}.range", table["range"], known, *ends),
+        }
+    for key in (key for key in LAW[1:] if key in table):
+        raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; it is of an expression")
+    if not isinstance(given, list | tuple) or not 2 <= len(given) <= SEGMENTS + 1:
+        found = f"{len(given)} rows" if isinstance(given, list | tuple) else given
+        raise fault(
+            f"{where}.law",
+            found,
+            f"must be 2 to {SEGMENTS + 1} rows [{argument}, force], or an expression of {argument}",
+        )
+    each = f", {argument} and the force"
+    rows = [read_list(f"{where}.law[{i}]", row, 2, "numbers", each) for i, row in enumerate(given)]
+    return {"law": read_entries(f"{where}.law", rows, known, len(rows), 2)}
+
+
+def read_spring(where: str, given: object, known: Collection[str], n: int) -> Spring:
+    """A spring of a machine of n coordinates."""
+    one = read_table(where, given, SPRING_KEYS)
+    for key in ("name", "row", "law"):
+        if key not in one:
+            raise DefinitionError(f"{where}: {key} missing; a spring has a name, a row and a law of y = row . x")
+    check_name(f"{where}.name", one["name"])
+    row = read_entries(f"{where}.row", one["row"], known, n)
+    return Spring(read_text(f"{where}.name", one["name"]), row, **read_law(where, one, known, Spring))
