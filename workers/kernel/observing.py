@@ -17,6 +17,8 @@ from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import LEVEL, mode_with, output_row
 from workers.kernel.hybrid.state import enter, product, read_number, turned
 from workers.kernel.jit import kernel, named_constants
+from workers.kernel.lend import lend, row_in
+from workers.kernel.linalg import copy_into
 from workers.kernel.motion import MARCH_GAVE_UP, NOTHING_COUNTED, OVERDRAFT, RECORDED, RUNNING, STATUS, WORK, spend
 from workers.kernel.signal import derivative_bounds, evaluate
 from workers.model.observables import ENERGY_LOSS, IMPACT_PHASE, IMPACT_SPEED, KINDS, MAXIMUM, MINIMUM, SECTION
@@ -232,7 +234,7 @@ def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begi
         if not (more_legs or more_hits):
             break
         legs_room, hits_room = legs_room * (4 if more_legs else 1), hits_room * (4 if more_hits else 1)
-    tally[:] = spent
+    copy_into(tally, spent)
     if tally[STATUS] != RUNNING:
         return
     count = 0
@@ -247,7 +249,8 @@ def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begi
         for m in range(len(wanted.kinds)):
             if wanted.kinds[m] == LOSS:
                 put(seen, m, lost)
-    z[:], code[0] = there, number[0]
+    copy_into(z, there)
+    code[0] = number[0]
 
 
 @kernel
@@ -260,7 +263,7 @@ def observe_motions(oscillators, meters, wanted, seen, states, codes, done, peri
     """
     status = np.full(len(states), RUNNING)
     for r in cells:
-        table = row_of(oscillators, r).table
+        table = row_in(lend(oscillators), r).table
         meter, own = row_of(meters, r), row_of(seen, r)
         period, turn, tally = 2.0 * math.pi / table.omega, closes[r] > 0, NOTHING_COUNTED.copy()
         begins = AROUND * period if turn else -1.0

@@ -18,6 +18,7 @@ from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes
 from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side, turn_to, turned
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, row_in
+from workers.kernel.linalg import copy_into
 from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
 from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.model.oscillator import Array
@@ -94,7 +95,7 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
         spend(tally, len(NODES))
         for g in range(len(NODES)):
             at, weight = since + 0.5 * step * (1.0 + NODES[g]), 0.5 * step * WEIGHTS[g]
-            there[:] = h
+            copy_into(there, h)
             flow(blocks, at, there)
             turn_to(phase + table.omega * at, turn)
             leave(pieces, k, there, nothing, turn, z, flat)
@@ -157,7 +158,7 @@ def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, pha
     law, damping = meter.law[c, 1 if side > 0 else 0, (state - 1) // 2], meter.pad[where, c, 1]
     stiffness, preload = meter.pad[where, c, 0] + law[1], meter.pad[where, c, 2] + law[2]
     full, direct = np.zeros(2 * n + 1), np.zeros(table.pieces.direct.shape[2:])
-    full[:n] = row
+    copy_into(full[:n], row)
     low, high = extremes(table.pieces, k, full, direct, h, phase, s, tally)
     reading.depth[c] = max(reading.depth[c], side * ((high if side > 0 else low) - stop))
     if not pushes:
@@ -257,7 +258,7 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
         if spent[STATUS] != RUNNING or math.isnan(legs[room - 1, 0]):
             break
         room *= 4
-    tally[:] = spent
+    copy_into(tally, spent)
     if tally[STATUS] != RUNNING:
         return
     before = -1
@@ -269,7 +270,8 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
         following = there if last else legs[i + 1, LEG_STATE : LEG_STATE + size]
         read_leg(table, meter, reading, before, legs[i], signal, following, begins, marks, flies, tally)
         before = int(legs[i, LEG.mode])
-    z[:], code[0] = there, number[0]
+    copy_into(z, there)
+    code[0] = number[0]
 
 
 @kernel

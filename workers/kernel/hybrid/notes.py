@@ -39,5 +39,7 @@ def note(row, t, signal, side, rate, number, mode, duration, chatter, z, begun):
     """Write a leg down, see Leg."""
     row[LEG.start], row[LEG.signal], row[LEG.side], row[LEG.rate] = t, signal, side, rate
     row[LEG.number], row[LEG.mode], row[LEG.duration], row[LEG.chatter] = number, mode, duration, chatter
-    row[LEG_STATE : LEG_STATE + len(z)] = z
-    row[LEG_STATE + len(z) :] = begun
+    for i in range(len(z)):
+        row[LEG_STATE + i] = z[i]
+    for g in range(len(begun)):
+        row[LEG_STATE + len(z) + g] = begun[g]

@@ -5,6 +5,7 @@ import numpy as np
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lend import only_row
+from workers.kernel.linalg import copy_into
 from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import ON
 from workers.model.oscillator import COLUMN
@@ -269,13 +270,15 @@ def show(elements, number, z):
     read_number(elements, number, states, slips)
     for c in range(C):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            rows[count], values[count] = elements.row[c], elements.stops[c, 1 if states[c] > 0 else 0]
+            copy_into(rows[count], elements.row[c])
+            values[count] = elements.stops[c, 1 if states[c] > 0 else 0]
             count += 1
     meet(rows[:count], values[:count], z[:n])
     values[:count] = 0.0
     for e in range(F):
         if slips[e] == 0:
-            rows[count], values[count] = elements.slide[e], elements.belt[e]
+            copy_into(rows[count], elements.slide[e])
+            values[count] = elements.belt[e]
             count += 1
     meet(rows[:count], values[:count], z[n:])
 
