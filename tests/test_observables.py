@@ -123,7 +123,8 @@ def observed_on(name: str, asked: tuple[Observable, ...]) -> dict[str, Any]:
     motions = (
         np.array([record["state"]]), np.array([[number_in(record)]]), np.array([record["periods"]]), np.array([True]),
     )  # fmt: skip
-    found, whole = observed(hybrid, asked, (np.zeros((1, len(asked), n)), np.zeros((1, len(asked)))), motions, 64)
+    outputs = np.zeros((1, len(asked), n)), np.zeros((1, len(asked)))
+    found, whole = observed(hybrid, asked, outputs, motions, 64, 1)
     assert whole[0]
     return found
 
