@@ -307,6 +307,12 @@ def _reduced(
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
     """
+    # What holds the rows pushes along them, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 gives
+    # p = -(G M^-1 G')^-1 G M^-1 (f - C x' - K x). With D = M^-1 G' (G M^-1 G')^-1 is G D = 1 and N'M D = N'G' ... = 0,
+    # so that N' times the equation, x = D y + N q, has neither p nor y'':
+    #     N'MN q'' + N'CN q' + N'KN q = N'f - N'K D y - N'C D u.
+    # The right side is linear in time, y = y(0) + u t, and a y + b u is its solution: the terms with y give a, those
+    # with u, where q' = a u, give b. In h are left the force and the load.
     N, n = load.shape
     r = G.shape[1]
     free = n - r
