@@ -53,8 +53,7 @@ def equation_of(system: System) -> str:
             lines.append(f"from {_number(phase.start)} of the period on: {', '.join(changed)}")
     for spring in machine.springs:
         y = _sum(zip(spring.row, machine.coordinates, strict=True))
-        on = y if y in machine.coordinates else f"y = {y}"
-        lines.append(f"spring {spring.name} on {on}: {_law(spring, counts)} back")
+        lines.append(f"spring {spring.name} on y = {y}: pulls back by {_law(spring, counts)}")
     if machine.drift:
         lines.append(f"{machine.drift} may drift")
     return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
@@ -91,7 +90,7 @@ def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str
     law, count = element.law, counts[id(element)]
     if isinstance(law, Expression):
         assert element.within is not None
-        return f"{_number(law)} within {_number(element.within)} of the largest, in {count} segments at the defaults,"
+        return f"{_number(law)} ({count} segments at the defaults, within {_number(element.within)} of the largest)"
     assert law is not None
     first, last = (f"({', '.join(map(_number, law[i]))})" for i in (0, -1))
     return f"{count} segments from {first} to {last}"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -258,8 +259,8 @@ def system_names() -> tuple[str, ...]:
 
 def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
     if "system" not in tables or len(tables) > 1:
-        found = ", ".join(tables) or "none"
-        raise DefinitionError(f"found {found[:60]}, must be one table [system]")
+        found = shorten(", ".join(tables) or "none", 60, placeholder=" ...")
+        raise DefinitionError(f"found {found}, must be one table [system]")
     return read_table("system", tables["system"])
 
 
