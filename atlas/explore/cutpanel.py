@@ -111,7 +111,7 @@ class CutPanel:
         self._follow.on_click(self._find_branches)
         self._possible = to_observe(subject)
         self._shows = Select(options=[*self._possible], value=SECTION_WORDS, width=230)
-        self._shows.on_change("value", lambda *_: self.show(store.now))
+        self._shows.on_change("value", lambda attr, old, new: self.show(store.now))
         close = Button(label="close the cut", width=100)
         close.on_click(lambda: store.choose(cut=None))
         head = row(self._says, self._shows, self._follow, close, sizing_mode="stretch_width", stylesheets=[CUT_HEAD])
