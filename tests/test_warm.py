@@ -62,7 +62,7 @@ print(json.dumps([counter.done, hashlib.sha256(bits).hexdigest()]))
 """
 WINDOW = {"A": (0.5, 4.0), "R": (0.3, 0.7)}
 
-COMPILING, LOADING = "compiling the kernels, about 55 s, once for this version", "loading the kernels"
+COMPILING, LOADING = "compiling the kernels, about 45 s, once for this version", "loading the kernels"
 
 
 @pytest.fixture
@@ -156,7 +156,7 @@ def test_with_two_processors_the_user_reads_of_a_shorter_compilation(
 ) -> None:
     monkeypatch.setattr(warm, "processors", lambda: 2)
     spared = warm.SPARED[warm.CELLS]
-    assert warm.warming() == COMPILING.replace("55", str(55 - spared))
+    assert warm.warming() == COMPILING.replace("45", str(45 - spared))
 
 
 def test_without_a_folder_for_them_nothing_is_compiled_beforehand(

@@ -49,7 +49,8 @@ def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
     is a stop of that signal: the upper one where y falls, the lower one where it rises.
     """
     upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
-    s, side, evaluations = next_crossing(lend(velocity), h, phase, offset, upper, lower, begun, left, scratch)
+    signal = lend(velocity)
+    s, side, evaluations = next_crossing(signal, h, phase, offset, upper, lower, begun, left, scratch)
     flow(velocity.blocks, s, h)
     return s, side, evaluations
 
