@@ -411,7 +411,8 @@ def test_a_spring_by_its_expression_is_odd_where_that_is() -> None:
     definition = duffing(0.1, springs=[spring])
     del definition["contacts"]
     assert orbit_of(definition)[0]["symmetric"]
-    assert "pulls back by y + y**3 (21 segments at the defaults, within 0.001 of the largest)" in equation_of(System.from_mapping(definition))
+    line = "pulls back by y + y**3 (21 segments at the defaults, within 0.001 of the largest)"
+    assert line in equation_of(System.from_mapping(definition))
 
 
 def with_law(kind: str, law: Any, **more: Any) -> dict[str, Any]:
