@@ -114,7 +114,7 @@ CUT = f"""
 CUT_HEAD = f"""
 @media {SINGLE} {{
   :host {{ display: grid !important; grid-template-columns: auto 1fr; height: auto !important; }}
-  :host > div:nth-of-type(1) {{ grid-column: 1 / -1; }}
+  :host > div:nth-of-type(-n + 2) {{ grid-column: 1 / -1; }}
 }}
 """
 
