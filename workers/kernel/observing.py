@@ -11,15 +11,14 @@ import numpy as np
 
 from workers.kernel.borrow import row_of
 from workers.kernel.excursion import next_turn, velocity_of
-from workers.kernel.hybrid.measuring import AROUND, LEGS, Readings, read_leg
-from workers.kernel.hybrid.motion import through_modes
+from workers.kernel.hybrid.measuring import AROUND, Readings, noted_period, read_legs
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import LEVEL, mode_with, output_row
 from workers.kernel.hybrid.state import enter, product, read_number, turned
 from workers.kernel.jit import kernel, named_constants
 from workers.kernel.lend import lend, row_in
 from workers.kernel.linalg import copy_into
-from workers.kernel.motion import MARCH_GAVE_UP, NOTHING_COUNTED, OVERDRAFT, RECORDED, RUNNING, STATUS, WORK, spend
+from workers.kernel.motion import MARCH_GAVE_UP, NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
 from workers.kernel.signal import derivative_bounds, evaluate
 from workers.model.observables import ENERGY_LOSS, IMPACT_PHASE, IMPACT_SPEED, KINDS, MAXIMUM, MINIMUM, SECTION
 from workers.model.oscillator import NUMBER, Array, Rows
@@ -204,13 +203,7 @@ def loss_in(table, meter, legs, end, tally):
         np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M), np.zeros((C, 2)), np.zeros(C), np.zeros(C), np.zeros(C),
         np.zeros(C), np.zeros(C), np.zeros(F), np.zeros(F), np.zeros(1), np.zeros((2, 2 * n)),
     )  # fmt: skip
-    marks, before = np.full(2, np.nan), -1
-    for i in range(len(legs)):
-        last = i + 1 == len(legs)
-        signal = -1 if last else int(legs[i + 1, LEG.signal])
-        following = end if last else legs[i + 1, LEG_STATE : LEG_STATE + 2 * n]
-        read_leg(table, meter, reading, before, legs[i], signal, following, -1.0, marks, True, tally)
-        before = int(legs[i, LEG.mode])
+    read_legs(table, meter, reading, legs, end, -1.0, np.full(2, np.nan), True, tally)
     return np.sum(reading.stop) + np.sum(reading.rubbed) + reading.damped[0]
 
 
@@ -220,32 +213,16 @@ def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begi
 
     In place; see see_outputs. Where a mode is missing it stays where it was, and nothing is seen.
     """
-    size, legs_room, hits_room = len(z), LEGS, LEGS
-    flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
-    columns = LEG_STATE + size + table.pieces.ends.shape[1]
-    while True:
-        there, number, spent = z.copy(), code.copy(), tally.copy()
-        spent[RECORDED] = 0.0
-        hits, legs = np.empty((hits_room, 3)), np.empty((legs_room, columns))
-        through_modes(table, there, flat, number, line, square, spent, hits, legs, duration)
-        if spent[STATUS] != RUNNING:
-            break
-        more_legs, more_hits = not math.isnan(legs[-1, 0]), int(spent[RECORDED]) == hits_room
-        if not (more_legs or more_hits):
-            break
-        legs_room, hits_room = legs_room * (4 if more_legs else 1), hits_room * (4 if more_hits else 1)
-    copy_into(tally, spent)
+    there, number, legs, hits = noted_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
         return
-    count = 0
-    while not math.isnan(legs[count, 0]):
-        see_outputs(table, meter, wanted, seen, legs[count], since, begins, flies, tally)
-        count += 1
-    for i in range(int(tally[RECORDED])):
+    for i in range(len(legs)):
+        see_outputs(table, meter, wanted, seen, legs[i], since, begins, flies, tally)
+    for i in range(len(hits)):
         see_impact(table, wanted, seen, hits[i], since, begins)
     if flies and np.any(wanted.kinds == LOSS):
         kept = stored(table, meter, there, number[0]) - stored(table, meter, z, code[0])
-        lost = loss_in(table, meter, legs[:count], there, tally) - kept
+        lost = loss_in(table, meter, legs, there, tally) - kept
         for m in range(len(wanted.kinds)):
             if wanted.kinds[m] == LOSS:
                 put(seen, m, lost)

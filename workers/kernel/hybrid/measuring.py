@@ -19,7 +19,7 @@ from workers.kernel.hybrid.state import enter, leave, product, read_number, righ
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, row_in
 from workers.kernel.linalg import copy_into
-from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
+from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RECORDED, RUNNING, STATUS, WORK, spend
 from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.model.oscillator import Array
 
@@ -243,33 +243,52 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
 
 
 @kernel
+def noted_period(table, z, code, tally, duration):
+    """(state, number of its mode, legs, contacts) of a motion from z (2n,) in the mode of code (1,) after a period.
+
+    Or after a part of it; all legs and contacts as of through_modes, the motion's tally in place. Where a mode is
+    missing there are none.
+    """
+    size, room = len(z), LEGS
+    flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
+    columns = LEG_STATE + size + table.pieces.ends.shape[1]
+    while True:
+        there, number, spent = z.copy(), code.copy(), tally.copy()
+        spent[RECORDED] = 0.0
+        hits, legs = np.empty((room, 3)), np.empty((room, columns))  # a contact ends a leg
+        through_modes(table, there, flat, number, line, square, spent, hits, legs, duration)
+        if spent[STATUS] != RUNNING or math.isnan(legs[room - 1, 0]):
+            break
+        room *= 4
+    copy_into(tally, spent)
+    count = 0
+    while tally[STATUS] == RUNNING and not math.isnan(legs[count, 0]):
+        count += 1
+    return there, number, legs[:count], hits[: int(tally[RECORDED]) if tally[STATUS] == RUNNING else 0]
+
+
+@kernel
+def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
+    """Add legs that lead to the state ``end`` (2n,); see read_leg."""
+    before = -1
+    for i in range(len(legs)):
+        last = i + 1 == len(legs)
+        signal = -1 if last else int(legs[i + 1, LEG.signal])
+        following = end if last else legs[i + 1, LEG_STATE : LEG_STATE + len(end)]
+        read_leg(table, meter, reading, before, legs[i], signal, following, begins, marks, flies, tally)
+        before = int(legs[i, LEG.mode])
+
+
+@kernel
 def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
     """Take a motion from state z (2n,) and its mode in code (1,) through a period, or a part of it, and add its legs.
 
     In place; see read_leg. Where a mode is missing it stays where it was, and nothing is added.
     """
-    size, room = len(z), LEGS
-    none, flat, line, square = np.empty((0, 3)), np.empty((0, size)), np.empty(0), np.empty((0, 0))
-    columns = LEG_STATE + size + table.pieces.ends.shape[1]
-    while True:
-        there, number, spent = z.copy(), code.copy(), tally.copy()
-        legs = np.empty((room, columns))
-        through_modes(table, there, flat, number, line, square, spent, none, legs, duration)
-        if spent[STATUS] != RUNNING or math.isnan(legs[room - 1, 0]):
-            break
-        room *= 4
-    copy_into(tally, spent)
+    there, number, legs, _ = noted_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
         return
-    before = -1
-    for i in range(room):
-        if math.isnan(legs[i, 0]):
-            break
-        last = i + 1 == room or math.isnan(legs[i + 1, 0])
-        signal = -1 if last else int(legs[i + 1, LEG.signal])
-        following = there if last else legs[i + 1, LEG_STATE : LEG_STATE + size]
-        read_leg(table, meter, reading, before, legs[i], signal, following, begins, marks, flies, tally)
-        before = int(legs[i, LEG.mode])
+    read_legs(table, meter, reading, legs, there, begins, marks, flies, tally)
     copy_into(z, there)
     code[0] = number[0]
 
