@@ -25,7 +25,7 @@ from atlas.service.run import run
 from atlas.service.status import Status, read_status
 from atlas.spec.spec import Spec, given_values
 from atlas.store.location import Given
-from atlas.store.store import read_header
+from atlas.store.store import open_handle
 from workers import Settings
 from workers.model.system import DEFAULT, System
 
@@ -102,7 +102,7 @@ def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> St
     >>> atlas.status("plane.zarr").fraction
     1.0
     """
-    return read_status(read_header(store, storage_options))
+    return read_status(open_handle(store, storage_options))
 
 
 def branch(

@@ -65,16 +65,16 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
         "b": {"start": 0.05, "stop": 0.5, "num": cells},
     }
     spec = Spec("two-mass", axes=axes, store={"tile": [tile, tile]})
-    header = find(path) or create(path, spec, (tile, tile))
-    done = done_tiles(header)
-    missing = [each for each in header.tiling.tiles() if each.index not in done]
+    handle = find(path) or create(path, spec, (tile, tile))
+    done = done_tiles(handle)
+    missing = [each for each in handle.tiling.tiles() if each.index not in done]
     begin = time.perf_counter()
-    overviews = Overviews(header)
+    overviews = Overviews(handle)
     for count, each in enumerate(missing):
         if count % 100 == 0:
             print(f"writing tile {count} of {len(missing)}", file=sys.stderr)
-        write_tile(header, each.index, synthetic(spec, each))
-    put_together(header)
+        write_tile(handle, each.index, synthetic(spec, each))
+    put_together(handle)
     middle = time.perf_counter()
     print("writing overviews", file=sys.stderr)
     overviews.finish()

@@ -41,7 +41,7 @@ from atlas.store.location import place_of
 from atlas.store.making import create
 from atlas.store.record import record_key
 from atlas.store.schema import extra_sizes
-from atlas.store.store import Header, chunk_key, read_header
+from atlas.store.store import Atlas, chunk_key, open_handle
 from atlas.store.tiles import write_tile
 from scripts.measured import parsed, print_table
 from tests.loopback import ObjectStore, object_store
@@ -206,16 +206,16 @@ HEAD = (
 )
 
 
-def left_by_workers(header: Header, indices: Iterable[tuple[int, ...]]) -> dict[str, bytes]:
+def left_by_workers(handle: Atlas, indices: Iterable[tuple[int, ...]]) -> dict[str, bytes]:
     """The objects by which tiles are done, as workers leave them: regime and record, all those of the first tile."""
-    first = (0,) * len(header.spec.shape)
-    states = extra_sizes(header.spec)
-    arrays = empty_results(header.spec.variables, header.tiling.at(first).shape, states)
+    first = (0,) * len(handle.spec.shape)
+    states = extra_sizes(handle.spec)
+    arrays = empty_results(handle.spec.variables, handle.tiling.at(first).shape, states)
     arrays[REGIME.name][...] = PERIODIC
-    write_tile(header, first, arrays)
+    write_tile(handle, first, arrays)
     kept: dict[str, bytes] = {}
-    for key_of in (partial(chunk_key, header.regime), record_key):
-        data = header.place.get(key_of(first))
+    for key_of in (partial(chunk_key, handle.regime), record_key):
+        data = handle.place.get(key_of(first))
         assert data is not None
         kept |= {key_of(index): data for index in indices}
     return kept
@@ -239,11 +239,11 @@ def measure_store(side: int, delay: float, folder: Path) -> list[tuple[str, str,
     with object_store() as server, mock.patch.dict(os.environ, server.environment):
         url = "s3://scale/plane.zarr"
         plan = make_plan(spec_of(side), 1000)
-        header = create(place_of(url), spec_of(side), plan.tiling.tile)
+        handle = create(place_of(url), spec_of(side), plan.tiling.tile)
         tiles = [tile.index for tile in plan.tiling.tiles()]
         half, bucket = tiles[: len(tiles) // 2], "scale/plane.zarr/"
-        objects = {bucket + key: data for key, data in left_by_workers(header, tiles).items()}
-        done = {bucket + key for index in half for key in (chunk_key(header.regime, index), record_key(index))}
+        objects = {bucket + key: data for key, data in left_by_workers(handle, tiles).items()}
+        done = {bucket + key for index in half for key in (chunk_key(handle.regime, index), record_key(index))}
         server.put({key: data for key, data in objects.items() if key in done})
         server.delay(delay)
         print(f"store: {plan.tiling.count} tiles, {1e3 * delay:.0f} ms a request, half of them done", flush=True)
@@ -270,7 +270,7 @@ def measure_store(side: int, delay: float, folder: Path) -> list[tuple[str, str,
 def _status(url: str, server: ObjectStore, whose: str, tiles: int) -> tuple[str, str, str]:
     """What a first and a second status of an atlas take, of which so many tiles are done."""
     counted = Counted(server)
-    census = Census(read_header(place_of(url)))
+    census = Census(open_handle(place_of(url)))
     looks = []
     for settled in (True, False):
         counted = counted if settled else Counted(server)

@@ -24,7 +24,7 @@ from typing import IO
 
 import numpy as np
 
-from atlas.store.store import read_header
+from atlas.store.store import open_handle
 from atlas.store.tiles import read_tile
 from tests.faults import attempts, environment
 
@@ -139,10 +139,10 @@ def _differences(store: Path) -> tuple[str, ...]:
     """Variables of a store that are not what solve_tile gives, tile by tile."""
     from workers.tile import solve_tile
 
-    header = read_header(store)
-    spec, found = header.spec, set()
-    for tile in header.tiling.tiles():
-        stored = read_tile(header, tile.index)
+    handle = open_handle(store)
+    spec, found = handle.spec, set()
+    for tile in handle.tiling.tiles():
+        stored = read_tile(handle, tile.index)
         for name, values in solve_tile(spec.record, spec.cell_params(tile.slices), spec.settings).items():
             if stored[name].dtype != values.dtype or stored[name].tobytes() != np.ascontiguousarray(values).tobytes():
                 found.add(name)

@@ -18,20 +18,38 @@ from tests.planes import plane_of
 dask.config.set({"distributed.worker.profile.enabled": False})  # as local_cluster does, for clusters in this process
 cluster.DASHBOARD = "127.0.0.1:0"  # several tests at once: at a port that is taken Dask leaves a socket open
 
+HERE = Path(__file__).parent
+
 LONGEST = (
-    "test_commands.py", "test_docs_site.py", "test_release.py", "test_warm.py", "test_explore_page.py",
-    "test_explore_follow_page.py", "test_portable.py", "test_hybrid_random.py",
-    "test_groups.py", "test_page.py", "test_static_page.py", "test_explore_links.py", "test_measures.py",
-    "test_hybrid_cells.py", "test_place.py", "test_overview.py", "test_family.py", "test_explore_solving.py",
-    "test_curves_search.py", "test_submit.py", "test_stress.py",
-)  # fmt: skip
+    "project/test_commands.py",
+    "project/test_docs_site.py",
+    "project/test_release.py",
+    "task/test_warm.py",
+    "explore/test_page.py",
+    "explore/test_follow_page.py",
+    "project/test_portable.py",
+    "workers/kernel/test_hybrid_random.py",
+    "service/test_groups.py",
+    "render/test_page.py",
+    "explore/test_static_page.py",
+    "explore/test_links.py",
+    "workers/cell/test_measures.py",
+    "workers/cell/test_hybrid_cells.py",
+    "store/test_place.py",
+    "overview/test_overview.py",
+    "workers/cell/test_family.py",
+    "explore/test_solving.py",
+    "curves/test_curves_search.py",
+    "service/test_submit.py",
+    "project/test_stress.py",
+)
 """Files begun first, in this order: begun last they would keep one worker busy alone."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first, all others as they were found."""
     places = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.path.name, len(LONGEST)))
+    items.sort(key=lambda item: places.get(item.path.relative_to(HERE).as_posix(), len(LONGEST)))
 
 
 @pytest.fixture(scope="session")

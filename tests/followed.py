@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from tests.oracle.free_mass import bouncing_ball_orbits
-from tests.test_systems import machine_of
+from tests.workers.model.test_systems import machine_of
 from workers import Settings, solve_tile
 from workers.history import trace
 from workers.model.system import find_system

@@ -1,6 +1,6 @@
 """How long the fuzz tests look: at the same few examples in every run, or at as many new ones as the environment says.
 
-By hand: ``IMPACT_ATLAS_FUZZ=20000 pytest tests/test_fuzz.py``.
+By hand: ``IMPACT_ATLAS_FUZZ=20000 pytest tests/interface/test_fuzz.py``.
 """
 
 import os

@@ -2,12 +2,12 @@
 
 import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.paths import DATA
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
 from workers.continuation.itinerary import Itinerary, Orbit
@@ -23,7 +23,7 @@ TWO_MASS = find_system("two-mass")
 
 Array = NDArray[np.float64]
 
-CURVES: list[dict[str, Any]] = json.loads((Path(__file__).parent / "data" / "curves.json").read_text())["points"]
+CURVES: list[dict[str, Any]] = json.loads((DATA / "curves.json").read_text())["points"]
 """Bifurcation points of the two-mass system: 40-digit residuals, confirmed by following their stable sides."""
 
 CONDITIONS = {

@@ -16,13 +16,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 from urllib.request import Request as Question
 from urllib.request import urlopen
 from xml.sax.saxutils import escape, unescape
+
+from tests.paths import ROOT
 
 DATE = "Wed, 21 Oct 2015 07:28:00 GMT"
 ENDPOINTS = ("AWS_ENDPOINT_URL", "GOOGLE_BASE_URL", "AZURE_STORAGE_ENDPOINT")
@@ -266,7 +267,7 @@ def object_store() -> Iterator[ObjectStore]:
     """An empty one, serving inside the ``with`` block."""
     command = [sys.executable, "-m", "tests.loopback"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, cwd=Path(__file__).parents[1], **pipes) as process:  # type: ignore[call-overload]
+    with subprocess.Popen(command, cwd=ROOT, **pipes) as process:  # type: ignore[call-overload]
         yield ObjectStore(process.stdout.readline().decode().strip())  # and then its stdin ends, and so does it
 
 

@@ -19,9 +19,9 @@ def plane_of(tile: tuple[int, int] = (2, 3), **changes: object) -> atlas.Spec:
     )
 
 
-def find(path: str | os.PathLike[str] | Place, spec: atlas.Spec) -> store.Header | None:
-    """The header of a store that a run of this spec may complete, None where it may make one; see ``check_run``."""
+def find(path: str | os.PathLike[str] | Place, spec: atlas.Spec) -> store.Atlas | None:
+    """The handle of a store that a run of this spec may complete, None where it may make one; see ``check_run``."""
     place = place_of(path)
-    header = store.find(place)
-    check_run(place, spec, header)
-    return header
+    handle = store.find(place)
+    check_run(place, spec, handle)
+    return handle

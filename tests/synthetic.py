@@ -25,11 +25,11 @@ def spec_of(nx: int = 45, ny: int = 38, **axis: object) -> atlas.Spec:
     return atlas.Spec("two-mass", axes={"omega": omega, "b": {"start": 0.1, "stop": 0.5, "num": ny}})
 
 
-def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.ndarray]:
+def results(handle: store.Atlas, index: Index, seed: int = 0) -> dict[str, np.ndarray]:
     """Random results of a tile: every regime but pending and failed, exponents -inf and NaN among them."""
     rng = np.random.default_rng([seed, *index])
-    shape = header.tiling.at(index).shape
-    made = empty_results(result_variables(header.spec.settings), shape, {"exponent": 4, "state": 4, "sample": 0})
+    shape = handle.tiling.at(index).shape
+    made = empty_results(result_variables(handle.spec.settings), shape, {"exponent": 4, "state": 4, "sample": 0})
     made["regime"] = rng.choice([0, 1, 1, 1, 2, 3, 3, 4, 5], shape).astype(np.int8)
     made["largest"] = largest = np.where(made["regime"] == CHAOTIC, 1.0, -1.0) * rng.random(shape)
     largest[rng.random(shape) < 0.1] = -np.inf
@@ -41,43 +41,43 @@ def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.n
     return made
 
 
-def indices(header: store.Header) -> list[Index]:
-    return [tile.index for tile in header.tiling.tiles()]
+def indices(handle: store.Atlas) -> list[Index]:
+    return [tile.index for tile in handle.tiling.tiles()]
 
 
-def fill(header: store.Header, skip: tuple[Index, ...] = (), seed: int = 0) -> None:
+def fill(handle: store.Atlas, skip: tuple[Index, ...] = (), seed: int = 0) -> None:
     """Write all tiles but some, without overviews."""
-    tiles = {index: results(header, index, seed) for index in indices(header)}
-    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
-    for variable in header.variables:
+    tiles = {index: results(handle, index, seed) for index in indices(handle)}
+    group = zarr.open_group(handle.path, mode="r+", use_consolidated=False)
+    for variable in handle.variables:
         array: Any = group[variable.name]
         whole = array[...]
         for index, made in tiles.items():
-            whole[header.tiling.at(index).slices] = made[variable.name]
+            whole[handle.tiling.at(index).slices] = made[variable.name]
         array.with_config({"write_empty_chunks": True})[...] = whole  # all chunks at once: a tenth of the time
     for index in skip:
-        header.path.joinpath("regime", "c", *map(str, index)).unlink()
+        handle.path.joinpath("regime", "c", *map(str, index)).unlink()
 
 
-def overviews_of(header: store.Header, side: int = 8, least: int = 8) -> Overviews:
+def overviews_of(handle: store.Atlas, side: int = 8, least: int = 8) -> Overviews:
     """Overviews with chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
-    return Overviews(header, side=side, least=least)
+    return Overviews(handle, side=side, least=least)
 
 
-def keep(header: store.Header, side: int = 8, least: int = 8) -> int:
+def keep(handle: store.Atlas, side: int = 8, least: int = 8) -> int:
     """Make all overviews that can be made; the number of chunks made."""
-    overviews = overviews_of(header, side=side, least=least)
+    overviews = overviews_of(handle, side=side, least=least)
     return overviews.finish()
 
 
 def complete(
     path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None, side: int = 8, least: int = 8
-) -> store.Header:
+) -> store.Atlas:
     """A whole store with its overviews."""
-    header = making.create(path, spec or spec_of(), tile)
-    fill(header)
-    keep(header, side, least)
-    return header
+    handle = making.create(path, spec or spec_of(), tile)
+    fill(handle)
+    keep(handle, side, least)
+    return handle
 
 
 def set_attribute(path: Path, name: str, value: object) -> None:
@@ -116,13 +116,13 @@ def naive_shares(codes: np.ndarray) -> dict[int, float]:
     return {code: float(np.mean(codes == code)) for code in np.unique(codes).tolist()}
 
 
-def assert_view_is_true(header: store.Header) -> None:
+def assert_view_is_true(handle: store.Atlas) -> None:
     """Every level that can be looked at is what the cells in the store say, by definitions applied to the cells."""
-    ds = atlas.open(header.path)
-    base = atlas.open(header.path).load()
+    ds = atlas.open(handle.path)
+    base = atlas.open(handle.path).load()
     codes = base.regime.values
     largest = np.where(codes == PENDING, np.nan, base.largest.values)
-    for level in range(1, store_levels(header) + 1):
+    for level in range(1, store_levels(handle) + 1):
         ny, nx = (-(-n // 2**level) for n in codes.shape)
         seen = view(ds, ["largest"], pixels=(nx, ny), marks=False)
         assert seen.sizes["omega"] == nx
@@ -139,10 +139,10 @@ def assert_view_is_true(header: store.Header) -> None:
     np.testing.assert_allclose([found[names[code]] for code in naive], list(naive.values()), rtol=1e-12)
 
 
-def assert_overviews_are_of(header: store.Header) -> None:
+def assert_overviews_are_of(handle: store.Atlas) -> None:
     """Every chunk that counts as current, by either mark, says what the cells say now."""
-    codes, largest = (atlas.open(header.path)[name].values for name in ("regime", "largest"))
-    coarse = xr.open_zarr(header.path, group="overviews/1")
+    codes, largest = (atlas.open(handle.path)[name].values for name in ("regime", "largest"))
+    coarse = xr.open_zarr(handle.path, group="overviews/1")
     for mark in (coarse.regime.values, coarse.regime_shown.values):
         current = mark != PENDING
         np.testing.assert_allclose(coarse.largest.values[current], each_block(largest, 1, mean)[current], rtol=1e-12)
@@ -150,10 +150,10 @@ def assert_overviews_are_of(header: store.Header) -> None:
     np.testing.assert_array_equal(coarse.regime.values[current], each_block(codes, 1, mode)[current])
 
 
-def store_levels(header: store.Header) -> int:
+def store_levels(handle: store.Atlas) -> int:
     from atlas.overview.pyramid import Pyramid
 
-    return Pyramid(header).levels.count
+    return Pyramid(handle).levels.count
 
 
 def mode(block: np.ndarray) -> int:
@@ -173,9 +173,9 @@ def arrays_of(path: Path, group: str | None = None) -> dict[str, bytes]:
     return {str(name): ds[name].values.tobytes() for name in ds.data_vars}
 
 
-def record_again(path: Path) -> store.Header:
+def record_again(path: Path) -> store.Atlas:
     """Write the record of each tile by the cells that it has now."""
-    header = store.read_header(path)
-    for index in store.done_tiles(header):
-        put_record(header, index, record_of(header, index, read_tile(header, index)))
-    return header
+    handle = store.open_handle(path)
+    for index in store.done_tiles(handle):
+        put_record(handle, index, record_of(handle, index, read_tile(handle, index)))
+    return handle

@@ -35,12 +35,12 @@ from atlas.store.store import (
     READERS,
     ROOT,
     ZOOM,
-    Header,
+    Atlas,
     chunk_key,
     done_tiles,
-    header_by,
+    handle_by,
     open_arrays,
-    read_header,
+    open_handle,
 )
 from atlas.store.tiles import is_blank, read_tile, record_of
 from atlas.store.tiling import Tiling
@@ -64,7 +64,7 @@ class Findings:
     overviews, groups, foreign, zoom   the other parts; of the zoom levels sheets, planes and ()
     """
 
-    header: Header
+    handle: Atlas
     report: Report
     unread: bool = False
     spareless: bool = False
@@ -82,53 +82,53 @@ def find(place: Place, sample: int, seed: int, notify: Callable[[Progress], None
     with refused(place, "read"):
         spare = read_spare(place)
     if spare is not None and (lost := spare_faults(place, spare)):
-        header = header_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
-        return _unread(header, seed, [f"{key} {what}: {remedy(place)}" for key, what in lost.items()])
-    header = read_header(place)
-    found = _with_zoom(_found(header, sample, seed, notify), sample, notify)
+        handle = handle_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
+        return _unread(handle, seed, [f"{key} {what}: {remedy(place)}" for key, what in lost.items()])
+    handle = open_handle(place)
+    found = _with_zoom(_found(handle, sample, seed, notify), sample, notify)
     if spare is not None:
         return found
     fault = StoreFault(None, f"{SPARE} is missing or damaged: {remedy(place)}")
     return replace(found, spareless=True, report=replace(found.report, faults=(fault, *found.report.faults)))
 
 
-def _unread(header: Header, seed: int, faults: list[str]) -> Findings:
+def _unread(handle: Atlas, seed: int, faults: list[str]) -> Findings:
     """A store with damaged metadata: whatever is read through them means nothing."""
     told = tuple(StoreFault(None, what) for what in faults)
-    return Findings(header, replace(_begun(header, seed), comparison="the metadata are damaged", faults=told), True)
+    return Findings(handle, replace(_begun(handle, seed), comparison="the metadata are damaged", faults=told), True)
 
 
-def _begun(header: Header, seed: int) -> Report:
+def _begun(handle: Atlas, seed: int) -> Report:
     """The report on a store before anything is read."""
-    done = len(done_tiles(header))
-    return Report(str(header.place), header.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
+    done = len(done_tiles(handle))
+    return Report(str(handle.place), handle.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
 
 
-def _found(header: Header, sample: int, seed: int, notify: Callable[[Progress], None]) -> Findings:
+def _found(handle: Atlas, sample: int, seed: int, notify: Callable[[Progress], None]) -> Findings:
     """What is wrong with a store but for its zoom levels."""
-    tiling = header.tiling
+    tiling = handle.tiling
     notify(Progress("listing the tiles"))
-    done = sorted(done_tiles(header))
-    report = _begun(header, seed)
-    if wrong := metadata_faults(header):
-        return _unread(header, seed, wrong)
-    records = Records(header, done)
-    worn = coordinate_faults(header)
+    done = sorted(done_tiles(handle))
+    report = _begun(handle, seed)
+    if wrong := metadata_faults(handle):
+        return _unread(handle, seed, wrong)
+    records = Records(handle, done)
+    worn = coordinate_faults(handle)
     faults = [StoreFault(None, what) for what in worn]
-    foreign = tuple(foreign_keys(header))
+    foreign = tuple(foreign_keys(handle))
     faults += [StoreFault(None, f"{key} is not a chunk of this atlas") for key in foreign]
 
     chunks = cells = 0
     samples: list[Sample] = []
     counted: dict[Index, Rows] = {}
-    for tile in _read_all(header, records, done, draw_cells(tiling, done, sample, seed), notify):
+    for tile in _read_all(handle, records, done, draw_cells(tiling, done, sample, seed), notify):
         faults += [StoreFault(tile.index, what) for what in tile.faults]
         chunks, cells = chunks + tile.chunks, cells + tile.cells
         samples += tile.samples
         counted |= {tile.index: tile.row} if tile.row is not None else {}
-    faults += [StoreFault(index, f"{chunk_key(header.regime, index)} is missing") for index in records.lost]
+    faults += [StoreFault(index, f"{chunk_key(handle.regime, index)} is missing") for index in records.lost]
 
-    comparison = _comparison(header, sample, bool(done))
+    comparison = _comparison(handle, sample, bool(done))
     report = replace(report, chunks=chunks, cells_checked=cells, comparison=comparison)
     doubts: list[StoreFault] = []
     if report.comparison in ("bits", "error"):
@@ -136,22 +136,22 @@ def _found(header: Header, sample: int, seed: int, notify: Callable[[Progress], 
         notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
         for k, one in enumerate(samples, 1):
             notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
-            again = solve_again(header.spec, one)
-            different = unequal(one.stored, again) if exact else beyond_error(header.spec, one.stored, again)
+            again = solve_again(handle.spec, one)
+            different = unequal(one.stored, again) if exact else beyond_error(handle.spec, one.stored, again)
             if different:
-                found = StoreFault(one.tile, f"cell {place_in(header.spec, one.cell)}: {different}")
+                found = StoreFault(one.tile, f"cell {place_in(handle.spec, one.cell)}: {different}")
                 (faults if exact else doubts).append(found)
         report = replace(report, cells_solved=len(samples))
     bad = sorted({fault.tile for fault in faults if fault.tile is not None})
-    overviews = check_overviews(header, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
+    overviews = check_overviews(handle, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
     faults += [StoreFault(None, what) for what in overviews.faults]
     notify(Progress("checking tables and records"))
-    groups = check_groups(header)
-    wrong = record_faults(header, records, counted)
+    groups = check_groups(handle)
+    wrong = record_faults(handle, records, counted)
     faults += [StoreFault(None, what) for what in (*groups.faults, *wrong)]
     report = replace(report, overview_chunks=overviews.chunks, faults=tuple(faults), doubts=tuple(doubts))
     return Findings(
-        header,
+        handle,
         report,
         worn=bool(worn),
         records={index: row for index, row in counted.items() if index not in bad} if wrong else None,
@@ -167,11 +167,11 @@ def _with_zoom(found: Findings, sample: int, notify: Callable[[Progress], None])
 
     Of as many sheets as the sample has cells, one cell each is solved again.
     """
-    header, report = found.header, found.report
+    handle, report = found.handle, found.report
     if found.unread:
         return found
-    known = sheets(header)
-    planes = {} if header.place.only_read else plane_faults(header)
+    known = sheets(handle)
+    planes = {} if handle.place.only_read else plane_faults(handle)
     solved = set(random.Random(report.seed).sample(known, min(sample, len(known))))
     faults, doubts = list(report.faults), list(report.doubts)
     faults += [StoreFault(None, f"{key} {what}") for key, what in planes.items()]
@@ -179,7 +179,7 @@ def _with_zoom(found: Findings, sample: int, notify: Callable[[Progress], None])
     for k, (plane, sheet) in enumerate(known, 1):
         notify(Progress(f"reading the zoom levels: sheet {k} of {len(known)}", passing=True))
         try:
-            place = sheet_place(header, plane, sheet)
+            place = sheet_place(handle, plane, sheet)
             own = find(place, int((plane, sheet) in solved), report.seed, lambda _: None).report
         except InputError as error:
             faults.append(StoreFault(None, str(error)))
@@ -208,14 +208,14 @@ class _Checked:
 
 
 def _read_all(
-    header: Header,
+    handle: Atlas,
     records: Records,
     done: list[Index],
     drawn: dict[Index, list[int]],
     notify: Callable[[Progress], None],
 ) -> Iterator[_Checked]:
     """Read and check the finished tiles, several at once."""
-    arrays, tiling = open_arrays(header), header.tiling
+    arrays, tiling = open_arrays(handle), handle.tiling
     _ = records.rows  # before several threads ask for them
     sizes = [tiling.at(index).size for index in done]
     pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
@@ -224,7 +224,7 @@ def _read_all(
     stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
     notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check(header, arrays, records, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check(handle, arrays, records, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = unfinished + read
@@ -232,21 +232,21 @@ def _read_all(
             yield tile
 
 
-def _check(header: Header, arrays: dict[str, Any], records: Records, index: Index, drawn: list[int]) -> _Checked:
-    tile = header.tiling.at(index)
-    needed = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.record["attributes"][COVERED]}
+def _check(handle: Atlas, arrays: dict[str, Any], records: Records, index: Index, drawn: list[int]) -> _Checked:
+    tile = handle.tiling.at(index)
+    needed = {each.name for each in (*handle.variables, *ALLOWANCES)} | {*handle.record["attributes"][COVERED]}
     stored = needed & arrays.keys()
     try:
-        values = read_tile(header, index, needed, arrays)
+        values = read_tile(handle, index, needed, arrays)
     except ChunkError as error:
         bad = tuple(f"{key} {fault}" for key, fault in error.faults.items())
         return _Checked(index, len(stored) - len(bad), 0, bad, ())
-    broken = broken_rules(header.spec, tile.slices, values)
+    broken = broken_rules(handle.spec, tile.slices, values)
     faults = tuple(
-        f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(header.spec, _first(mask, tile.slices))}"
+        f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(handle.spec, _first(mask, tile.slices))}"
         for text, mask in broken.items()
     )
-    row = record_of(header, index, values)
+    row = record_of(handle, index, values)
     faults += tuple(tile_faults(records, index, row))
     samples = []
     for flat in drawn:
@@ -254,7 +254,7 @@ def _check(header: Header, arrays: dict[str, Any], records: Records, index: Inde
         cell = tuple(part.start + i for part, i in zip(tile.slices, inner, strict=True))
         one = tuple(slice(i, i + 1) for i in inner)
         samples.append(Sample(cell, index, {name: array[one].copy() for name, array in values.items()}))
-    sparse = [v for v in (*header.variables, *header.allowances) if v.sparse and v.name in values]
+    sparse = [v for v in (*handle.variables, *handle.allowances) if v.sparse and v.name in values]
     chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
     return _Checked(index, chunks, tile.size, faults, tuple(samples), row)
 
@@ -276,14 +276,14 @@ def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict
     return drawn
 
 
-def _comparison(header: Header, sample: int, any_done: bool) -> str:
+def _comparison(handle: Atlas, sample: int, any_done: bool) -> str:
     """How the cells that are solved again are to be compared, or why none is."""
     if not sample:
         return "none asked for"
-    if header.solver_version != SOLVER_VERSION:
-        return f"the store has solver version {header.solver_version}, this program {SOLVER_VERSION}"
-    if header.spec.continuation is not None:
+    if handle.solver_version != SOLVER_VERSION:
+        return f"the store has solver version {handle.solver_version}, this program {SOLVER_VERSION}"
+    if handle.spec.continuation is not None:
         return "each cell of a continued sweep depends on those before it"
     if not any_done:
         return "no cell is done"
-    return "bits" if {machine.name for machine in machines(header)} == {this_machine().name} else "error"
+    return "bits" if {machine.name for machine in machines(handle)} == {this_machine().name} else "error"

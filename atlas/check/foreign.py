@@ -3,23 +3,23 @@
 from collections.abc import Iterator
 
 from atlas.overview.pyramid import GROUP, Pyramid
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.store.tiling import chunk_index
 from workers.results import Variable
 
 
-def foreign_keys(header: Header) -> Iterator[str]:
+def foreign_keys(handle: Atlas) -> Iterator[str]:
     """The keys of all such objects, by a listing of each array's."""
-    for variable in header.variables:
-        yield from _foreign(header, "", variable, header.tiling.grid)
-    pyramid = Pyramid(header)
+    for variable in handle.variables:
+        yield from _foreign(handle, "", variable, handle.tiling.grid)
+    pyramid = Pyramid(handle)
     for level in range(1, pyramid.levels.count + 1) if pyramid.made else ():
         for variable in pyramid.variables:
-            yield from _foreign(header, f"{GROUP}/{level}/", variable, pyramid.levels.grid(level))
+            yield from _foreign(handle, f"{GROUP}/{level}/", variable, pyramid.levels.grid(level))
 
 
-def _foreign(header: Header, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
+def _foreign(handle: Atlas, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
     root = f"{folder}{variable.name}/c/"
     whole = grid + (1,) * len(variable.extra)  # what has more numbers a cell has them all in one chunk
-    keys = (key for key in header.place.list_keys(root) if chunk_index(key.removeprefix(root), whole) is None)
+    keys = (key for key in handle.place.list_keys(root) if chunk_index(key.removeprefix(root), whole) is None)
     yield from sorted(keys)

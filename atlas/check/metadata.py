@@ -15,30 +15,30 @@ from atlas.store.machine import MACHINES
 from atlas.store.record import RECORD, TILES
 from atlas.store.schema import OVERVIEWS, extra_sizes
 from atlas.store.spare import alone
-from atlas.store.store import ROOT, ZOOM, Header, arrays_by, open_arrays, own_nodes
+from atlas.store.store import ROOT, ZOOM, Atlas, arrays_by, open_arrays, own_nodes
 from atlas.store.tiles import covered_variables, encoded, object_shape
 
 
-def metadata_faults(header: Header) -> list[str]:
+def metadata_faults(handle: Atlas) -> list[str]:
     """Contradictions between a store's metadata and its spec, or within its metadata; each in a few words."""
-    spec = header.spec
+    spec = handle.spec
     faults = []
     try:
-        if resolved_digest(header.resolved) != header.digest:
+        if resolved_digest(handle.resolved) != handle.digest:
             faults.append(f"{ROOT}: the digest does not match the spec")
     except ChunkError as error:
-        return [_said_of_values(header, key, fault) for key, fault in error.faults.items()]
-    if header.outline["axes"]:
-        ends = [axis.outline() for axis in Spec.from_resolved(header.resolved).axes]
+        return [_said_of_values(handle, key, fault) for key, fault in error.faults.items()]
+    if handle.outline["axes"]:
+        ends = [axis.outline() for axis in Spec.from_resolved(handle.resolved).axes]
         faults += [
-            f"{ROOT}: axis {a['name']} differs from its coordinate" for a in header.outline["axes"] if a not in ends
+            f"{ROOT}: axis {a['name']} differs from its coordinate" for a in handle.outline["axes"] if a not in ends
         ]
     try:
-        own, copied = arrays_by(header, own_nodes(header)), arrays_by(header, header.nodes)
+        own, copied = arrays_by(handle, own_nodes(handle)), arrays_by(handle, handle.nodes)
     except ChunkError as error:
         return [*faults, *(f"{key} {fault}" for key, fault in error.faults.items())]
-    sizes, variables = extra_sizes(spec), header.variables
-    shapes = {name: coordinate.values.shape for name, coordinate in header.coordinates.items()}
+    sizes, variables = extra_sizes(spec), handle.variables
+    shapes = {name: coordinate.values.shape for name, coordinate in handle.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
     for name in [*shapes, *(own.keys() | copied.keys()) - shapes.keys()]:
         where = f"{name}/{ROOT}"
@@ -49,7 +49,7 @@ def metadata_faults(header: Header) -> list[str]:
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
     try:
-        covered_variables(header, header.record["attributes"])
+        covered_variables(handle, handle.record["attributes"])
     except KeyError as error:
         faults.append(f"{RECORD}/{ROOT}: covers {error}, which the store does not have")
     for variable in variables:
@@ -58,21 +58,21 @@ def metadata_faults(header: Header) -> list[str]:
             continue
         where = f"{variable.name}/{ROOT}"
         stored = object_shape(array)
-        if (array.dtype, stored[: len(header.tile)]) != (np.dtype(variable.dtype), header.tile):
+        if (array.dtype, stored[: len(handle.tile)]) != (np.dtype(variable.dtype), handle.tile):
             found = f"{array.dtype} in chunks of {stored}"
-            faults.append(f"{where}: {found}, must be {variable.dtype} in tiles of {header.tile}")
+            faults.append(f"{where}: {found}, must be {variable.dtype} in tiles of {handle.tile}")
         if not np.array_equal(array.fill_value, variable.fill, equal_nan=np.dtype(variable.dtype).kind == "f"):
             faults.append(f"{where}: fill value {array.fill_value}, must be {variable.fill}")
     return faults
 
 
-def _said_of_values(header: Header, key: str, fault: str) -> str:
+def _said_of_values(handle: Atlas, key: str, fault: str) -> str:
     if key == ROOT:
         return f"{ROOT}: the digest does not match the spec"
     return f"coordinate {key} {fault}: it cannot be made again"
 
 
-def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
+def copy_faults(handle: Atlas) -> dict[str, dict[str, Any]]:
     """The copies of metadata that differ from their originals, by the keys of these.
 
     The root, each level of an overview and each table have copies of the metadata of all that lies in them. Of the
@@ -80,10 +80,10 @@ def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
     A level or a table whose copies are not those of the same arrays as the root's is found too.
     """
     found: dict[str, dict[str, Any]] = {}
-    for where in ("", *(key.removesuffix(ROOT) for key in _groups_with_copies(header))):
-        group = _json(header, f"{where}{ROOT}")
+    for where in ("", *(key.removesuffix(ROOT) for key in _groups_with_copies(handle))):
+        group = _json(handle, f"{where}{ROOT}")
         copies = _copies_in(group)
-        known = {name.removeprefix(where) for name in header.nodes if where and name.startswith(where)}
+        known = {name.removeprefix(where) for name in handle.nodes if where and name.startswith(where)}
         if group is not None and known and known != copies.keys():
             found[f"{where}{ROOT}"] = group
             continue
@@ -91,18 +91,18 @@ def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
             top = f"{where}{name}".partition("/")[0]
             if (not where and "/" not in name and copy.get("node_type") == "array") or top == ZOOM:
                 continue
-            if not header.place.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
+            if not handle.place.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
                 continue
-            own = _json(header, f"{where}{name}/{ROOT}")
+            own = _json(handle, f"{where}{name}/{ROOT}")
             if not _same(own, copy, late="complete" if name == OVERVIEWS else ""):
                 found[f"{where}{name}/{ROOT}"] = copy
     return found
 
 
-def restore(header: Header, copies: Mapping[str, Mapping[str, Any]]) -> None:
+def restore(handle: Atlas, copies: Mapping[str, Mapping[str, Any]]) -> None:
     """Write metadata anew, by their copies."""
     for key, copy in copies.items():
-        header.place.put(key, json.dumps(alone(copy)).encode())
+        handle.place.put(key, json.dumps(alone(copy)).encode())
 
 
 def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
@@ -112,16 +112,16 @@ def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
     return nodes if isinstance(nodes, dict) and all(isinstance(node, dict) for node in nodes.values()) else {}
 
 
-def _groups_with_copies(header: Header) -> list[str]:
+def _groups_with_copies(handle: Atlas) -> list[str]:
     """The keys of the metadata of tables and of levels of overviews."""
-    levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(header).levels.count + 1)]
-    return [key for key in (*(f"{table}/{ROOT}" for table in TABLES), *levels) if header.place.exists(key)]
+    levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(handle).levels.count + 1)]
+    return [key for key in (*(f"{table}/{ROOT}" for table in TABLES), *levels) if handle.place.exists(key)]
 
 
-def _json(header: Header, key: str) -> dict[str, Any] | None:
+def _json(handle: Atlas, key: str) -> dict[str, Any] | None:
     """Metadata as they are, None where there are none that can be read."""
     try:
-        found = json.loads(header.place.get(key) or b"")
+        found = json.loads(handle.place.get(key) or b"")
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
@@ -138,11 +138,11 @@ def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> 
     return one | {"attributes": attributes[0]} == other | {"attributes": attributes[1]}
 
 
-def coordinate_faults(header: Header) -> list[str]:
+def coordinate_faults(handle: Atlas) -> list[str]:
     """Coordinates and copies that cannot be read or are not the spec's to the bit; each in a few words."""
-    arrays = open_arrays(header)
-    faults = [f"{key} is damaged or missing" for key, data in header.copies.items() if header.place.get(key) != data]
-    for name, coordinate in header.coordinates.items():
+    arrays = open_arrays(handle)
+    faults = [f"{key} is damaged or missing" for key, data in handle.copies.items() if handle.place.get(key) != data]
+    for name, coordinate in handle.coordinates.items():
         try:
             values = np.asarray(arrays[name][...])
         except OSError:
@@ -155,9 +155,9 @@ def coordinate_faults(header: Header) -> list[str]:
     return faults
 
 
-def restore_coordinates(header: Header) -> None:
+def restore_coordinates(handle: Atlas) -> None:
     """Write the coordinates and their copies again, from the spec."""
-    arrays, objects = open_arrays(header), header.copies
-    for name, coordinate in header.coordinates.items():
+    arrays, objects = open_arrays(handle), handle.copies
+    for name, coordinate in handle.coordinates.items():
         objects |= encoded(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
-    header.place.put_all(objects)
+    handle.place.put_all(objects)

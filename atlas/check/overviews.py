@@ -20,7 +20,7 @@ from atlas.overview.pyramid import (
     level_key,
 )
 from atlas.query.source import Part
-from atlas.store.store import READERS, ROOT, Header
+from atlas.store.store import READERS, ROOT, Atlas
 from atlas.text import plural
 from workers.results import REGIME
 
@@ -52,33 +52,33 @@ class _CheckedChunk:
     sound: bool
 
 
-def check_overviews(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> OverviewReport:
+def check_overviews(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> OverviewReport:
     """Read every chunk of every level, from the first level on; ``bad`` are the finished tiles that are not sound.
 
     ``on_level`` is called with each level before it is read.
     """
-    if misformed := _form_faults(header):
+    if misformed := _form_faults(handle):
         return OverviewReport(0, tuple(misformed), (), misformed=True)
     chunks = 0
     faults: list[str] = []
     dropped: list[tuple[int, Index]] = []
-    for level, checked in _checked(header, bad, on_level):
+    for level, checked in _checked(handle, bad, on_level):
         chunks += checked.arrays
         faults += checked.faults
         dropped += [] if checked.sound else [(level, checked.index)]
     return OverviewReport(chunks, tuple(faults), tuple(dropped))
 
 
-def drop_unsound(header: Header, report: OverviewReport) -> None:
+def drop_unsound(handle: Atlas, report: OverviewReport) -> None:
     """Drop what must not stay, and all that lies over it; the next run makes it anew."""
     if report.misformed:
-        drop_all(header)
-    Pyramid(header).drop_chunks(report.unsound)
+        drop_all(handle)
+    Pyramid(handle).drop_chunks(report.unsound)
 
 
-def _form_faults(header: Header) -> list[str]:
+def _form_faults(handle: Atlas) -> list[str]:
     """What of the metadata and coordinates of overviews cannot be read, or is not as new ones have it."""
-    pyramid, faults = Pyramid(header), []
+    pyramid, faults = Pyramid(handle), []
     levels = pyramid.levels
     for level in range(1, levels.count + 1) if pyramid.made else ():
         shape = levels.shape_of(level)
@@ -90,7 +90,7 @@ def _form_faults(header: Header) -> list[str]:
                     faults.append(f"{GROUP}/{level}/{name}/{ROOT}: shape {found}, must be {expected}")
             except ChunkError as error:
                 faults += [f"{key} {what}" for key, what in error.faults.items()]
-        for name, coordinate in level_coordinates(header, level).items():
+        for name, coordinate in level_coordinates(handle, level).items():
             try:
                 found = pyramid.read(level, name, tuple(slice(0, n) for n in coordinate.values.shape))
                 if not np.all(_same(found, coordinate.values)):
@@ -100,12 +100,12 @@ def _form_faults(header: Header) -> list[str]:
     return faults
 
 
-def _checked(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, _CheckedChunk]]:
-    pyramid = Pyramid(header)
+def _checked(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, _CheckedChunk]]:
+    pyramid = Pyramid(handle)
     if not pyramid.made:
         return
-    whole = tuple(slice(0, n) for n in header.spec.shape)
-    part = Part(header, whole, pyramid)
+    whole = tuple(slice(0, n) for n in handle.spec.shape)
+    part = Part(handle, whole, pyramid)
     unsound: set[Index] = set()
     with ThreadPoolExecutor(READERS) as readers:
         for level in range(1, pyramid.levels.count + 1):

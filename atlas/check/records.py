@@ -6,14 +6,14 @@ import numpy as np
 
 from atlas.store.record import BY_REASON, CELLS, DIGEST, RECORDS, Index, Rows, record_key
 from atlas.store.records import EXCHANGED, Records, is_exchanged
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from workers.results import REASON
 
 
-def record_faults(header: Header, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
+def record_faults(handle: Atlas, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
     """What is wrong with a store's records, given the rows that its finished tiles have by their cells."""
     faults = [f"{RECORDS} {records.damaged[RECORDS]}"] if RECORDS in records.damaged else []
-    counts = slice(CELLS.start, None if REASON in header.variables else BY_REASON.start)
+    counts = slice(CELLS.start, None if REASON in handle.variables else BY_REASON.start)
     wrong = [
         index
         for index, row in counted.items()

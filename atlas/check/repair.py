@@ -20,7 +20,7 @@ from atlas.store.place import Place
 from atlas.store.record import WIDTH, Rows
 from atlas.store.records import write_compaction
 from atlas.store.spare import SPARE, copy_metadata, mend_by_spare, packed_spare, read_spare, spare_faults
-from atlas.store.store import ROOT, ZOOM, Header
+from atlas.store.store import ROOT, ZOOM, Atlas
 from atlas.store.tiles import drop_tile
 from atlas.text import plural
 
@@ -32,7 +32,7 @@ def repair(found: Findings, again: Callable[[], Findings]) -> Report:
     """
     if not found.unread:
         return _dropped(found)
-    written = _write_metadata(found.header.place)
+    written = _write_metadata(found.handle.place)
     told, found = found.report.faults, again()
     if found.unread:
         return replace(found.report, faults=tuple(dict.fromkeys((*told, *found.report.faults))), repaired=())
@@ -52,27 +52,27 @@ def _write_metadata(place: Place) -> list[str]:
 
 def _dropped(found: Findings) -> Report:
     """The report after the faulty parts were dropped, overviews before the tiles that they are of."""
-    header, report = found.header, found.report
+    handle, report = found.handle, found.report
     mended = list[str]()
     if found.spareless:
-        header.place.put(SPARE, packed_spare(header.place.get(ROOT) or b""))
+        handle.place.put(SPARE, packed_spare(handle.place.get(ROOT) or b""))
         mended.append(f"{SPARE} written again")
     if found.worn:
-        restore_coordinates(header)
+        restore_coordinates(handle)
     if found.overviews is not None:
-        drop_unsound(header, found.overviews)
+        drop_unsound(handle, found.overviews)
     if found.tiles:
-        Pyramid(header).drop(found.tiles)
+        Pyramid(handle).drop(found.tiles)
     for index in found.tiles:
-        drop_tile(header, index)
+        drop_tile(handle, index)
     for key in found.foreign:
-        header.place.remove(key)
+        handle.place.remove(key)
     if found.groups is not None:
-        mended += mend_groups(header, found.groups)
+        mended += mend_groups(handle, found.groups)
     if found.records is not None:
-        mended += _records_written(header, found.records)
+        mended += _records_written(handle, found.records)
     if found.zoom:
-        drop_zoom(header, found.zoom)
+        drop_zoom(handle, found.zoom)
         mended += [f"{ZOOM}/{ROOT} written again"] * (() in found.zoom)
     if folders := {*found.zoom} - {()}:
         mended.append(f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves again what it shows")
@@ -80,10 +80,10 @@ def _dropped(found: Findings) -> Report:
     return replace(report, repaired=found.tiles, dropped=dropped, removed=found.foreign, mended=tuple(mended))
 
 
-def _records_written(header: Header, sound: Mapping[Index, Rows]) -> Iterator[str]:
+def _records_written(handle: Atlas, sound: Mapping[Index, Rows]) -> Iterator[str]:
     """Write the records of sound tiles by their cells, all together; a line about it."""
-    rows, settled = np.zeros((*header.tiling.grid, WIDTH)), np.zeros(header.tiling.grid, dtype=bool)
+    rows, settled = np.zeros((*handle.tiling.grid, WIDTH)), np.zeros(handle.tiling.grid, dtype=bool)
     for index, row in sound.items():
         rows[index], settled[index] = row, True
-    write_compaction(header, rows, settled)
+    write_compaction(handle, rows, settled)
     yield f"records of {plural(len(sound), 'tile')} collected"

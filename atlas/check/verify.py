@@ -16,7 +16,7 @@ from atlas.store.archive import refuse_packed
 from atlas.store.location import Given, place_of, refused
 from atlas.store.sidecar import notes_of
 from atlas.store.spare import read_spare
-from atlas.store.store import read_header
+from atlas.store.store import open_handle
 
 SAMPLE = 32
 
@@ -55,7 +55,7 @@ def verify(
         refuse_packed(place)
     with refused(place, "read"):
         if read_spare(place) is None:
-            read_header(place)  # there is a store, before its claim is taken
+            open_handle(place)  # there is a store, before its claim is taken
     drawn = random.SystemRandom().randrange(2**32) if seed is None else seed
     with reporting(on_progress) as report, ExitStack() as stack:
         if repair:

@@ -106,9 +106,9 @@ def _store(ctx: click.Context) -> str | None:
 def _spec(ctx: click.Context) -> "Spec":
     """The spec of that store."""
     from atlas.spec.spec import Spec
-    from atlas.store.store import read_header
+    from atlas.store.store import open_handle
 
     store = str(_store(ctx))
     if Path(store).suffix == ".toml":
         return Spec.from_toml(store)
-    return read_header(store).spec
+    return open_handle(store).spec

@@ -13,7 +13,7 @@ from atlas.query.open import open_atlas
 from atlas.service.pack import pack as pack_store
 from atlas.service.status import Census, read_status, watch
 from atlas.spec.citation import bibtex, computed_by
-from atlas.store.store import read_header
+from atlas.store.store import open_handle
 
 WATCH_SECONDS = 2.0
 """Between two looks of ``atlas status --watch``."""
@@ -26,12 +26,12 @@ WATCH_SECONDS = 2.0
 @click.pass_context
 def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> None:
     """How far STORE is: tiles, cells and regimes done, and the run at work on it."""
-    header, timing = read_header(store), timing_of(ctx)
+    handle, timing = open_handle(store), timing_of(ctx)
     if watching:
         with reporter(sys.stderr) as show:
-            for now in watch(Census(header, timing), WATCH_SECONDS):
+            for now in watch(Census(handle, timing), WATCH_SECONDS):
                 show(now.progress)
-    found = read_status(header, timing)
+    found = read_status(handle, timing)
     click.echo(to_json(found.as_dict()) if as_json else str(found))
 
 
@@ -75,6 +75,6 @@ def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool)
 @store_argument
 def cite(store: str) -> None:
     """Print BibTeX of what to cite for STORE: the software that computed it, the method, the sources of its machine."""
-    header = read_header(store)
-    version = computed_by(str(open_atlas(header).attrs.get("software", "")))
-    click.echo(bibtex(header.spec.record, version, header.solver_version))
+    handle = open_handle(store)
+    version = computed_by(str(open_atlas(handle).attrs.get("software", "")))
+    click.echo(bibtex(handle.spec.record, version, handle.solver_version))

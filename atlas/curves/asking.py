@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from atlas.curves.export import columns, rows
 from atlas.curves.table import KINDS, Curves, read_curves
 from atlas.errors import InputError, check_names
-from atlas.query.open import header_of
+from atlas.query.open import handle_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 def curves_of(ds: "xr.Dataset") -> Curves:
     """The curves that the store of an atlas keeps; InputError where it keeps none."""
-    header = header_of(ds)
-    found = read_curves(header)
+    handle = handle_of(ds)
+    found = read_curves(handle)
     if found is None:
-        raise InputError(f"{header.place}: has no curves yet; atlas find curves finds them")
+        raise InputError(f"{handle.place}: has no curves yet; atlas find curves finds them")
     return found
 
 

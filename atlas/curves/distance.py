@@ -11,7 +11,7 @@ from atlas.curves.following import Located, bounds_stability, events_towards
 from atlas.curves.plane import CurvePlane, plane_of
 from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
-from atlas.query.open import header_of
+from atlas.query.open import handle_of
 from atlas.query.queries import at
 from workers.continuation import Event, Orbit
 from workers.continuation.events import GRAZING, LOST
@@ -36,7 +36,7 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
     if kind is not None:
         check_names("kind of event", [kind], KINDS)
         kind = GRAZING if kind in LOST else kind
-    plane = plane_of(header_of(ds))
+    plane = plane_of(handle_of(ds))
     found = at(ds, point)
     orbits, here = CellOrbits(plane), np.array([float(point[name]) for name in plane.axes])
     orbit = _orbit_at(orbits, plane, found, here)

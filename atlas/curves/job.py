@@ -13,7 +13,7 @@ from atlas.curves.record import curve_from_json
 from atlas.curves.settings import CurveSettings
 from atlas.curves.tasks import Task, do
 from atlas.store.groups import CURVES
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, compile_once, kernels_for
 from atlas.task.site import RefusedError, Site, stored_part
 
@@ -44,33 +44,33 @@ class CurveReceipt:
 
 def do_and_keep(job: CurveJob) -> CurveReceipt:
     """Do a task and keep its result as a part of the store."""
-    header = job.site.header()
-    compile_once(*kernels_for(header.spec.record, ORBITS))
+    handle = job.site.handle()
+    compile_once(*kernels_for(handle.spec.record, ORBITS))
     begin = time.thread_time()
     orbits = _orbits(job.site, job.digest, job.settings)
     try:
-        found = do(job.task, orbits, partial(read_part, header), partial(_curve, job.site, job.digest))
+        found = do(job.task, orbits, partial(read_part, handle), partial(_curve, job.site, job.digest))
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One place at which a method breaks down must not end the search: it is counted, in words.
         found = {"trouble": f"{type(error).__name__}: {error}"}
-    job.site.keep(header, CURVES, job.name, json.dumps(found).encode())
+    job.site.keep(handle, CURVES, job.name, json.dumps(found).encode())
     return CurveReceipt(job.index, job.name, time.thread_time() - begin)
 
 
-def read_part(header: Header, name: str) -> dict[str, Any]:
+def read_part(handle: Atlas, name: str) -> dict[str, Any]:
     """The result that a part holds; RefusedError if there is none."""
-    found: dict[str, Any] = json.loads(stored_part(header, CURVES, name))
+    found: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
     return found
 
 
 @lru_cache(maxsize=64)  # one curve passes many edges
 def _curve(site: Site, digest: str, name: str) -> Followed:
-    return curve_from_json(read_part(site.header(), name)["curve"])
+    return curve_from_json(read_part(site.handle(), name)["curve"])
 
 
 @lru_cache(maxsize=1)  # a plane takes a while to read, and its orbits to find
 def _orbits(site: Site, digest: str, settings: CurveSettings) -> CellOrbits:
-    plane = plane_of(site.header())
+    plane = plane_of(site.handle())
     if settings.digest(plane) != digest:
         text = "its cells differ from those of the search; is the path the same on all hosts?"
         raise RefusedError(f"{site.store}: {text}")

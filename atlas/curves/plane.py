@@ -14,7 +14,7 @@ from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
 from atlas.spec.cells import edges_of
 from atlas.spec.system import refuse_drift
-from atlas.store.store import Header, done_tiles
+from atlas.store.store import Atlas, done_tiles
 from atlas.text import plural
 from workers.model.parameter import TAU
 from workers.model.system import System
@@ -170,29 +170,29 @@ class CurvePlane:
         return found.hexdigest()
 
 
-def plane_of(header: Header) -> CurvePlane:
+def plane_of(handle: Atlas) -> CurvePlane:
     """The plane of a store; InputError unless it is a finished one over two parameters that orbits depend on.
 
     ChunkError where a chunk is missing or damaged.
     """
-    spec = header.spec
+    spec = handle.spec
     if spec.points or len(spec.axes) != 2:
         found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
-        raise InputError(f"{header.place}: found {found}; curves need a plane with two axes")
+        raise InputError(f"{handle.place}: found {found}; curves need a plane with two axes")
     system = spec.record
     refuse_drift(system, "curves")
     for axis in spec.axes:
         if axis.name in system.states or (axis.name == TAU and len(system.definition.phases) < 2):
             raise InputError(
-                f"{header.place}: axis {axis.name} only sets the start of a motion, on which no orbit depends; "
+                f"{handle.place}: axis {axis.name} only sets the start of a motion, on which no orbit depends; "
                 "curves take two other parameters as axes"
             )
         if len(axis) < 2:
-            raise InputError(f"{header.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
-    missing = header.tiling.count - len(done_tiles(header))
+            raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
+    missing = handle.tiling.count - len(done_tiles(handle))
     if missing:
-        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = leading(open_atlas(header))
+        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+    ds = leading(open_atlas(handle))
     check_names("result of this atlas", NEEDED, map(str, ds.data_vars))
     x, y = spec.axes
 

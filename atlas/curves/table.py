@@ -11,7 +11,7 @@ from atlas.curves.stored import read_arrays, write_arrays
 from atlas.errors import ChunkError, message_of
 from atlas.store.groups import CURVES
 from atlas.store.schema import StoredArray
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 
 KINDS = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
@@ -120,20 +120,20 @@ class Curves:
         return tuple(curve for curve in self.curves if kind in (None, curve.kind))
 
 
-def write_curves(header: Header, found: Curves) -> None:
+def write_curves(handle: Atlas, found: Curves) -> None:
     """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
-    write_arrays(header, as_arrays(found), {"axes": list(found.axes), "report": dict(found.report)})
+    write_arrays(handle, as_arrays(found), {"axes": list(found.axes), "report": dict(found.report)})
 
 
-def read_curves(header: Header) -> Curves | None:
+def read_curves(handle: Atlas) -> Curves | None:
     """The curves that a store keeps, None where it keeps none; ChunkError where they are damaged."""
-    stored = read_arrays(header)
+    stored = read_arrays(handle)
     if stored is None:
         return None
     try:
         return from_arrays(*stored)
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise ChunkError(header.place, {CURVES: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.place, {CURVES: f"is damaged ({message_of(error)})"}) from None
 
 
 def as_arrays(found: Curves) -> dict[str, StoredArray]:

@@ -43,7 +43,7 @@ class Controls:
         self.vmin = NumericInput(title="scale from", value=chosen.vmin, mode="float", placeholder="auto", **wide)
         self.vmax = NumericInput(title="to", value=chosen.vmax, mode="float", placeholder="auto", **wide)
         self.rescale = Button(label="fit the scale to the view", **wide)
-        self.keep = Toggle(label="keep this plane too", visible=subject.header is not None, **wide)
+        self.keep = Toggle(label="keep this plane too", visible=subject.handle is not None, **wide)
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
         self.make = Button(label="make this an atlas", **wide)

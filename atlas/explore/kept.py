@@ -19,7 +19,7 @@ from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
 from atlas.service.lease import claimed
 from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import ROOT, Header, done_tiles
+from atlas.store.store import ROOT, Atlas, done_tiles
 from atlas.store.tiles import write_tile
 from atlas.store.zoom import drop_sheet, note_seen, seen_sheets, sheet_bytes, sheets
 from atlas.text import plural
@@ -53,11 +53,11 @@ class Keeper:
         self._waiting: OrderedDict[tuple[SubjectPlane, TileKey], Arrays] = OrderedDict()
         self._seen: dict[tuple[str, str], float] = {}
         self._sizes: dict[tuple[str, str], int] = {}
-        self.header = subject.header if wanted else None
-        self._trouble, self._lost, self._lately = "" if self.header is not None else "nothing is kept", 0, ""
-        if self.header is not None and self.header.place.only_read:
-            self.header, self._trouble = None, "nothing is kept: a packed atlas is read only"
-        self.sheets = None if self.header is None else Sheets(subject, self.header)
+        self.handle = subject.handle if wanted else None
+        self._trouble, self._lost, self._lately = "" if self.handle is not None else "nothing is kept", 0, ""
+        if self.handle is not None and self.handle.place.only_read:
+            self.handle, self._trouble = None, "nothing is kept: a packed atlas is read only"
+        self.sheets = None if self.handle is None else Sheets(subject, self.handle)
         self._thread = steady("atlas-keeper", self._serve, lambda error: self._say(f"kept later: {error}"))
 
     @property
@@ -87,7 +87,7 @@ class Keeper:
     def offer(self, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         """Keep a tile, soon."""
         with self._lock:
-            if self.header is None:
+            if self.handle is None:
                 return
             self._waiting[plane, key] = arrays
             while len(self._waiting) > MOST_WAITING and self._trouble:
@@ -99,7 +99,7 @@ class Keeper:
         with self._lock:
             if (plane, key) in self._waiting:
                 return True
-        return self.header is not None and self.sheets is not None and self.sheets.has(plane, key)
+        return self.handle is not None and self.sheets is not None and self.sheets.has(plane, key)
 
     def can_keep(self, key: TileKey) -> bool:
         """Whether a tile can be kept at all: not one with cells out of the valid ranges."""
@@ -155,9 +155,9 @@ class Keeper:
             with self._lock:
                 batch = [(key, self._waiting[key]) for key in list(self._waiting)[:TOGETHER]]
             due = batch or self._trouble or (self._seen and time.monotonic() - noted > RECENT)
-            if self.header is not None and due:  # in trouble too, which is over once a turn has come to its end
+            if self.handle is not None and due:  # in trouble too, which is over once a turn has come to its end
                 noted = time.monotonic()
-                self._turn(self.header, batch)
+                self._turn(self.handle, batch)
                 pause = min(2.0 * pause, LONGEST_PAUSE) if self._trouble else PAUSE
             with self._lock:
                 if ending and (not self._waiting or self._trouble):
@@ -166,19 +166,19 @@ class Keeper:
                         logging.getLogger(__name__).warning("%s not kept: %s", left, self._trouble)
                     return
 
-    def _turn(self, header: Header, batch: list[tuple[tuple[SubjectPlane, TileKey], Arrays]]) -> None:
+    def _turn(self, handle: Atlas, batch: list[tuple[tuple[SubjectPlane, TileKey], Arrays]]) -> None:
         """Write some tiles under the store's claim; those that cannot be written now wait for another turn."""
-        notes = notes_of(header.place)
+        notes = notes_of(handle.place)
         try:
-            if not header.place.exists(ROOT):  # to claim it would make a folder of its name
-                raise RunError(f"{header.place} is gone")
-            with claimed(notes, str(header.place)) as claim:
-                header = header.at(claim.guard(header.place))
+            if not handle.place.exists(ROOT):  # to claim it would make a folder of its name
+                raise RunError(f"{handle.place} is gone")
+            with claimed(notes, str(handle.place)) as claim:
+                handle = handle.at(claim.guard(handle.place))
                 for at, arrays in batch:
-                    self._keep(header, *at, arrays)
+                    self._keep(handle, *at, arrays)
                     with self._lock:
                         self._waiting.pop(at, None)
-                self._trim(header)
+                self._trim(handle)
             self._say("")
         except (InputError, RunError, OSError) as error:
             busy = False
@@ -186,38 +186,38 @@ class Keeper:
                 busy = notes.read(CLAIM) is not None
             self._say(f"kept later: {'a run is at work on the store' if busy else error}")
 
-    def _keep(self, header: Header, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
+    def _keep(self, handle: Atlas, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         """Write a tile; one that cannot be kept for a reason of its own does not hold up the others."""
         try:
-            self._write(header, plane, key, arrays)
+            self._write(handle, plane, key, arrays)
         except (InputError, RunError, OSError):
             raise
         except Exception as error:
             logging.getLogger(__name__).exception("a tile could not be kept")
             self._lose(why(error))
 
-    def _write(self, header: Header, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
+    def _write(self, handle: Atlas, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None
         of = SheetKey.of(key)
         span = self.sheets.span_with(key)
         if span is None:
             return
-        sheet = self.sheets.find(plane, of) or self.sheets.made(header, plane, of, span)
+        sheet = self.sheets.find(plane, of) or self.sheets.made(handle, plane, of, span)
         index = sheet.index(key)
-        if index not in done_tiles(sheet.header) or index in sheet.bad:
-            write_tile(sheet.header.at(sheet.header.place.behind(header.place.fence)), index, arrays)
+        if index not in done_tiles(sheet.handle) or index in sheet.bad:
+            write_tile(sheet.handle.at(sheet.handle.place.behind(handle.place.fence)), index, arrays)
         self.sheets.note(sheet, index)
         self._see(plane, of)
         self._sizes.pop((self.sheets.digest(plane), of.name), None)
 
-    def _trim(self, header: Header) -> None:
+    def _trim(self, handle: Atlas) -> None:
         """Drop the sheets seen longest ago, of those the deepest first, until the rest is small enough."""
         assert self.sheets is not None
-        all_sheets = sheets(header)
+        all_sheets = sheets(handle)
         for each in all_sheets:
             if each not in self._sizes:
-                self._sizes[each] = sheet_bytes(header, *each)
-        seen = seen_sheets(header)
+                self._sizes[each] = sheet_bytes(handle, *each)
+        seen = seen_sheets(handle)
         with self._lock:
             seen |= self._seen
             self._seen = {}
@@ -227,7 +227,7 @@ class Keeper:
             if total <= self._most or seen.get(each, 0.0) > recent:
                 break
             total -= self._sizes.pop(each)
-            drop_sheet(header, *each)
+            drop_sheet(handle, *each)
             seen.pop(each, None)
             self.sheets.close(*each)
-        note_seen(header, seen)
+        note_seen(handle, seen)

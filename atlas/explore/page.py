@@ -234,7 +234,7 @@ class Page:
         subject, chosen = self._subject, self._store.now.chosen
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
         keeper = self._explorer.keeper
-        if keeper.header is not None and not keeper.trouble and chosen.plane == subject.plane:
+        if keeper.handle is not None and not keeper.trouble and chosen.plane == subject.plane:
             notes.append(f"kept in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
             first, last = lattice.ends
@@ -243,7 +243,7 @@ class Page:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            kept = keeper.header is not None and self._explorer.keeps(chosen.plane)
+            kept = keeper.handle is not None and self._explorer.keeps(chosen.plane)
             notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])

@@ -15,11 +15,11 @@ from atlas.explore.kept import MOST_BYTES
 from atlas.explore.server import HOST, PageServer
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
-from atlas.query.open import header_of
+from atlas.query.open import handle_of
 from atlas.query.window import Window, axis_names, axis_values
 from atlas.service.cluster import active_client, connected, local_cluster
 from atlas.service.timing import TIMING, Timing
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -75,7 +75,7 @@ class Exploration:
 
 
 def explore(
-    given: "str | Header | Subject",
+    given: "str | Atlas | Subject",
     chosen: Mapping[str, float] | None = None,
     *,
     client: "Client | None" = None,
@@ -134,11 +134,11 @@ def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: A
     return explore(*_place(ds), window=window, tolerance=tolerance, **options)
 
 
-def _place(ds: "xr.Dataset") -> tuple[Header, dict[str, float]]:
+def _place(ds: "xr.Dataset") -> tuple[Atlas, dict[str, float]]:
     """The store that a dataset shows, and which plane of a stack."""
-    header = header_of(ds)
-    axes = header.spec.axes[2:]
-    return header, {axis.name: float(ds[axis.name]) for axis in axes if ds[axis.name].ndim == 0}
+    handle = handle_of(ds)
+    axes = handle.spec.axes[2:]
+    return handle, {axis.name: float(ds[axis.name]) for axis in axes if ds[axis.name].ndim == 0}
 
 
 def _connection(

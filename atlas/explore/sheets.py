@@ -20,7 +20,7 @@ from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.location import Place
 from atlas.store.making import create, remove_half_made
-from atlas.store.store import Header, done_tiles, open_arrays, read_header
+from atlas.store.store import Atlas, done_tiles, open_arrays, open_handle
 from atlas.store.zoom import drop_sheet, make_plane, sheet_place
 
 SHEET = 16
@@ -60,7 +60,7 @@ class SheetKey(NamedTuple):
 class Sheet:
     """A sheet that is open: where its first tile lies, and which of its tiles are done; bad ones cannot be read."""
 
-    header: Header
+    handle: Atlas
     first: tuple[int, int]
     arrays: dict[str, Any]
     done: set[tuple[int, ...]]
@@ -75,8 +75,8 @@ class Sheet:
 class Sheets:
     """The sheets of a subject in its store."""
 
-    def __init__(self, subject: Subject, header: Header) -> None:
-        self._subject, self._header, self._lock = subject, header, threading.RLock()
+    def __init__(self, subject: Subject, handle: Atlas) -> None:
+        self._subject, self._handle, self._lock = subject, handle, threading.RLock()
         self._open: OrderedDict[tuple[SubjectPlane, SheetKey], Sheet] = OrderedDict()
         self._absent: OrderedDict[tuple[SubjectPlane, SheetKey], float] = OrderedDict()
         self.digest = lru_cache(MOST_PLANES)(lambda plane: subject.digest(plane)[:16])
@@ -97,7 +97,7 @@ class Sheets:
                 if now - sheet.looked > LOOK:
                     sheet.looked = now
                     with suppress(OSError):
-                        sheet.done = done_tiles(sheet.header) - sheet.bad
+                        sheet.done = done_tiles(sheet.handle) - sheet.bad
                 return sheet
             if now - self._absent.get(at, -LOOK) < LOOK:
                 return None
@@ -111,20 +111,20 @@ class Sheets:
                 self._absent.popitem(last=False)
             return None
 
-    def made(self, header: Header, plane: SubjectPlane, key: SheetKey, span: Span) -> Sheet:
-        """A sheet that ``find`` found none of, open, by the header of the store as its claim's holder has it.
+    def made(self, handle: Atlas, plane: SubjectPlane, key: SheetKey, span: Span) -> Sheet:
+        """A sheet that ``find`` found none of, open, by the handle of the store as its claim's holder has it.
 
         Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew; OSError
         where the disk refuses.
         """
-        at, place = (plane, key), sheet_place(header, self.digest(plane), key.name)
+        at, place = (plane, key), sheet_place(handle, self.digest(plane), key.name)
         try:
             with self._lock:
                 return self._opened(at, place.behind(None), span)
         except Exception as error:
             if _refused(error):
                 raise
-        drop_sheet(header, self.digest(plane), key.name)
+        drop_sheet(handle, self.digest(plane), key.name)
         subject, digest, (rows, columns) = self._subject, self.digest(plane), span
         x = Stretch(key.level_x, columns.start * TILE, len(columns) * TILE)
         y = Stretch(key.level_y, rows.start * TILE, len(rows) * TILE)
@@ -134,7 +134,7 @@ class Sheets:
             "solve": dict(vars(subject.settings)),
             "digest": subject.digest(plane),
         }
-        make_plane(header, digest, described)
+        make_plane(handle, digest, described)
         if place.local is not None:
             remove_half_made(place.local)
         create(place, subject.spec_of(plane, *subject.points(x, y)), (TILE, TILE))
@@ -195,12 +195,12 @@ class Sheets:
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
     def _place(self, plane: SubjectPlane, key: SheetKey) -> Place:
-        return sheet_place(self._header, self.digest(plane), key.name)
+        return sheet_place(self._handle, self.digest(plane), key.name)
 
     def _opened(self, at: tuple[SubjectPlane, SheetKey], place: Place, span: Span) -> Sheet:
         """Open a sheet, and keep it open; those not used for longest are closed."""
-        header, first = read_header(place), (span[0].start, span[1].start)
-        self._open[at] = sheet = Sheet(header, first, open_arrays(header), done_tiles(header), looked=time.monotonic())
+        handle, first = open_handle(place), (span[0].start, span[1].start)
+        self._open[at] = sheet = Sheet(handle, first, open_arrays(handle), done_tiles(handle), looked=time.monotonic())
         self._absent.pop(at, None)
         while len(self._open) > MOST_OPEN:
             self._open.popitem(last=False)

@@ -23,7 +23,7 @@ from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import is_url, place_of
 from atlas.store.schema import extra_sizes
-from atlas.store.store import Header, read_header
+from atlas.store.store import Atlas, open_handle
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
 from workers.model.parameter import Parameter
@@ -76,7 +76,7 @@ class SubjectPlane:
 class Subject:
     """What a page shows: a spec of two axes, its store where it has one, and how its depths are solved.
 
-    stored     the header of the store; None where a spec is explored that has none
+    stored     the handle of the store; None where a spec is explored that has none
     ds         the plane of the store as a dataset
     layer      the number of that plane in a stack
     attractors from which initial states the spec seeks all attractors of a cell; None where it does not
@@ -87,7 +87,7 @@ class Subject:
 
     spec: Spec
     settings: Settings
-    stored: Header | None = None
+    stored: Atlas | None = None
     ds: "xr.Dataset | None" = None
     layer: int = 0
     attractors: Starts | None = None
@@ -106,8 +106,8 @@ class Subject:
         return self.settings.method == "adaptive"
 
     @property
-    def header(self) -> Header | None:
-        """The header of a store that cells of this program can be kept in."""
+    def handle(self) -> Atlas | None:
+        """The handle of a store that cells of this program can be kept in."""
         return self.stored if self.stored is not None and self.stored.solver_version == SOLVER_VERSION else None
 
     @property
@@ -173,7 +173,7 @@ class Subject:
     def same_settings(self) -> bool:
         """Whether cells of the atlas itself are what exploring would make of them."""
         asked = replace(self.spec.settings, section_samples=0, observe="")
-        return self.header is not None and self.every is None and asked == self.settings
+        return self.handle is not None and self.every is None and asked == self.settings
 
     def digest(self, plane: SubjectPlane) -> str:
         """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
@@ -249,21 +249,21 @@ class Subject:
         return Spec(self.system, axes, dict(plane.parameters), self.settings)
 
 
-def subject_of(given: str | Header, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE) -> Subject:
-    """The subject that a user names: a store, or else a spec by its file or its name; or the store of a header.
+def subject_of(given: str | Atlas, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE) -> Subject:
+    """The subject that a user names: a store, or else a spec by its file or its name; or the store of a handle.
 
     ``chosen`` picks the plane of a stack, by default the first. InputError for what has no plane to be explored.
     """
-    if isinstance(given, Header):
+    if isinstance(given, Atlas):
         return _subject(given.spec, given, open_atlas(given), chosen or {}, tolerance)
     place = None if given.endswith(".toml") else place_of(given)
     if place is not None and (place.exists("zarr.json") or is_url(given) or place.local is None):
-        return subject_of(read_header(place), chosen, tolerance)
+        return subject_of(open_handle(place), chosen, tolerance)
     return _subject(Spec.from_toml(given), None, None, chosen or {}, tolerance)
 
 
 def _subject(
-    spec: Spec, header: Header | None, ds: "xr.Dataset | None", chosen: Mapping[str, float], tolerance: float
+    spec: Spec, handle: Atlas | None, ds: "xr.Dataset | None", chosen: Mapping[str, float], tolerance: float
 ) -> Subject:
     if spec.points or len(spec.axes) < 2:
         what = "a table of points" if spec.points else f"one axis ({spec.axes[0].name})"
@@ -273,7 +273,7 @@ def _subject(
     if spec.basins:
         raise InputError("explore shows one motion a cell, found basins; take [attractors] out of the spec")
     layer, settings, attractors = 0, exploring(spec.settings, tolerance), spec.attractors
-    third, whole = None, (spec, header, ds)
+    third, whole = None, (spec, handle, ds)
 
     def of_layer(value: float) -> Subject:
         return _subject(*whole, {whole[0].axes[-1].name: value}, tolerance)
@@ -293,10 +293,10 @@ def _subject(
     elif chosen:
         raise InputError(f"--select picks a plane of a stack, found a plane of {', '.join(spec.dims)}")
     if attractors is None:
-        return Subject(spec, settings, header, ds, layer, third=third, of_layer=of_layer)
+        return Subject(spec, settings, handle, ds, layer, third=third, of_layer=of_layer)
     alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
     leading = None if ds is None else own(ds)
-    return Subject(alone, settings, header, leading, layer, attractors, ds, third, of_layer)
+    return Subject(alone, settings, handle, leading, layer, attractors, ds, third, of_layer)
 
 
 def own_axis(parameter: Parameter, value: float) -> Axis:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
-from atlas.store.store import Header, done_tiles
+from atlas.store.store import Atlas, done_tiles
 from atlas.text import plural
 from workers.attractors.record import ON_ATTRACTOR
 from workers.model.system import System
@@ -97,21 +97,21 @@ def with_images(attractors: Attractors) -> tuple[Rows, Rows]:
     return np.append(own.cell, own.cell[unseen]), np.append(image, unseen)
 
 
-def attractors_of(header: Header) -> tuple[Attractors, int]:
+def attractors_of(handle: Atlas) -> tuple[Attractors, int]:
     """The orbits of a store, and how many attractors of any kind it keeps.
 
     InputError unless it is a finished atlas of all attractors over axes; ChunkError where a chunk is missing or
     damaged.
     """
-    spec = header.spec
+    spec = handle.spec
     if not spec.coexistence:
-        raise InputError(f"{header.place}: found one attractor per cell; labels need an atlas of all, see [attractors]")
+        raise InputError(f"{handle.place}: found one attractor per cell; labels need an atlas of all, see [attractors]")
     if spec.points:
-        raise InputError(f"{header.place}: found a table of points; labels go from cell to cell along axes")
-    missing = header.tiling.count - len(done_tiles(header))
+        raise InputError(f"{handle.place}: found a table of points; labels go from cell to cell along axes")
+    missing = handle.tiling.count - len(done_tiles(handle))
     if missing:
-        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = open_atlas(header)
+        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+    ds = open_atlas(handle)
     cells = int(np.prod(spec.shape))
 
     def read(name: str) -> NDArray[Any]:

@@ -17,7 +17,7 @@ from atlas.labels.components import branches
 from atlas.labels.following import followed
 from atlas.store.groups import LABELS, read_group, write_table
 from atlas.store.schema import StoredArray
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
 
@@ -66,9 +66,9 @@ class Labels:
     count: Count
 
 
-def labels_of(header: Header) -> Labels:
+def labels_of(handle: Atlas) -> Labels:
     """The labels of a finished atlas of all attractors. Raises as ``attractors_of``."""
-    every, kept = attractors_of(header)
+    every, kept = attractors_of(handle)
     links = followed(every)
     branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
     number, total = _numbered(np.where(links.known, branch[: len(every)], -1), every.share)
@@ -125,9 +125,9 @@ def mirrors(number: Rows, branch: Rows, image: Rows) -> Rows:
     return np.where(image[first] >= 0, label[branch[image[first]]], -1)
 
 
-def write_labels(header: Header, found: Labels) -> None:
+def write_labels(handle: Atlas, found: Labels) -> None:
     """Keep labels in the store, in the place of any before."""
-    dims = (*header.spec.dims, ATTRACTOR)
+    dims = (*handle.spec.dims, ATTRACTOR)
     about = {
         name: StoredArray(values, (BRANCH,), {"long_name": _MEANINGS[name], "units": "1"})
         for name, values in _rows(found).items()
@@ -135,7 +135,7 @@ def write_labels(header: Header, found: Labels) -> None:
     values = found.values.astype(LABEL.dtype)
     label = StoredArray(values, dims, {"long_name": "branch that the attractor is on; -1 if none", "units": "1"})
     own = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
-    write_table(header, LABELS, {LABEL.name: label} | about, own | {"count": asdict(found.count)})
+    write_table(handle, LABELS, {LABEL.name: label} | about, own | {"count": asdict(found.count)})
 
 
 _MEANINGS = {
@@ -156,10 +156,10 @@ def _rows(found: Labels) -> dict[str, NDArray[Any]]:
     return made | {name: values.astype(types.get(name, "int32")) for name, values in found.kinds.items()}
 
 
-def stored_count(header: Header) -> Count | None:
+def stored_count(handle: Atlas) -> Count | None:
     """The report of the stored labels; None where there are none, or they would be found differently now."""
     try:
-        stored = read_group(header, LABELS)
+        stored = read_group(handle, LABELS)
     except ChunkError:
         return None  # they are found anew
     if stored is None:

@@ -13,7 +13,7 @@ from atlas.errors import InputError
 from atlas.measures.table import LINEAR, SHOCKS, Arrays, check_names
 from atlas.spec.spec import Spec
 from atlas.store.groups import STABILITY
-from atlas.store.store import Header, done_tiles
+from atlas.store.store import Atlas, done_tiles
 from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once
 from atlas.task.site import Site, file_errors, stored_part
@@ -59,55 +59,55 @@ class MeasureReceipt:
     processor_seconds: float
 
 
-def pieces(header: Header, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
+def pieces(handle: Atlas, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
     """Name, tile and cells, from the first to before the last, of each part that the measures of a family take."""
-    for tile in (each.index for each in header.tiling.tiles()):
-        count, most = int(np.prod(header.tiling.at(tile).shape)), AT_ONCE[family]
+    for tile in (each.index for each in handle.tiling.tiles()):
+        count, most = int(np.prod(handle.tiling.at(tile).shape)), AT_ONCE[family]
         for first in range(0, count, most):
             yield f"{family}/{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
 
 
 def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
     """Measure some cells and keep the measures as a part of the store."""
-    header = job.site.header()
+    handle = job.site.handle()
     with file_errors(job.site.store):
-        cells = stored_cells(header, job.tile)
-    compile_once(*kernels_of(header.spec))
+        cells = stored_cells(handle, job.tile)
+    compile_once(*kernels_of(handle.spec))
     begin = time.thread_time()
-    slices = header.tiling.at(job.tile).slices
-    found = _measured(header.spec, job, params_of(header.spec, slices), cells)
+    slices = handle.tiling.at(job.tile).slices
+    found = _measured(handle.spec, job, params_of(handle.spec, slices), cells)
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **found)
-    job.site.keep(header, STABILITY, job.name, file.getvalue())
+    job.site.keep(handle, STABILITY, job.name, file.getvalue())
     return MeasureReceipt(job.index, job.name, job.last - job.first, time.thread_time() - begin)
 
 
-def read_measured(header: Header, name: str) -> Arrays:
+def read_measured(handle: Atlas, name: str) -> Arrays:
     """The measures that a part holds; RefusedError if there is none."""
-    with np.load(io.BytesIO(stored_part(header, STABILITY, name))) as arrays:
+    with np.load(io.BytesIO(stored_part(handle, STABILITY, name))) as arrays:
         return dict(arrays)
 
 
-def check_store(header: Header) -> None:
+def check_store(handle: Atlas) -> None:
     """InputError unless a store is a finished atlas whose attractors can be measured."""
-    spec = header.spec
+    spec = handle.spec
     if spec.basins:
         raise InputError(
-            f"{header.place}: found basins of one machine; measure its attractors by atlas attractors stability --set"
+            f"{handle.place}: found basins of one machine; measure its attractors by atlas attractors stability --set"
         )
-    check_names(header)
-    held = {each.name for each in header.variables}
+    check_names(handle)
+    held = {each.name for each in handle.variables}
     if lacking := [name for name in NEEDED if name not in held]:
-        raise InputError(f"{header.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
-    missing = header.tiling.count - len(done_tiles(header))
+        raise InputError(f"{handle.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
+    missing = handle.tiling.count - len(done_tiles(handle))
     if missing:
-        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
 
 
-def stored_cells(header: Header, tile: tuple[int, ...]) -> dict[str, NDArray[Any]]:
+def stored_cells(handle: Atlas, tile: tuple[int, ...]) -> dict[str, NDArray[Any]]:
     """What measures depend on of the cells of a tile, (cells, keep, ...); keep is 1 for one attractor a cell."""
-    arrays, dims, keep = read_tile(header, tile, NEEDED), len(header.spec.shape), int(header.spec.coexistence)
-    count = int(np.prod(header.tiling.at(tile).shape))
+    arrays, dims, keep = read_tile(handle, tile, NEEDED), len(handle.spec.shape), int(handle.spec.coexistence)
+    count = int(np.prod(handle.tiling.at(tile).shape))
     return {
         name: values.reshape(count, *(values.shape[dims : dims + 1] if keep else (1,)), *values.shape[dims + keep :])
         for name, values in arrays.items()

@@ -14,15 +14,15 @@ from atlas.errors import ChunkError, InputError, check_names
 from atlas.measures.margin import chords_of, margins
 from atlas.measures.table import MARGIN, Arrays, empty, of_family
 from atlas.spec.axis import number
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 
 
-def checked_scale(header: Header, given: Mapping[str, Any] | None) -> dict[str, float]:
+def checked_scale(handle: Atlas, given: Mapping[str, Any] | None) -> dict[str, float]:
     """The unit of distance along each axis, x first: those given, else the width of the plane.
 
     Along a logarithmic axis it is a unit of the natural logarithm. InputError for a bad name or a unit not above 0.
     """
-    plane = plane_of(header)
+    plane = plane_of(handle)
     given = {} if given is None else checked_kind("scale", given, Mapping, "units by axis, such as {'omega': 0.1}")
     check_names("axis in scale", given, plane.axes)
     found = {}
@@ -35,29 +35,29 @@ def checked_scale(header: Header, given: Mapping[str, Any] | None) -> dict[str, 
     return found
 
 
-def margin_request(header: Header, scale: Mapping[str, float]) -> dict[str, Any]:
+def margin_request(handle: Atlas, scale: Mapping[str, float]) -> dict[str, Any]:
     """What decides the margins of a plane; InputError if it has no curves."""
-    curves = _curves(header)
-    content = hashlib.sha256(header.digest.encode())
+    curves = _curves(handle)
+    content = hashlib.sha256(handle.digest.encode())
     for curve in curves:
         content.update(repr((curve.kind, curve.points.tolist(), curve.unstable.tolist())).encode())
     return {"content": content.hexdigest(), "scale": dict(scale)}
 
 
-def margins_hold(header: Header, request: Mapping[str, Any]) -> bool:
+def margins_hold(handle: Atlas, request: Mapping[str, Any]) -> bool:
     """Whether the margins that answer a request are to the curves that the store has now."""
     try:
-        return margin_request(header, request["scale"]) == request
+        return margin_request(handle, request["scale"]) == request
     except (ChunkError, InputError, KeyError):
         return False
 
 
-def margins_of(header: Header, scale: Mapping[str, float]) -> Arrays:
+def margins_of(handle: Atlas, scale: Mapping[str, float]) -> Arrays:
     """The margin of each cell: its distance to the nearest part of a curve along which an attractor begins or ends.
 
     Not known of cells whose parameters make no sense, and where there is no such curve.
     """
-    plane, curves = plane_of(header), _curves(header)
+    plane, curves = plane_of(handle), _curves(handle)
     chords = chords_of((_placed(plane, curve.points, scale), curve.bounding) for curve in curves)
     valid, count = np.flatnonzero(plane.valid), len(plane.x) * len(plane.y)
     found = empty(of_family(MARGIN), (count,))
@@ -69,10 +69,10 @@ def margins_of(header: Header, scale: Mapping[str, float]) -> Arrays:
     return {name: values.reshape(plane.shape) for name, values in found.items()}
 
 
-def _curves(header: Header) -> Curves:
-    curves = read_curves(header)
+def _curves(handle: Atlas) -> Curves:
+    curves = read_curves(handle)
     if curves is None:
-        raise InputError(f"{header.place}: has no curves to measure margins to; find them with atlas find curves")
+        raise InputError(f"{handle.place}: has no curves to measure margins to; find them with atlas find curves")
     return curves
 
 

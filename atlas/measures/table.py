@@ -12,7 +12,7 @@ from atlas.errors import ChunkError, InputError
 from atlas.robustness.linear import FLAGS
 from atlas.store.groups import STABILITY, read_group, write_table
 from atlas.store.schema import StoredArray
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR
 
@@ -89,10 +89,10 @@ class Stored:
     requests: dict[str, dict[str, Any]]
 
 
-def read_measures(header: Header) -> Stored:
+def read_measures(handle: Atlas) -> Stored:
     """The measures of a store; none if it has none, or damaged ones, or those of another version."""
     try:
-        found = read_group(header, STABILITY)
+        found = read_group(handle, STABILITY)
     except ChunkError:
         found = None  # they are computed anew
     if found is None or found[1].get("version") != VERSION or found[1].get("solver_version") != SOLVER_VERSION:
@@ -102,31 +102,31 @@ def read_measures(header: Header) -> Stored:
     return Stored({name: arrays[name] for name in MEASURES if name in arrays}, requests)
 
 
-def write_measures(header: Header, found: Stored) -> None:
+def write_measures(handle: Atlas, found: Stored) -> None:
     """Keep measures in the store, in the place of any before."""
-    dims = header.spec.dims
-    many = (*dims, ATTRACTOR) if header.spec.coexistence else dims
+    dims = handle.spec.dims
+    many = (*dims, ATTRACTOR) if handle.spec.coexistence else dims
     columns = {
         name: StoredArray(values, dims if MEASURES[name].of_cell else many, MEASURES[name].attributes)
         for name, values in found.arrays.items()
     }
     own = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}
-    write_table(header, STABILITY, columns, own | found.requests)
+    write_table(handle, STABILITY, columns, own | found.requests)
 
 
-def drop_family(header: Header, family: str) -> None:
+def drop_family(handle: Atlas, family: str) -> None:
     """Remove the measures of a family from the store, if it has any."""
-    stored = read_measures(header)
+    stored = read_measures(handle)
     if family in stored.requests:
         arrays = {name: values for name, values in stored.arrays.items() if MEASURES[name].family != family}
-        write_measures(header, Stored(arrays, {k: v for k, v in stored.requests.items() if k != family}))
+        write_measures(handle, Stored(arrays, {k: v for k, v in stored.requests.items() if k != family}))
 
 
-def check_names(header: Header) -> None:
+def check_names(handle: Atlas) -> None:
     """InputError if its machine has a parameter or a result with the name of a measure."""
-    taken = {*header.array_names} & MEASURES.keys()
+    taken = {*handle.array_names} & MEASURES.keys()
     if taken:
-        raise InputError(f"{header.place}: {min(taken)!r} is a name of its own, and that of a measure")
+        raise InputError(f"{handle.place}: {min(taken)!r} is a name of its own, and that of a measure")
 
 
 def summary_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, float]]:

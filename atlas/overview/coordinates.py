@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from atlas.spec.cells import edges_of
 from atlas.spec.spec import Spec
 from atlas.store.schema import StoredArray
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from workers.results import REGIMES
 
 
-def level_coordinates(header: Header, level: int) -> dict[str, StoredArray]:
+def level_coordinates(handle: Atlas, level: int) -> dict[str, StoredArray]:
     """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
-    spec, base, made = header.spec, header.coordinates, {}
+    spec, base, made = handle.spec, handle.coordinates, {}
     for axis in reversed(spec.axes):
         if axis.name in spec.dims[: spec.kept]:
             made[axis.name] = base[axis.name]

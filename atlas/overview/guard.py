@@ -24,7 +24,7 @@ from atlas.store.origin import ALLOWANCES
 from atlas.store.remote import zarr_store
 from atlas.store.schema import OVERVIEWS, coordinate_names
 from atlas.store.spare import unlike_copy
-from atlas.store.store import ROOT, Header
+from atlas.store.store import ROOT, Atlas
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
@@ -36,17 +36,17 @@ _PATIENCE_SECONDS = 10.0
 class GuardedStore(WrapperStore[Any]):
     """Zarr's own store of an atlas, read only; ``get`` raises ChunkError. It counts the chunks that it gives."""
 
-    def __init__(self, header: Header) -> None:
-        super().__init__(zarr_store(header.place, read_only=True))
-        levels = level_variables(header.variables)
-        self.place, self.chunks_read = header.place, 0
-        self._dims, self._end = len(header.spec.shape), "/0" * len(header.regime.extra)
-        self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
-        self._parts = {name: parts_of(array) for name, array in header.arrays.items()}
-        self._sizes = {name: chunk_bytes(array) for name, array in header.arrays.items()}
-        self._coordinates = {*coordinate_names(header.spec)}
-        self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | self._coordinates
-        own = ((name, node) for name, node in header.nodes.items() if name.partition("/")[0] not in TABLES)
+    def __init__(self, handle: Atlas) -> None:
+        super().__init__(zarr_store(handle.place, read_only=True))
+        levels = level_variables(handle.variables)
+        self.place, self.chunks_read = handle.place, 0
+        self._dims, self._end = len(handle.spec.shape), "/0" * len(handle.regime.extra)
+        self._complete = {variable.name for variable in (*handle.variables, *levels) if not variable.sparse}
+        self._parts = {name: parts_of(array) for name, array in handle.arrays.items()}
+        self._sizes = {name: chunk_bytes(array) for name, array in handle.arrays.items()}
+        self._coordinates = {*coordinate_names(handle.spec)}
+        self._checked = {each.name for each in (*handle.variables, *ALLOWANCES)} | self._coordinates
+        own = ((name, node) for name, node in handle.nodes.items() if name.partition("/")[0] not in TABLES)
         self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:

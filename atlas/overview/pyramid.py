@@ -39,7 +39,7 @@ from atlas.spec.spec import Slices
 from atlas.store.build import codecs, consolidate, create_whole
 from atlas.store.making import metadata_apart
 from atlas.store.schema import OVERVIEWS
-from atlas.store.store import ROOT, Header, chunk_key, open_group
+from atlas.store.store import ROOT, Atlas, chunk_key, open_group
 from atlas.store.tiles import encoded
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, Variable
@@ -65,19 +65,19 @@ class Pyramid:
     levels   their geometry; ``side`` and ``least`` are those of overviews that are yet to be made
     """
 
-    def __init__(self, header: Header, side: int = SIDE, least: int = LEAST) -> None:
+    def __init__(self, handle: Atlas, side: int = SIDE, least: int = LEAST) -> None:
         import zarr
 
         from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
 
-        self.header = header
-        self.root: Any = zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False, zarr_format=3)
+        self.handle = handle
+        self.root: Any = zarr.open_group(GuardedStore(handle), mode="r", use_consolidated=False, zarr_format=3)
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
         shapes = stored or {"side": side, "least": least}
         self.levels = Levels(
-            header.spec.shape, header.tile, side=shapes["side"], least=shapes["least"], kept=header.spec.kept
+            handle.spec.shape, handle.tile, side=shapes["side"], least=shapes["least"], kept=handle.spec.kept
         )
         self._targets: dict[str, Any] = {}
 
@@ -89,12 +89,12 @@ class Pyramid:
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
         """The variables of every level: those that the results in the store give."""
-        return level_variables(self.header.variables)
+        return level_variables(self.handle.variables)
 
     @cached_property
     def widths(self) -> list[Widths]:
         """The widths of the cells of every level along each dimension, level 0 first; only ratios count."""
-        found = [widths_along(self.header.spec)]
+        found = [widths_along(self.handle.spec)]
         for _ in range(self.levels.count):
             before, kept = found[-1], self.levels.kept
             found.append((*before[:kept], *map(halved, before[kept:])))
@@ -109,23 +109,23 @@ class Pyramid:
         """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
-            with _named(self.header, f"{path}/{ROOT}"):
+            with _named(self.handle, f"{path}/{ROOT}"):
                 self._arrays[path] = self.root[path]
         return self._arrays[path]
 
     def read(self, level: int, name: str, block: Slices) -> NDArray[Any]:
         """A block of a variable of a level; ChunkError if a chunk of it is missing or damaged."""
         array = self.array(level, name)
-        with _named(self.header, array.path):
+        with _named(self.handle, array.path):
             found = np.asarray(array[block])
         if not level:
-            found = self.header.leading({name: found})[name]
+            found = self.handle.leading({name: found})[name]
         return found
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
         """Indices of the chunks of a level that exist, by one of MARKS; from one listing."""
         root, grid = f"{GROUP}/{level}/{mark.name}/c/", self.levels.grid(level)
-        found = (chunk_index(key.removeprefix(root), grid) for key in self.header.place.list_keys(root))
+        found = (chunk_index(key.removeprefix(root), grid) for key in self.handle.place.list_keys(root))
         return {index for index in found if index is not None}
 
     def create(self) -> None:
@@ -135,8 +135,8 @@ class Pyramid:
         self._arrays.clear()
         self._targets.clear()
         shapes = {"side": self.levels.side, "least": self.levels.least, "classes": int(CODES.size)}
-        about = {"multiscales": multiscales(self.header.spec, self.levels.count)}
-        with metadata_apart(self.header.place, GROUP) as root:
+        about = {"multiscales": multiscales(self.handle.spec, self.levels.count)}
+        with metadata_apart(self.handle.place, GROUP) as root:
             top = root.create_group(GROUP, attributes=shapes | about)
             for level in range(1, self.levels.count + 1):
                 self._create_level(top, level)
@@ -150,14 +150,14 @@ class Pyramid:
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
-        below = names if level > 1 else [variable.name for variable in self.header.variables if variable.name in names]
+        below = names if level > 1 else [variable.name for variable in self.handle.variables if variable.name in names]
         for _ in range(_LOOKS):
             arrays = {name: self.read(level - 1, name, finer) for name in below}
             if not (arrays[REGIME.name] == PENDING).any():
                 break
             time.sleep(_PAUSE)
         else:
-            raise RunError(f"{self.header.place}: overview {level}, chunk {index}: not all that lies below it is done")
+            raise RunError(f"{self.handle.place}: overview {level}, chunk {index}: not all that lies below it is done")
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
     def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
@@ -165,8 +165,8 @@ class Pyramid:
         if not (self.made and self.levels.over_alone(tile)):
             return False
         names = [variable.name for variable in self.variables]
-        stored = {v.name: np.asarray(arrays[v.name], dtype=v.dtype) for v in self.header.variables if v.name in names}
-        self._write(1, self.levels.over(tile), from_cells(self.header.leading(stored), names))
+        stored = {v.name: np.asarray(arrays[v.name], dtype=v.dtype) for v in self.handle.variables if v.name in names}
+        self._write(1, self.levels.over(tile), from_cells(self.handle.leading(stored), names))
         return True
 
     def _write(self, level: int, index: Index, below: Cells) -> None:
@@ -180,10 +180,10 @@ class Pyramid:
             if path not in self._targets:
                 self._targets[path] = self._plain[path]
             if variable.name == REGIME.name:
-                self.header.place.put_all(objects)
+                self.handle.place.put_all(objects)
                 objects = {}
             objects |= encoded(self._targets[path], block, made[variable.name])
-        self.header.place.put_all(objects)
+        self.handle.place.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
         """Drop the overviews of these tiles: to be done before any of them is written."""
@@ -200,20 +200,20 @@ class Pyramid:
             # Both, each where it is: a kill while a chunk was written may have left the second without the first.
             for mark in MARKS:
                 for index in over & self.stored(level, mark):
-                    self.header.place.remove(level_key(level, mark, index))
+                    self.handle.place.remove(level_key(level, mark, index))
 
     def _create_level(self, top: Any, level: int) -> None:
-        spec, shape = self.header.spec, self.levels.shape_of(level)
+        spec, shape = self.handle.spec, self.levels.shape_of(level)
         described = {
             "title": f"{self.root.attrs['title']}, overview {level}",
             "comment": f"a cell stands for {2**level} cells along each axis, fewer at the far ends",
             "level": level,
-            "digest": self.header.digest,
+            "digest": self.handle.digest,
         }
         group = top.create_group(str(level), attributes=described)
-        for name, coordinate in level_coordinates(self.header, level).items():
+        for name, coordinate in level_coordinates(self.handle, level).items():
             create_whole(group, name, coordinate)
-        results = {variable.name for variable in self.header.variables}
+        results = {variable.name for variable in self.handle.variables}
         fixed = " ".join(spec.parameters)
         for variable in self.variables:
             stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
@@ -235,37 +235,37 @@ class Pyramid:
 
     @cached_property
     def _plain(self) -> Any:
-        return open_group(self.header.place, "r")
+        return open_group(self.handle.place, "r")
 
 
-def opened(header: Header, run: str) -> Pyramid:
+def opened(handle: Atlas, run: str) -> Pyramid:
     """The overviews of a store, opened once for a run, in which they keep their form; opened anew without a run."""
-    key = (str(header.place), run)
+    key = (str(handle.place), run)
     found = _opened.get(key) if run else None
     if found is None:
-        found = Pyramid(header)
+        found = Pyramid(handle)
         while len(_opened) >= _MOST_OPEN:
             _opened.pop(next(iter(_opened)), None)
         _opened[key] = found
-    through = copy(found)  # what it has opened, with the header whose place is to be written
-    through.header = header
+    through = copy(found)  # what it has opened, with the handle whose place is to be written
+    through.handle = handle
     return through
 
 
-def drop_all(header: Header) -> None:
+def drop_all(handle: Atlas) -> None:
     """Drop the overviews as a whole: without its own metadata the group counts as absent."""
-    header.place.remove(f"{GROUP}/{ROOT}")
+    handle.place.remove(f"{GROUP}/{ROOT}")
 
 
 @contextmanager
-def _named(header: Header, path: str) -> Iterator[None]:
+def _named(handle: Atlas, path: str) -> Iterator[None]:
     """Turn what reading damaged bytes raises into a ChunkError that names the path."""
     try:
         yield
     except (OSError, MemoryError, RunError):
         raise
     except Exception as error:  # a codec, or a parser of metadata, may raise anything
-        raise ChunkError(header.place, {path: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.place, {path: f"is damaged ({message_of(error)})"}) from None
 
 
 def _stored_shapes(root: Any) -> dict[str, int] | None:

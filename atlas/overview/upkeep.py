@@ -10,7 +10,7 @@ import numpy as np
 from atlas.errors import ChunkError, RunError
 from atlas.overview.levels import LEAST, SIDE, Index
 from atlas.overview.pyramid import Pyramid
-from atlas.store.store import Header, done_tiles
+from atlas.store.store import Atlas, done_tiles
 from workers.results import REGIME
 
 
@@ -23,19 +23,19 @@ class Overviews:
 
     def __init__(
         self,
-        header: Header,
+        handle: Atlas,
         *,
         side: int = SIDE,
         least: int = LEAST,
     ) -> None:
-        self._header = header
-        self._pyramid = Pyramid(header, side, least)
+        self._handle = handle
+        self._pyramid = Pyramid(handle, side, least)
         self.levels = range(1, self._pyramid.levels.count + 1)
         if not self.levels:
             return
         self._pyramid.create()
-        stale = np.ones(header.tiling.grid, dtype=bool)
-        for tile in done_tiles(header):
+        stale = np.ones(handle.tiling.grid, dtype=bool)
+        for tile in done_tiles(handle):
             stale[tile] = False
         self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
 
@@ -46,7 +46,7 @@ class Overviews:
     def missing(self, level: int) -> list[Index]:
         """The chunks of a level that are missing, but computable: everything below them exists."""
         levels, there = self._pyramid.levels, self._pyramid.stored(level, REGIME)
-        below = done_tiles(self._header) if level == 1 else self._pyramid.stored(level - 1, REGIME)
+        below = done_tiles(self._handle) if level == 1 else self._pyramid.stored(level - 1, REGIME)
         wanted = (index for index in levels.chunks(level) if index not in there)
         return [index for index in wanted if below.issuperset(levels.children(level, index))]
 
@@ -67,7 +67,7 @@ class Overviews:
                     raise
                 except (OSError, ValueError) as error:
                     raise RunError(
-                        f"{self._header.place}: the tiles done are kept, but the overviews could not be written "
+                        f"{self._handle.place}: the tiles done are kept, but the overviews could not be written "
                         f"({error}); run again to make them"
                     ) from error
             made += len(missing)

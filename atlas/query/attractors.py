@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.arguments import checked_atlas
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.open import header_of, open_table
+from atlas.query.open import handle_of, open_table
 from atlas.store.groups import LABELS, group_attributes
 from workers.results import ATTRACTOR, LABEL, PENDING, REGIME
 
@@ -55,10 +55,10 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where they are not.
     """
-    header = header_of(ds) if LABEL.name in ds else None
-    if header is None or group_attributes(header, LABELS) is None:  # the labels of basins are its results
+    handle = handle_of(ds) if LABEL.name in ds else None
+    if handle is None or group_attributes(handle, LABELS) is None:  # the labels of basins are its results
         raise InputError("the attractors of this atlas are not labelled; label them with atlas attractors label")
-    return open_table(header, LABELS).drop_vars(LABEL.name).load()
+    return open_table(handle, LABELS).drop_vars(LABEL.name).load()
 
 
 def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.open import header_of, open_table
+from atlas.query.open import handle_of, open_table
 from atlas.query.window import Window, axis_names, within
 from atlas.store.groups import ATTRACTORS, group_attributes
 from workers.attractors.starts import wilson
@@ -61,10 +61,10 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
     """
     if not of_basins(ds):
         raise InputError("not an atlas of basins: its axes must be initial states, and its spec must have [attractors]")
-    header = header_of(ds)
-    if group_attributes(header, ATTRACTORS) is None:
-        raise InputError(f"{header.place}: has no table of attractors yet; run it to its end")
-    return open_table(header, ATTRACTORS).load()
+    handle = handle_of(ds)
+    if group_attributes(handle, ATTRACTORS) is None:
+        raise InputError(f"{handle.place}: has no table of attractors yet; run it to its end")
+    return open_table(handle, ATTRACTORS).load()
 
 
 def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:

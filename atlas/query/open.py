@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.errors import ChunkError, InputError, message_of
 from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
 from atlas.store.location import Given
-from atlas.store.store import ROOT, Header, read_header
+from atlas.store.store import ROOT, Atlas, open_handle
 from workers.results import LABEL
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ Chunks = int | str | Mapping[Any, Any] | None
 
 
 def open_atlas(
-    store: "Given | Header", chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
+    store: "Given | Atlas", chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
 ) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
@@ -31,10 +31,10 @@ def open_atlas(
     """
     import xarray
 
-    header = read_header(store, storage_options)
+    handle = open_handle(store, storage_options)
     try:
         opened: Any = xarray.open_dataset(
-            _guarded(header),
+            _guarded(handle),
             engine="zarr",
             chunks=chunks,
             consolidated=True,
@@ -43,36 +43,36 @@ def open_atlas(
     except (OSError, MemoryError, ChunkError):
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
-        raise ChunkError(header.place, {ROOT: f"is damaged ({message_of(error)})"}) from None
-    if header.spec.coexistence and group_attributes(header, LABELS) is not None:
-        opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
-    if STABILITY in header.groups and group_attributes(header, STABILITY) is not None:
-        opened = opened.assign(open_table(header, STABILITY).data_vars)
+        raise ChunkError(handle.place, {ROOT: f"is damaged ({message_of(error)})"}) from None
+    if handle.spec.coexistence and group_attributes(handle, LABELS) is not None:
+        opened = opened.assign({LABEL.name: open_table(handle, LABELS)[LABEL.name]})
+    if STABILITY in handle.groups and group_attributes(handle, STABILITY) is not None:
+        opened = opened.assign(open_table(handle, STABILITY).data_vars)
     for variable in opened.variables.values():  # xarray would write [1] on every axis
         if variable.attrs.get("units") == "1":
             del variable.attrs["units"]
-    note_store(opened, header)
+    note_store(opened, handle)
     return opened
 
 
-def note_store(ds: "xarray.Dataset", header: Header) -> None:
+def note_store(ds: "xarray.Dataset", handle: Atlas) -> None:
     """Say of which store a dataset is."""
-    ds.encoding |= {SOURCE: str(header.place), _HANDLE: header}
+    ds.encoding |= {SOURCE: str(handle.place), _HANDLE: handle}
 
 
-def header_of(ds: "xarray.Dataset") -> Header:
-    """The header of the store that a dataset, or the one that it was selected from, is of.
+def handle_of(ds: "xarray.Dataset") -> Atlas:
+    """The handle of the store that a dataset, or the one that it was selected from, is of.
 
     What was read when ``atlas.open`` opened it, while the store is the same; else it is read by its name.
     InputError where the dataset does not name its store, and where that is gone or is another one by now.
     """
     kept, source = ds.encoding.get(_HANDLE), ds.encoding.get(SOURCE)
-    if isinstance(kept, Header):
+    if isinstance(kept, Atlas):
         found = kept.current()
         if found is not kept:
             note_store(ds, found)
     elif isinstance(source, str):
-        found = read_header(source)
+        found = open_handle(source)
     else:
         raise InputError("this dataset does not name its store: use the one that atlas.open returns")
     if ds.attrs.get("run_id", found.run_id) != found.run_id:
@@ -80,7 +80,7 @@ def header_of(ds: "xarray.Dataset") -> Header:
     return found
 
 
-def open_table(header: Header, table: str) -> "xarray.Dataset":
+def open_table(handle: Atlas, table: str) -> "xarray.Dataset":
     """A table that the store has beside its results, read from disk as it is used.
 
     ChunkError where its metadata are damaged, and at reading where a chunk of it is missing or damaged.
@@ -89,16 +89,16 @@ def open_table(header: Header, table: str) -> "xarray.Dataset":
 
     try:
         return xarray.open_dataset(
-            _guarded(header), engine="zarr", group=table, chunks=None, consolidated=False, zarr_format=3
+            _guarded(handle), engine="zarr", group=table, chunks=None, consolidated=False, zarr_format=3
         )
     except (OSError, ChunkError):
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
-        read_group(header, table)  # names what it is
-        raise ChunkError(header.place, {table: f"is damaged ({message_of(error)})"}) from None
+        read_group(handle, table)  # names what it is
+        raise ChunkError(handle.place, {table: f"is damaged ({message_of(error)})"}) from None
 
 
-def _guarded(header: Header) -> Any:
+def _guarded(handle: Atlas) -> Any:
     from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
 
-    return GuardedStore(header)
+    return GuardedStore(handle)

@@ -111,7 +111,7 @@ def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int]
         _blank(cells)
     coords: dict[str, Any] = {}
     for (axis, s), cut in zip(part.axes, cuts[-len(part.axes) :], strict=True):
-        if axis.name in part.header.spec.dims[: part.pyramid.levels.kept]:
+        if axis.name in part.handle.spec.dims[: part.pyramid.levels.kept]:
             coords[axis.name] = ds[axis.name]
             continue
         log = axis.scale == "log"

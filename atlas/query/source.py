@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from atlas.errors import ChunkError, InputError
 from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, needed
 from atlas.overview.pyramid import MARKS, Pyramid
-from atlas.query.open import header_of
+from atlas.query.open import handle_of
 from atlas.query.window import axis_values
 from atlas.spec.axis import Axis
 from atlas.spec.spec import MOST_AXES, Slices
 from atlas.store.records import Records
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
@@ -33,18 +33,18 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
     Selections of neighbouring cells are; anything computed, changed, loaded or put together is not.
     """
     try:
-        header = header_of(ds)
+        handle = handle_of(ds)
     except InputError:
         return None
-    dims, spec = ds[REGIME.name].dims, header.spec
+    dims, spec = ds[REGIME.name].dims, handle.spec
     if dims != spec.dims and not (len(spec.dims) == MOST_AXES and dims == spec.dims[1:] and spec.dims[0] in ds.coords):
         return None
     axes = reversed(spec.axes)
     cells = [_neighbours(np.array(axis.values), np.atleast_1d(axis_values(ds, axis.name))) for axis in axes]
-    pyramid = Pyramid(header)
+    pyramid = Pyramid(handle)
     if any(run is None for run in cells) or not all(_is_untouched(ds, name, pyramid) for name in names):
         return None
-    return Part(header, tuple(run for run in cells if run is not None), pyramid, plane=dims != spec.dims)
+    return Part(handle, tuple(run for run in cells if run is not None), pyramid, plane=dims != spec.dims)
 
 
 def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
@@ -76,7 +76,7 @@ class Part:
     dataset has one plane of it and no dimension across the planes, which the part has all the same.
     """
 
-    header: Header
+    handle: Atlas
     cells: Slices
     pyramid: Pyramid = field(repr=False)
     plane: bool = False
@@ -88,13 +88,13 @@ class Part:
     @property
     def axes(self) -> tuple[tuple[Axis, slice], ...]:
         """The axes of the dataset by its dimensions, and the cells that the part has along them."""
-        found = zip(reversed(self.header.spec.axes), self.cells, strict=True)
+        found = zip(reversed(self.handle.spec.axes), self.cells, strict=True)
         return tuple(found)[1 if self.plane else 0 :]
 
     @cached_property
     def records(self) -> Records:
         """The records of the store's tiles."""
-        return Records(self.header)
+        return Records(self.handle)
 
     @property
     def done(self) -> NDArray[np.bool_]:
@@ -164,7 +164,7 @@ class Part:
 
     def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
         """Variables of a level from the cells themselves."""
-        stored = {variable.name for variable in self.header.variables}
+        stored = {variable.name for variable in self.handle.variables}
         base = stored & {*names, *(name.removesuffix("_count") for name in names), REGIME.name}
         return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, names)
 

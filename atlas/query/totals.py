@@ -12,7 +12,7 @@ from atlas.query.source import PENDING_SHARE, Part, inside
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
 from atlas.store.record import AREAS, BY_REASON, Rows
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 
@@ -56,7 +56,7 @@ class StoreTotals:
     def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
         """The rows of records, those of tiles that are not done made up, and the mask of the tiles that have one."""
         rows, pending = self.part.records.rows.copy(), ~self.part.done
-        rows[pending, AREAS.start + PENDING_SHARE] = _tile_areas(self.part.header)[pending]
+        rows[pending, AREAS.start + PENDING_SHARE] = _tile_areas(self.part.handle)[pending]
         return rows, self.part.records.known | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
@@ -133,8 +133,8 @@ def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
                 yield (*inner[:dim], side, *outer[dim + 1 :])
 
 
-def _tile_areas(header: Header) -> NDArray[np.float64]:
+def _tile_areas(handle: Atlas) -> NDArray[np.float64]:
     """The area of every tile in the units of rows, as an array over the tiles."""
-    widths = zip(widths_along(header.spec), header.tile, strict=True)
+    widths = zip(widths_along(handle.spec), handle.tile, strict=True)
     along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)
     return np.asarray(reduce(np.multiply.outer, along))

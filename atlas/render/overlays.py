@@ -25,7 +25,7 @@ from atlas.errors import InputError
 from atlas.query import machine
 from atlas.query.basins import saddles_in
 from atlas.query.grazing import grazing_lines
-from atlas.query.open import header_of
+from atlas.query.open import handle_of
 from atlas.query.room import crowded_parts, dense
 from atlas.query.tidy import isolines, outlined
 from atlas.query.window import axis_names
@@ -180,7 +180,7 @@ def _draw_marks(
 
 def _saddles(ax: Axes, view: View) -> list[Artist]:
     box = {axis.name: (float(axis.edges[0]), float(axis.edges[-1])) for axis in (view.plane.x, view.plane.y)}
-    found, manifolds = saddles_in(view.ds, header_of(view.ds).spec, box)
+    found, manifolds = saddles_in(view.ds, handle_of(view.ds).spec, box)
     for color, width in (("white", 2.2), ("black", 0.9)):
         ax.add_collection(LineCollection(manifolds, colors=color, linewidths=width, zorder=3.2), autolim=False)
     look = style.mark("X", 7.0, "black", "white", 0.8)

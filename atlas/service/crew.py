@@ -16,7 +16,7 @@ from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
 from atlas.store.location import sendable
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.task.site import Site, prepare
 from workers import SOLVER_VERSION
 
@@ -35,7 +35,7 @@ class Crew(Generic[J, R]):
     begin     when the jobs began, by the monotonic clock
     """
 
-    header: Header
+    handle: Atlas
     act: Callable[[J], R]
     kernels: tuple[str, ...]
     options: RunOptions
@@ -51,8 +51,8 @@ class Crew(Generic[J, R]):
     @cached_property
     def site(self) -> Site:
         """The store as the jobs get it."""
-        header = self.header
-        return Site(sendable(header.place), header.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
+        handle = self.handle
+        return Site(sendable(handle.place), handle.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
 
     @cached_property
     def force(self) -> Workforce[J, R]:
@@ -71,7 +71,7 @@ class Crew(Generic[J, R]):
             yield from self.force.outcomes(jobs, tick)
         except RunError:
             with suppress(OSError):  # a store that cannot be reached says nothing of its claim
-                self.header.place.confirm()  # if the claim was taken, workers refuse for that reason
+                self.handle.place.confirm()  # if the claim was taken, workers refuse for that reason
             raise
 
     def do(self, jobs: Sequence[J], take: Callable[[R], None], doing: Callable[[], Progress]) -> None:

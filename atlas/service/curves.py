@@ -22,7 +22,7 @@ from atlas.store.archive import refuse_packed
 from atlas.store.groups import CURVES
 from atlas.store.location import Given
 from atlas.store.parts import drop_parts, kept_parts, part_names
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import duration, plural
 
@@ -85,7 +85,7 @@ class CurvesSummary:
 
 @with_fields
 def find_curves(
-    store: "Given | Header",
+    store: "Given | Atlas",
     settings: CurveSettings | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
@@ -96,35 +96,35 @@ def find_curves(
     The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
     Raises InputError if the store is not a finished plane; see also ``run``.
     """
-    with called(store, client, chosen(options, fields)) as (header, options, stack):
+    with called(store, client, chosen(options, fields)) as (handle, options, stack):
         settings = CurveSettings() if settings is None else settings
         checked_kind("settings", settings, CurveSettings, "an atlas.CurveSettings")
-        search = CurveSearch(plane_of(header), settings)
+        search = CurveSearch(plane_of(handle), settings)
         digest = settings.digest(search.plane)
-        stored = _stored(header, digest)
+        stored = _stored(handle, digest)
         if stored is not None:
-            return CurvesSummary(str(header.place), stored)
-        refuse_packed(header.place)
+            return CurvesSummary(str(handle.place), stored)
+        refuse_packed(handle.place)
         client = joined(client, options, stack)
         workers = worker_count(client, options)
-        claim = stack.enter_context(claimed_place(header.place, options))
-        header = header.at(claim.guard(header.place))
+        claim = stack.enter_context(claimed_place(handle.place, options))
+        handle = handle.at(claim.guard(handle.place))
         crew = Crew(
-            header, do_and_keep, kernels_for(header.spec.record, ORBITS), options, claim, stack, workers, client
+            handle, do_and_keep, kernels_for(handle.spec.record, ORBITS), options, claim, stack, workers, client
         )
-        return _Coordinator(header, search, digest, crew).run()
+        return _Coordinator(handle, search, digest, crew).run()
 
 
-def _stored(header: Header, digest: str) -> Curves | None:
+def _stored(handle: Atlas, digest: str) -> Curves | None:
     """The curves that the store has, if that search found them."""
     try:
-        stored = read_curves(header)
+        stored = read_curves(handle)
     except ChunkError:
         return None  # they are found anew
     if stored is None or stored.report.get("digest") != digest:
         return None
-    if not header.place.only_read and any(part_names(header, CURVES)):
-        drop_parts(header, CURVES)  # of a run that was killed at its very end
+    if not handle.place.only_read and any(part_names(handle, CURVES)):
+        drop_parts(handle, CURVES)  # of a run that was killed at its very end
     return stored
 
 
@@ -132,7 +132,7 @@ def _stored(header: Header, digest: str) -> Curves | None:
 class _Coordinator:
     """A search at work on a store that is claimed."""
 
-    header: Header
+    handle: Atlas
     search: CurveSearch
     digest: str
     crew: Crew[CurveJob, CurveReceipt]
@@ -141,17 +141,17 @@ class _Coordinator:
 
     def run(self) -> CurvesSummary:
         """Do the stages that are due, and write the curves."""
-        kept = kept_parts(self.header, CURVES, self.digest)
+        kept = kept_parts(self.handle, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
             self.crew.do(jobs, self._count, self._progress)
-            self.search.take([read_part(self.header, name) for name in tasks])
+            self.search.take([read_part(self.handle, name) for name in tasks])
         found = finished(self.search)
-        drop_family(self.header, MARGIN)  # margins are to the curves before
-        write_curves(self.header, found)
-        drop_parts(self.header, CURVES)
+        drop_family(self.handle, MARGIN)  # margins are to the curves before
+        write_curves(self.handle, found)
+        drop_parts(self.handle, CURVES)
         seconds, workers = time.monotonic() - self.crew.begin, self.crew.threads
-        return CurvesSummary(str(self.header.place), found, seconds, self.processor_seconds, workers, self.tasks)
+        return CurvesSummary(str(self.handle.place), found, seconds, self.processor_seconds, workers, self.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         index = self.search.stage, number

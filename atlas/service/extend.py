@@ -16,7 +16,7 @@ from atlas.spec.grown import extended, refined
 from atlas.spec.spec import Spec
 from atlas.store.location import Given, Place, beside, is_url, place_of
 from atlas.store.origin import Origin
-from atlas.store.store import Header, done_tiles, read_header
+from atlas.store.store import Atlas, done_tiles, open_handle
 from atlas.task.reuse import count_shared
 from atlas.text import plural
 from workers import SOLVER_VERSION
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @with_fields
 def extend(
-    store: "Given | Header",
+    store: "Given | Atlas",
     into: Given,
     spec: Spec | None = None,
     refine: int | Mapping[str, int] | None = None,
@@ -53,7 +53,7 @@ def extend(
     options = chosen(options, fields)
     if spec is not None:
         checked_kind("spec", spec, Spec, "an atlas.Spec")
-    old = header_from(store, options.storage_options)
+    old = handle_from(store, options.storage_options)
     if old.spec.points or (spec is not None and spec.points):
         raise InputError(f"{old.place}: a table of points is not extended: run the new table into a store of its own")
     if old.spec.attractors is not None or (spec is not None and spec.attractors is not None):
@@ -71,12 +71,12 @@ def extend(
         return complete(grown, place, client, options, Origin(str(old.place), old.run_id))
 
 
-def header_from(store: "Given | Header", storage_options: Mapping[str, Any] | None) -> Header:
-    """The header of a store that cells are taken from; the options are those of a new store at a URL too."""
-    return read_header(store, storage_options if is_url(store) else None)
+def handle_from(store: "Given | Atlas", storage_options: Mapping[str, Any] | None) -> Atlas:
+    """The handle of a store that cells are taken from; the options are those of a new store at a URL too."""
+    return open_handle(store, storage_options if is_url(store) else None)
 
 
-def place_from(old: Header, into: Given, storage_options: Mapping[str, Any] | None = None) -> Place:
+def place_from(old: Atlas, into: Given, storage_options: Mapping[str, Any] | None = None) -> Place:
     """The place of a new store that takes over cells; InputError where none of them could be."""
     place = place_of(into, storage_options=storage_options)
     if place == old.place:

@@ -8,11 +8,11 @@ from atlas.labels.table import Count, labels_of, stored_count, write_labels
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.service.run import claimed_place, waiting_header
+from atlas.service.run import claimed_place, waiting_handle
 from atlas.spec.system import refuse_drift
 from atlas.store.archive import refuse_packed
 from atlas.store.location import Given
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import duration, plural
 
@@ -49,7 +49,7 @@ class LabelSummary:
 
 @with_fields
 def label_attractors(
-    store: "Given | Header", options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]
+    store: "Given | Atlas", options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]
 ) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
@@ -59,16 +59,16 @@ def label_attractors(
     options = chosen(options, fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
-        header = waiting_header(store, options)
-        stored = stored_count(header)
+        handle = waiting_handle(store, options)
+        stored = stored_count(handle)
         if stored is not None:
-            return LabelSummary(str(header.place), stored)
-        refuse_packed(header.place)
-        refuse_drift(header.spec.record, "labels")
+            return LabelSummary(str(handle.place), stored)
+        refuse_packed(handle.place)
+        refuse_drift(handle.spec.record, "labels")
         begin = time.monotonic()
-        with claimed_place(header.place, options) as claim:
-            prepare_kernels(options.report, *kernels_for(header.spec.record, ORBITS))
+        with claimed_place(handle.place, options) as claim:
+            prepare_kernels(options.report, *kernels_for(handle.spec.record, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
-            found = labels_of(header)
-            write_labels(header.at(claim.guard(header.place)), found)
-        return LabelSummary(str(header.place), found.count, time.monotonic() - begin)
+            found = labels_of(handle)
+            write_labels(handle.at(claim.guard(handle.place)), found)
+        return LabelSummary(str(handle.place), found.count, time.monotonic() - begin)

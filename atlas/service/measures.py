@@ -43,7 +43,7 @@ from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
 from atlas.store.location import Given
 from atlas.store.parts import drop_parts, kept_parts
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.store.tiles import read_tile
 from atlas.task.solving import kernels_of
 from atlas.text import duration, plural
@@ -88,7 +88,7 @@ class MeasureSummary:
 
 @with_fields
 def measure_attractors(
-    store: "Given | Header",
+    store: "Given | Atlas",
     *,
     shocks: bool = False,
     margin: bool = False,
@@ -108,71 +108,71 @@ def measure_attractors(
     ``margin`` these are kept if the cells, and the curves, are the same.
     Raises InputError if the store is not a finished atlas; see also ``run``.
     """
-    with called(store, client, chosen(options, fields)) as (header, options, stack):
-        check_store(header)
-        weights = checked_weights(norm, header.spec.record)
+    with called(store, client, chosen(options, fields)) as (handle, options, stack):
+        check_store(handle)
+        weights = checked_weights(norm, handle.spec.record)
         for name, flag in (("shocks", shocks), ("margin", margin)):
             checked_flag(name, flag)
-        of_margin = margin_request(header, checked_scale(header, scale)) if margin else None
-        wanted = _requests(header, shocks, of_margin, weights)
-        before = read_measures(header)
-        stored = _still_true(header, before, wanted)
+        of_margin = margin_request(handle, checked_scale(handle, scale)) if margin else None
+        wanted = _requests(handle, shocks, of_margin, weights)
+        before = read_measures(handle)
+        stored = _still_true(handle, before, wanted)
         missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
         if not missing and stored.requests == before.requests:
-            return MeasureSummary(str(header.place), summary_of(stored.arrays), stored.requests)
-        refuse_packed(header.place)
+            return MeasureSummary(str(handle.place), summary_of(stored.arrays), stored.requests)
+        refuse_packed(handle.place)
         begin, busy, tasks = time.monotonic(), 0.0, 0
         families = [family for family in missing if family != MARGIN]
         client = joined(client, options, stack) if families else None
         workers = worker_count(client, options) if families else 0
-        claim = stack.enter_context(claimed_place(header.place, options))
-        header = header.at(claim.guard(header.place))
-        if read_measures(header).requests != before.requests:  # what it has found must not be lost
-            raise RunError(f"{header.place}: another run has measured it meanwhile; run the same command again")
+        claim = stack.enter_context(claimed_place(handle.place, options))
+        handle = handle.at(claim.guard(handle.place))
+        if read_measures(handle).requests != before.requests:  # what it has found must not be lost
+            raise RunError(f"{handle.place}: another run has measured it meanwhile; run the same command again")
         found = Stored(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
-            found.arrays.update(margins_of(header, wanted[MARGIN]["scale"]))
+            found.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
         if families:
-            crew = Crew(header, measure_and_keep, kernels_of(header.spec), options, claim, stack, workers, client)
-            job = _Measuring(header, crew, tuple(weights.items()))
+            crew = Crew(handle, measure_and_keep, kernels_of(handle.spec), options, claim, stack, workers, client)
+            job = _Measuring(handle, crew, tuple(weights.items()))
             found.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
             busy, tasks = job.processor_seconds, job.tasks
         found.requests.update({family: wanted[family] for family in missing})
         ordered = {name: found.arrays[name] for name in MEASURES if name in found.arrays}
-        write_measures(header, Stored(ordered, found.requests))
+        write_measures(handle, Stored(ordered, found.requests))
         for family in families:
-            drop_parts(header, group_of(family))
+            drop_parts(handle, group_of(family))
         seconds = time.monotonic() - begin
-        return MeasureSummary(str(header.place), summary_of(ordered), found.requests, seconds, busy, tasks)
+        return MeasureSummary(str(handle.place), summary_of(ordered), found.requests, seconds, busy, tasks)
 
 
-def _requests(header: Header, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
+def _requests(handle: Atlas, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
     """What is asked of each family; ``content`` is a digest of all else that its measures depend on."""
-    if shocks and not header.spec.coexistence:
-        raise InputError(f"{header.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
-    content = _content(header)
+    if shocks and not handle.spec.coexistence:
+        raise InputError(f"{handle.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
+    content = _content(handle)
     found: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
     if shocks:
         found[SHOCKS] = {"content": content, "norm": dict(norm)}
     return found if margin is None else found | {MARGIN: margin}
 
 
-def _still_true(header: Header, stored: Stored, wanted: Mapping[str, Request]) -> Stored:
+def _still_true(handle: Atlas, stored: Stored, wanted: Mapping[str, Request]) -> Stored:
     """The stored measures without those of other cells, or margins to other curves, than the store has now."""
     content = wanted[LINEAR]["content"]
     kept = {
         family: request
         for family, request in stored.requests.items()
-        if (margins_hold(header, request) if family == MARGIN else request.get("content") == content)
+        if (margins_hold(handle, request) if family == MARGIN else request.get("content") == content)
     }
     return Stored({name: each for name, each in stored.arrays.items() if MEASURES[name].family in kept}, kept)
 
 
-def _content(header: Header) -> str:
+def _content(handle: Atlas) -> str:
     """A digest of what the measures of attractors depend on in the cells of a store."""
-    found = hashlib.sha256(header.digest.encode())
-    for index in sorted(each.index for each in header.tiling.tiles()):
-        for name, values in sorted(read_tile(header, index, NEEDED).items()):
+    found = hashlib.sha256(handle.digest.encode())
+    for index in sorted(each.index for each in handle.tiling.tiles()):
+        for name, values in sorted(read_tile(handle, index, NEEDED).items()):
             found.update(name.encode() + np.ascontiguousarray(values).tobytes())
     return found.hexdigest()
 
@@ -185,7 +185,7 @@ def _digest(requests: Mapping[str, Request]) -> str:
 class _Measuring:
     """Attractors being measured in a store that is claimed."""
 
-    header: Header
+    handle: Atlas
     crew: Crew[MeasureJob, MeasureReceipt]
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
@@ -195,13 +195,13 @@ class _Measuring:
 
     def run(self, families: Mapping[str, str]) -> Arrays:
         """The measures of some families over all cells; the digest of each says for which request parts are kept."""
-        header = self.header
+        handle = self.handle
         kept = {
             f"{family}/{name}"
             for family, digest in families.items()
-            for name in kept_parts(header, group_of(family), digest)
+            for name in kept_parts(handle, group_of(family), digest)
         }
-        parts = [(family, *piece) for family in families for piece in pieces(header, family)]
+        parts = [(family, *piece) for family in families for piece in pieces(handle, family)]
         self.cells = sum(last - first for *_, first, last in parts)
         self.done = sum(last - first for _, name, _, first, last in parts if name in kept)
         jobs = [
@@ -210,15 +210,15 @@ class _Measuring:
             if name not in kept
         ]
         self.crew.do(jobs, self._count, self._progress)
-        many = (header.spec.attractors.keep,) if header.spec.coexistence and header.spec.attractors else ()
+        many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
         found: Arrays = {}
         for family in families:
-            found |= empty(of_family(family), (*header.spec.shape, *many))
+            found |= empty(of_family(family), (*handle.spec.shape, *many))
         for _, name, tile, first, last in parts:
-            at = header.tiling.at(tile)
+            at = handle.tiling.at(tile)
             cells = np.unravel_index(np.arange(first, last), at.shape)
             here = tuple(cell + part.start for cell, part in zip(cells, at.slices, strict=True))
-            for measured, values in read_measured(header, name).items():
+            for measured, values in read_measured(handle, name).items():
                 found[measured][here] = values if many else values[:, 0]
         return found
 

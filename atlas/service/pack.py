@@ -16,7 +16,7 @@ from atlas.store.archive import SUFFIX, write_zip
 from atlas.store.groups import groups_of, read_group
 from atlas.store.location import Given, place_of
 from atlas.store.sidecar import notes_of
-from atlas.store.store import Header, chunk_key, done_tiles, read_header
+from atlas.store.store import Atlas, chunk_key, done_tiles, open_handle
 from atlas.text import byte_size, plural
 
 SHOWN = 3
@@ -77,35 +77,35 @@ def pack(
         raise InputError(f"{file}: must end in {SUFFIX}, by which the other commands know it")
     if target.is_dir():
         raise InputError(f"{file}: is a folder")
-    header = read_header(store)
-    if place_of(target) == header.place:
+    handle = open_handle(store)
+    if place_of(target) == handle.place:
         raise InputError(f"{file}: is the store itself")
     if target.exists() and not force:
         raise InputError(f"{file}: exists already; --force (force=True) replaces it")
-    _refuse_running(header, timing)
-    if header.place.local is not None:
-        _refuse_links(header.place.local)
-    tiles, keys = done_tiles(header), sorted(header.place.list_keys())
-    _refuse_lost(header, tiles, set(keys))
+    _refuse_running(handle, timing)
+    if handle.place.local is not None:
+        _refuse_links(handle.place.local)
+    tiles, keys = done_tiles(handle), sorted(handle.place.list_keys())
+    _refuse_lost(handle, tiles, set(keys))
     with reporting(on_progress) as report:
-        size = _pack(header, keys, target, report or (lambda _: None), timing)
-    return PackSummary(str(file), len(keys), size, header.tiling.count, len(tiles))
+        size = _pack(handle, keys, target, report or (lambda _: None), timing)
+    return PackSummary(str(file), len(keys), size, handle.tiling.count, len(tiles))
 
 
-def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
+def _pack(handle: Atlas, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
     """Pack the objects of these keys, and return the bytes of the file."""
 
     def members() -> Iterator[tuple[str, bytes]]:
         notify(Progress(f"packing {plural(len(keys), 'object')}"))
         for k, key in enumerate(keys, 1):
-            found = header.place.get(key)
+            found = handle.place.get(key)
             if found is None:
                 raise InputError(
-                    f"{header.place}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
+                    f"{handle.place}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
                 )
             yield key, found
             notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", passing=True))
-        _refuse_running(header, timing)  # one that has begun meanwhile
+        _refuse_running(handle, timing)  # one that has begun meanwhile
 
     try:
         return write_zip(target, members())
@@ -123,17 +123,17 @@ def _refuse_links(store: Path) -> None:
                 raise InputError(f"{store}: {path.relative_to(store)} is {what}; only folders and files are packed")
 
 
-def _refuse_lost(header: Header, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
+def _refuse_lost(handle: Atlas, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
     """ChunkError if a chunk is not among the keys that has to be."""
-    needed = [variable for variable in header.variables if not variable.sparse]
+    needed = [variable for variable in handle.variables if not variable.sparse]
     lost = [key for index in sorted(tiles) for each in needed if (key := chunk_key(each, index)) not in keys]
     if lost:
-        raise ChunkError(header.place, dict.fromkeys(lost[:SHOWN], "is missing"))
-    for group in groups_of(header):
-        read_group(header, group)
+        raise ChunkError(handle.place, dict.fromkeys(lost[:SHOWN], "is missing"))
+    for group in groups_of(handle):
+        read_group(handle, group)
 
 
-def _refuse_running(header: Header, timing: Timing) -> None:
-    seen = Observer(notes_of(header.place), timing).settle()
+def _refuse_running(handle: Atlas, timing: Timing) -> None:
+    seen = Observer(notes_of(handle.place), timing).settle()
     if seen is not None and seen.alive is not False and not seen.trouble:
-        raise InputError(f"{header.place}: {seen.record} is at work on it; pack it when that has ended")
+        raise InputError(f"{handle.place}: {seen.record} is at work on it; pack it when that has ended")

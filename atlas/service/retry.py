@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.arguments import checked_kind, checked_name, is_whole
 from atlas.errors import InputError, check_names
-from atlas.service.extend import header_from, place_from
+from atlas.service.extend import handle_from, place_from
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
@@ -17,7 +17,7 @@ from atlas.service.summary import Summary
 from atlas.spec.spec import Spec
 from atlas.store.location import Given, Place
 from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, Allowance, Origin, Retry
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.text import plural
 from workers.results import APERIODIC, CHAOTIC, REGIMES, UNDETERMINED
 from workers.settings import MOST_PERIODS
@@ -32,7 +32,7 @@ DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.co
 
 @with_fields
 def retry(
-    store: "Given | Header",
+    store: "Given | Atlas",
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None = None,
@@ -80,7 +80,7 @@ def submit_retry(
 
 
 def asked(
-    store: "Given | Header",
+    store: "Given | Atlas",
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None,
@@ -91,7 +91,7 @@ def asked(
 
     InputError if it could change no cell.
     """
-    old = header_from(store, storage_options)
+    old = handle_from(store, storage_options)
     if old.spec.attractors is not None:
         raise InputError(f"{old.place}: an atlas of all attractors cannot be retried: run it again with more periods")
     if old.spec.continuation is not None:
@@ -111,7 +111,7 @@ def asked(
 
 
 def checked_retry(
-    old: Header, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
+    old: Atlas, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
 ) -> Retry:
     """The retry of a store that a user asked for; InputError if it could not change a cell."""
     for name in regimes:
@@ -136,7 +136,7 @@ def checked_retry(
     return found
 
 
-def _check_amount(old: Header, allowance: Allowance, found: int | None) -> None:
+def _check_amount(old: Atlas, allowance: Allowance, found: int | None) -> None:
     if found is None:
         return
     least = _least(old, allowance)
@@ -147,7 +147,7 @@ def _check_amount(old: Header, allowance: Allowance, found: int | None) -> None:
         raise InputError(f"{allowance.setting}: found {found}, {bounds}")
 
 
-def _least(old: Header, allowance: Allowance) -> int:
+def _least(old: Atlas, allowance: Allowance) -> int:
     """How much the cells of a store were given at most."""
     retried = old.origin.retry if old.origin is not None else None
     return max(allowance.of_spec(old.spec), retried.given(allowance) if retried is not None else 0)

@@ -29,7 +29,7 @@ from atlas.store.making import check_run, create, remove_half_made
 from atlas.store.origin import Origin
 from atlas.store.records import Records, RunRecords
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
-from atlas.store.store import Header, done_tiles, find, read_header
+from atlas.store.store import Atlas, done_tiles, find, open_handle
 from atlas.store.tiling import Index, Tiling
 from atlas.task.attempt import do_job, run_job
 from atlas.task.basins import labelling_bytes
@@ -96,25 +96,25 @@ def complete(
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
-        header = find(place)  # only read, so that bad input leaves no trace
-        _check(spec, place, header, options, origin, run_id)
+        handle = find(place)  # only read, so that bad input leaves no trace
+        _check(spec, place, handle, options, origin, run_id)
         client = joined(client, options, stack)
         workers = worker_count(client, options)
-        tile = _tile(spec, place, workers) if header is None else header.tile
+        tile = _tile(spec, place, workers) if handle is None else handle.tile
         if options.tile is not None:
             _check_index(options.tile, Tiling(spec.shape, tile).grid)
         claim = stack.enter_context(claimed_place(place, options))
         place = claim.guard(waiting(place, options.patience))
-        before = header  # before the claim another run may have made the store, or another one in its place
-        header = find(place) if before is None else before.at(place).current()
-        if header is None or before is None or header.run_id != before.run_id:
-            _check(spec, place, header, options, origin, run_id)
-        if header is None:
+        before = handle  # before the claim another run may have made the store, or another one in its place
+        handle = find(place) if before is None else before.at(place).current()
+        if handle is None or before is None or handle.run_id != before.run_id:
+            _check(spec, place, handle, options, origin, run_id)
+        if handle is None:
             options.report(Progress("making the store"))
-            header = create(place, spec, _tile(spec, place, workers), origin, run_id)
-        kernels, memory = kernels_of(header.spec), memory_of(math.prod(header.tile))
-        crew = Crew(header, do_job, kernels, options, claim, stack, workers, client, memory)
-        run = _Run(header, crew)
+            handle = create(place, spec, _tile(spec, place, workers), origin, run_id)
+        kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
+        crew = Crew(handle, do_job, kernels, options, claim, stack, workers, client, memory)
+        run = _Run(handle, crew)
         if options.tile is not None:
             run.do_alone(options.tile)
             return run.totals.summary(str(place))
@@ -126,15 +126,15 @@ def complete(
 
 
 def _check(
-    spec: Spec, place: Place, header: Header | None, options: RunOptions, origin: Origin | None, run_id: str
+    spec: Spec, place: Place, handle: Atlas | None, options: RunOptions, origin: Origin | None, run_id: str
 ) -> None:
-    """InputError or RunError unless a run may make the store at a place, or complete the one with this header."""
-    check_run(place, spec, header)
-    if header is None:
+    """InputError or RunError unless a run may make the store at a place, or complete the one with this handle."""
+    check_run(place, spec, handle)
+    if handle is None:
         return
-    if run_id and run_id != header.run_id:
+    if run_id and run_id != handle.run_id:
         raise RunError(f"{place}: not the store of run {run_id}")
-    if origin and origin != header.origin:
+    if origin and origin != handle.origin:
         raise InputError(f"{place}: is a store already, and not this one made from {origin.store}; choose another path")
 
 
@@ -156,12 +156,12 @@ def _tile(spec: Spec, place: Place, workers: int) -> tuple[int, ...]:
 class _Run:
     """A run whose store is claimed: the tiles due, handing them out, and the end."""
 
-    def __init__(self, header: Header, crew: Crew[Job, Receipt | Made]) -> None:
-        self.header, self.crew, self.doing = header, crew, "solving"
-        plan = make_plan(header.spec, crew.threads, header.tile)
-        self.stored = Records(header, done_tiles(header))
+    def __init__(self, handle: Atlas, crew: Crew[Job, Receipt | Made]) -> None:
+        self.handle, self.crew, self.doing = handle, crew, "solving"
+        plan = make_plan(handle.spec, crew.threads, handle.tile)
+        self.stored = Records(handle, done_tiles(handle))
         self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
-        retried = header.origin is not None and header.origin.retry is not None
+        retried = handle.origin is not None and handle.origin.retry is not None
         self.totals = Totals(plan, int(self.stored.done.sum()), cells, retried)
 
     def begin(self) -> None:
@@ -169,22 +169,22 @@ class _Run:
         totals, stage = self.totals, "starting"
         if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
-            if self.header.place.local is not None:
-                refuse_shortage(totals.plan, self.header.place.local, int(self.due.sum()))
+            if self.handle.place.local is not None:
+                refuse_shortage(totals.plan, self.handle.place.local, int(self.due.sum()))
         self.report(stage)
-        self.overviews = Overviews(self.header)
-        self.records = RunRecords(self.header, self.stored, self.due)
+        self.overviews = Overviews(self.handle)
+        self.records = RunRecords(self.handle, self.stored, self.due)
 
     @property
     def needs_workers(self) -> bool:
         """Whether there is a tile to solve, or basins to label."""
-        return bool(self.due.any()) or (self.header.spec.basins and group_attributes(self.header, ATTRACTORS) is None)
+        return bool(self.due.any()) or (self.handle.spec.basins and group_attributes(self.handle, ATTRACTORS) is None)
 
     def do_alone(self, index: Index) -> None:
         """Do one of the tiles due in this process. What it raises is not caught."""
-        header = self.header
+        handle = self.handle
         if not self.due[index]:
-            raise InputError(f"{header.place}: nothing is to be done in tile {index}")
+            raise InputError(f"{handle.place}: nothing is to be done in tile {index}")
         prepare_kernels(self.crew.options.report, *self.crew.kernels)
         self.begin()
         self.totals.start()
@@ -195,7 +195,7 @@ class _Run:
 
     def hand_out(self) -> None:
         """Send the tiles due to the workers and add up their receipts; then the overviews, level by level."""
-        header, totals, order, site = self.header, self.totals, Order(self.due), self.crew.site
+        handle, totals, order, site = self.handle, self.totals, Order(self.due), self.crew.site
         force = self.crew.force
         totals.start()
         try:
@@ -206,9 +206,9 @@ class _Run:
                 if not isinstance(outcome, Made):
                     totals.add(outcome)
                 self.report("solving")
-            if header.spec.basins:
+            if handle.spec.basins:
                 self.doing = "labelling the attractors"
-                force.need(force.memory + labelling_bytes(header))
+                force.need(force.memory + labelling_bytes(handle))
                 self._make([Job((), site, LABELS)])
             self.doing = "writing overviews"
             for level in self.overviews.levels:
@@ -284,9 +284,9 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 
 @contextmanager
 def called(
-    store: "Given | Header", client: "Client | None", options: RunOptions
-) -> Iterator[tuple[Header, RunOptions, ExitStack]]:
-    """A call that works on a store: its header, the options with what reports progress, and what ends with the call.
+    store: "Given | Atlas", client: "Client | None", options: RunOptions
+) -> Iterator[tuple[Atlas, RunOptions, ExitStack]]:
+    """A call that works on a store: its handle, the options with what reports progress, and what ends with the call.
 
     InputError for a client that does not go with the options, and if there is no atlas.
     """
@@ -294,14 +294,14 @@ def called(
     check_client(client, options)
     with reporting(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
-        yield waiting_header(store, options), options, stack
+        yield waiting_handle(store, options), options, stack
 
 
-def waiting_header(store: "Given | Header", options: RunOptions) -> Header:
-    """The header of a store that a call works on, which waits for its server as long as the options say."""
-    if isinstance(store, Header):
+def waiting_handle(store: "Given | Atlas", options: RunOptions) -> Atlas:
+    """The handle of a store that a call works on, which waits for its server as long as the options say."""
+    if isinstance(store, Atlas):
         return store.at(waiting(store.place, options.patience))
-    return read_header(waiting(place_of(store, storage_options=options.storage_options), options.patience))
+    return open_handle(waiting(place_of(store, storage_options=options.storage_options), options.patience))
 
 
 @contextmanager

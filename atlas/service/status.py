@@ -14,7 +14,7 @@ from atlas.service.timing import TIMING, Timing
 from atlas.store.record import WIDTH
 from atlas.store.records import Records, by_name, count_tiles
 from atlas.store.sidecar import notes_of
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.text import duration, html_table
 from workers.results import REASONS, REGIMES
 
@@ -28,7 +28,7 @@ class Status:
     why the run at work makes no progress; ``ended``, how the last submitted run ended. Both are empty if all is well.
     """
 
-    header: Header
+    handle: Atlas
     tiles_done: int
     cells_done: int
     regimes: dict[str, int]
@@ -40,7 +40,7 @@ class Status:
     @property
     def fraction(self) -> float:
         """Fraction of the cells that are done."""
-        return self.cells_done / self.header.tiling.cells
+        return self.cells_done / self.handle.tiling.cells
 
     @property
     def progress(self) -> Progress:
@@ -48,8 +48,8 @@ class Status:
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
-            tiles=self.header.tiling.count,
-            cells=self.header.tiling.cells,
+            tiles=self.handle.tiling.count,
+            cells=self.handle.tiling.cells,
             tiles_done=self.tiles_done,
             cells_done=self.cells_done,
             cells_solved=int(self._reported("cells_solved")),
@@ -73,10 +73,10 @@ class Status:
     def rows(self) -> list[tuple[str, str]]:
         """What it says of the store, each with its name."""
         return [
-            ("axes", " x ".join(self.header.spec.described)),
-            ("tiles", f"{self.tiles_done} of {self.header.tiling.count} done"),
-            ("cells", f"{self.cells_done} of {self.header.tiling.cells} done ({100 * self.fraction:.1f} %)"),
-            ("solver", f"version {self.header.solver_version}"),
+            ("axes", " x ".join(self.handle.spec.described)),
+            ("tiles", f"{self.tiles_done} of {self.handle.tiling.count} done"),
+            ("cells", f"{self.cells_done} of {self.handle.tiling.cells} done ({100 * self.fraction:.1f} %)"),
+            ("solver", f"version {self.handle.solver_version}"),
             ("run", self._run()),
         ]
 
@@ -110,9 +110,9 @@ class Status:
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas status --json`` prints."""
-        spec = self.header.spec
+        spec = self.handle.spec
         return {
-            "store": str(self.header.place),
+            "store": str(self.handle.place),
             "system": spec.system,
             "axes": [
                 {"name": a.name, "start": a.start, "stop": a.stop, "num": len(a), "scale": a.scale} for a in spec.axes
@@ -120,13 +120,13 @@ class Status:
             "parameters": spec.parameters,
             "columns": list(spec.points),
             "solve": spec.outline()["solve"],
-            "tile": self.header.tile,
-            "tiles": self.header.tiling.count,
+            "tile": self.handle.tile,
+            "tiles": self.handle.tiling.count,
             "tiles_done": self.tiles_done,
-            "tiles_pending": self.header.tiling.count - self.tiles_done,
-            "cells": self.header.tiling.cells,
+            "tiles_pending": self.handle.tiling.count - self.tiles_done,
+            "cells": self.handle.tiling.cells,
             "cells_done": self.cells_done,
-            "cells_pending": self.header.tiling.cells - self.cells_done,
+            "cells_pending": self.handle.tiling.cells - self.cells_done,
             "cells_failed": self.regimes.get("failed", 0),
             "fraction": self.fraction,
             "regimes": self.regimes,
@@ -137,9 +137,9 @@ class Status:
             "workers": int(self._reported("workers")),
             "cells_per_second": self.progress.rate,
             "seconds_left": self.seconds_left,
-            "solver_version": self.header.solver_version,
-            "run_id": self.header.run_id,
-            "digest": self.header.digest,
+            "solver_version": self.handle.solver_version,
+            "run_id": self.handle.run_id,
+            "digest": self.handle.digest,
         }
 
 
@@ -172,10 +172,10 @@ class Census:
     A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of such tiles.
     """
 
-    def __init__(self, header: Header, timing: Timing = TIMING) -> None:
-        self.header, self.timing = header, timing
+    def __init__(self, handle: Atlas, timing: Timing = TIMING) -> None:
+        self.handle, self.timing = handle, timing
         self.tiles_read = 0
-        self.notes = notes_of(header.place)
+        self.notes = notes_of(handle.place)
         self.observer = Observer(self.notes, timing)
 
     def take(self, settled: bool = False) -> Status:
@@ -195,14 +195,14 @@ class Census:
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
         trouble = trouble or (run.trouble if run else "")
         cells = sum(held.regimes.values())
-        return Status(self.header, held.tiles, cells, held.regimes, held.reasons, run, trouble, noted_end(self.notes))
+        return Status(self.handle, held.tiles, cells, held.regimes, held.reasons, run, trouble, noted_end(self.notes))
 
     def _count(self) -> Holding:
-        records = Records(self.header)
+        records = Records(self.handle)
         total = records.rows.reshape(-1, WIDTH).sum(axis=0)
         unknown = [tuple(index) for index in np.argwhere(records.done & ~records.known).tolist()]
         self.tiles_read += len(unknown)
-        for row in count_tiles(self.header, unknown):
+        for row in count_tiles(self.handle, unknown):
             if isinstance(row, ChunkError):
                 raise row
             total += row
@@ -213,13 +213,13 @@ def _token(seen: Sighting | None) -> str:
     return seen.record.token if seen and seen.record else ""
 
 
-def read_status(header: Header, timing: Timing = TIMING) -> Status:
+def read_status(handle: Atlas, timing: Timing = TIMING) -> Status:
     """The status of a store, see ``Census``.
 
     Takes up to ``timing.silent`` seconds if the run at work is on another machine: so long it takes to see whether it
     is alive.
     """
-    return Census(header, timing).take(settled=True)
+    return Census(handle, timing).take(settled=True)
 
 
 def watch(census: Census, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:

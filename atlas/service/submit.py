@@ -21,8 +21,8 @@ from atlas.store.archive import refuse_packed
 from atlas.store.location import LocalPlace, Place, place_of
 from atlas.store.origin import Origin
 from atlas.store.sidecar import notes_of
-from atlas.store.store import find, read_header
-from atlas.task.site import RefusedError, check_solver, checked_header
+from atlas.store.store import find, open_handle
+from atlas.task.site import RefusedError, check_solver, checked_handle
 from atlas.text import plural
 from workers import SOLVER_VERSION
 
@@ -156,7 +156,7 @@ def check_coordinator(task: Submission) -> None:
         check_solver(task.solver_version)
         return
     try:
-        checked_header(task.store, task.run_id, task.solver_version)
+        checked_handle(task.store, task.run_id, task.solver_version)
     except NetworkError:
         raise
     except OSError as error:
@@ -166,8 +166,8 @@ def check_coordinator(task: Submission) -> None:
 def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> None:
     run_id = task.run_id
     if not run_id:
-        header = find(task.store)
-        run_id = header.run_id if header else uuid.uuid4().hex
+        handle = find(task.store)
+        run_id = handle.run_id if handle else uuid.uuid4().hex
 
     def report(progress: Progress) -> None:
         if progress.stage == "solving":
@@ -183,7 +183,7 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
 def _run_id(store: str) -> str:
     """The run id of the store at a path, empty if this host sees none: it need not."""
     try:
-        return read_header(store).run_id
+        return open_handle(store).run_id
     except (InputError, OSError):
         return ""
 

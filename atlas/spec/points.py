@@ -111,7 +111,7 @@ def _read_file(path: Path, record: System) -> Columns:
 
 def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns:
     names = [name.strip() for name in next(rows, [])]
-    _check_header(where, names, record)
+    _check_handle(where, names, record)
     columns: dict[str, list[object]] = {name: [] for name in names}
     for place, row in enumerate(rows, 2):
         if not any(field.strip() for field in row):
@@ -128,7 +128,7 @@ def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns
     return _checked_columns(where, columns, record)
 
 
-def _check_header(where: str, names: Sequence[object], record: System) -> None:
+def _check_handle(where: str, names: Sequence[object], record: System) -> None:
     if not any(names):
         raise InputError(f"{where}: is empty; its first row must name parameters")
     try:
@@ -141,7 +141,7 @@ def _check_header(where: str, names: Sequence[object], record: System) -> None:
 
 
 def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Columns:
-    _check_header(where, list(given), record)
+    _check_handle(where, list(given), record)
     found: dict[str, tuple[float, ...]] = {}
     for name, values in given.items():
         listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from atlas.errors import ChunkError, message_of
 from atlas.store.build import consolidate, create_whole
 from atlas.store.schema import StoredArray, coordinates
-from atlas.store.store import ROOT, Header, open_group
+from atlas.store.store import ROOT, Atlas, open_group
 
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
 """The curves of a plane, and the tables: attractors whose basins a store has, one entry each; labels of coexisting
@@ -26,17 +26,17 @@ ARRAYS, CHECKSUM = "arrays", "checksum"
 """Attributes of a group: the names of its arrays; the checksum."""
 
 
-def groups_of(header: Header) -> tuple[str, ...]:
+def groups_of(handle: Atlas) -> tuple[str, ...]:
     """The groups that a store of this spec may have."""
-    spec = header.spec
+    spec = handle.spec
     return (CURVES, STABILITY, *[ATTRACTORS] * spec.basins, *[LABELS] * spec.coexistence)
 
 
-def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
+def write_group(handle: Atlas, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Write a group, in the place of one that is there."""
-    drop_group(header, group)
-    root = open_group(header.place, "r+")
-    for name in set(_names(header, group)).difference(arrays):
+    drop_group(handle, group)
+    root = open_group(handle.place, "r+")
+    for name in set(_names(handle, group)).difference(arrays):
         del root[f"{group}/{name}"]  # readers take every array that lies there
     for name, array in arrays.items():
         create_whole(root, f"{group}/{name}", array)
@@ -44,58 +44,58 @@ def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], a
     whole = {
         "zarr_format": 3,
         "node_type": "group",
-        "attributes": own | {CHECKSUM: _checksum(header, group, arrays, own)},
+        "attributes": own | {CHECKSUM: _checksum(handle, group, arrays, own)},
     }
-    header.place.put(f"{group}/{ROOT}", json.dumps(whole).encode())
+    handle.place.put(f"{group}/{ROOT}", json.dumps(whole).encode())
 
 
-def write_table(header: Header, table: str, columns: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
+def write_table(handle: Atlas, table: str, columns: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Write a table, which xarray opens, with the coordinates of its dimensions, in the place of one that is there."""
     dims = {dim for column in columns.values() for dim in column.dims}
-    known = {name: each for name, each in coordinates(header.spec).items() if name in dims and each.dims == (name,)}
-    write_group(header, table, known | dict(columns), {**attributes, "digest": header.digest})
-    root = open_group(header.place, "r+")
+    known = {name: each for name, each in coordinates(handle.spec).items() if name in dims and each.dims == (name,)}
+    write_group(handle, table, known | dict(columns), {**attributes, "digest": handle.digest})
+    root = open_group(handle.place, "r+")
     consolidate(root, table)
     consolidate(root)  # by the root's copy xarray finds the group
 
 
-def drop_group(header: Header, group: str) -> None:
+def drop_group(handle: Atlas, group: str) -> None:
     """Make a group absent."""
-    header.place.remove(f"{group}/{ROOT}")
+    handle.place.remove(f"{group}/{ROOT}")
 
 
-def group_attributes(header: Header, group: str) -> dict[str, Any] | None:
+def group_attributes(handle: Atlas, group: str) -> dict[str, Any] | None:
     """The attributes of a group, None if it does not exist. ChunkError if they cannot be read."""
     key = f"{group}/{ROOT}"
-    stored = header.place.get(key)
+    stored = handle.place.get(key)
     try:
         return None if stored is None else dict(json.loads(stored)["attributes"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ChunkError(header.place, {key: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.place, {key: f"is damaged ({message_of(error)})"}) from None
 
 
-def read_group(header: Header, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+def read_group(handle: Atlas, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
     """The arrays of a group by name, and its attributes; None if it does not exist.
 
     ChunkError, which names what is missing or damaged, if they were not written together.
     """
-    attributes = group_attributes(header, group)
+    attributes = group_attributes(handle, group)
     if attributes is None:
         return None
-    names = attributes.get(ARRAYS) or _names(header, group)
+    names = attributes.get(ARRAYS) or _names(handle, group)
     arrays: dict[str, NDArray[Any]] = {}
     faults: dict[str, str] = {}
     for name in names:
-        found = _read(header, f"{group}/{name}")
+        found = _read(handle, f"{group}/{name}")
         if isinstance(found, np.ndarray):
             arrays[name] = found
         else:
             faults |= found
     own = {name: value for name, value in attributes.items() if name != CHECKSUM}
-    if not faults and attributes.get(CHECKSUM) != _checksum(header, group, names, own):
+    if not faults and attributes.get(CHECKSUM) != _checksum(handle, group, names, own):
         faults[f"{group}/{ROOT}"] = "is damaged or belongs to other arrays"
     if faults:
-        raise ChunkError(header.place, faults)
+        raise ChunkError(handle.place, faults)
     return arrays, attributes
 
 
@@ -110,19 +110,19 @@ def values_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     return found.hexdigest()
 
 
-def _names(header: Header, group: str) -> list[str]:
+def _names(handle: Atlas, group: str) -> list[str]:
     """The names of the arrays of a group that does not list them, by a listing."""
-    keys = (key.split("/") for key in header.place.list_keys(f"{group}/"))
+    keys = (key.split("/") for key in handle.place.list_keys(f"{group}/"))
     return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
 
 
-def _read(header: Header, path: str) -> NDArray[Any] | dict[str, str]:
+def _read(handle: Atlas, path: str) -> NDArray[Any] | dict[str, str]:
     """An array of one chunk, or what is wrong with it, by key."""
     key = f"{path}/{ROOT}"
     try:
-        array: Any = open_group(header.place, "r")[path]
+        array: Any = open_group(handle.place, "r")[path]
         key = "/".join([path, "c", *("0" for _ in array.shape)])
-        if array.size and not header.place.exists(key):
+        if array.size and not handle.place.exists(key):
             return {key: "is missing"}
         return np.asarray(array[...])
     except OSError:
@@ -133,10 +133,10 @@ def _read(header: Header, path: str) -> NDArray[Any] | dict[str, str]:
         return {key: f"is damaged ({message_of(error)})"}
 
 
-def _checksum(header: Header, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
+def _checksum(handle: Atlas, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
     """A digest of a group: of its attributes, and of all objects of its arrays."""
     found = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in names:
-        for key in sorted(header.place.list_keys(f"{group}/{name}/")):
-            found.update(f"{key} ".encode() + hashlib.sha256(header.place.get(key) or b"").digest())
+        for key in sorted(handle.place.list_keys(f"{group}/{name}/")):
+            found.update(f"{key} ".encode() + hashlib.sha256(handle.place.get(key) or b"").digest())
     return found.hexdigest()

@@ -6,12 +6,12 @@ from functools import lru_cache
 
 from atlas.store.location import Place
 from atlas.store.machine import MACHINES, UNKNOWN, Machine, machine_of
-from atlas.store.store import ROOT, Header
+from atlas.store.store import ROOT, Atlas
 
 
-def record_machine(header: Header, machine: Machine) -> None:
+def record_machine(handle: Atlas, machine: Machine) -> None:
     """Add a machine to the list of machines that solved this store's tiles."""
-    _recorded(header.place, header.run_id, machine)
+    _recorded(handle.place, handle.run_id, machine)
 
 
 @lru_cache(maxsize=64)  # once a process and store is enough
@@ -28,14 +28,14 @@ def _recorded(place: Place, run_id: str, machine: Machine) -> None:
         zarr.create_group(zarr_store(place, read_only=False), path=path, zarr_format=3, attributes=dict(machine.facts))
 
 
-def machines(header: Header) -> tuple[Machine, ...]:
+def machines(handle: Atlas) -> tuple[Machine, ...]:
     """The machines that solved tiles of this store, in no order; UNKNOWN for one whose record is damaged."""
-    return tuple(recorded_machine(header.place, key) or UNKNOWN for key in machine_keys(header))
+    return tuple(recorded_machine(handle.place, key) or UNKNOWN for key in machine_keys(handle))
 
 
-def machine_keys(header: Header) -> list[str]:
+def machine_keys(handle: Atlas) -> list[str]:
     """The keys of the records of the machines."""
-    keys = header.place.list_keys(f"{MACHINES}/")
+    keys = handle.place.list_keys(f"{MACHINES}/")
     return sorted(key for key in keys if key.endswith(f"/{ROOT}") and key.count("/") == 2)
 
 

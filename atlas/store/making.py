@@ -24,7 +24,7 @@ from atlas.store.origin import Origin
 from atlas.store.record import TILES
 from atlas.store.schema import coordinate_names
 from atlas.store.spare import SPARE, remedy
-from atlas.store.store import Header, read_header
+from atlas.store.store import Atlas, open_handle
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES
 from workers.results import REGIME
@@ -32,23 +32,23 @@ from workers.results import REGIME
 TRIAL = ".trial-"
 
 
-def check_run(place: Place, spec: Spec, header: Header | None) -> None:
-    """InputError unless a run of a spec may make the store at a place, or resume the one with that header."""
+def check_run(place: Place, spec: Spec, handle: Atlas | None) -> None:
+    """InputError unless a run of a spec may make the store at a place, or resume the one with that handle."""
     refuse_packed(place)
-    if header is None:
+    if handle is None:
         with refused(place, "written"):
             if place.local is None:
                 _refuse_foreign(place, spec)
             _check_writable(place)
         return
-    if header.solver_version != SOLVER_VERSION:
+    if handle.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
+            f"{place}: made by solver version {handle.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: choose another path"
         )
     # Without its values where the digest says so, since these may be damaged.
-    if header.digest != spec.digest and header.spec.digest != spec.digest:
-        raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
+    if handle.digest != spec.digest and handle.spec.digest != spec.digest:
+        raise InputError(f"{place}: has another spec: {'; '.join(differences(handle.spec, spec))}")
     with refused(place, "written"):
         if place.local is not None:
             if not os.access(place.local, os.W_OK):
@@ -73,15 +73,15 @@ def create(
     tile: tuple[int, ...],
     origin: Origin | None = None,
     run_id: str = "",
-) -> Header:
-    """Make a store without a result, see ``make_store``, and return its header.
+) -> Atlas:
+    """Make a store without a result, see ``make_store``, and return its handle.
 
     ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
     """
     place = place_of(store)
     with refused(place, "written"):
         make_store(place, spec, tile, origin, run_id)
-    return read_header(place)
+    return open_handle(place)
 
 
 def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:

@@ -6,7 +6,7 @@ They lie apart from the groups, whose readers expect arrays. Each begins with it
 import hashlib
 from collections.abc import Iterator
 
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 
 PARTS = "parts"
 DIGEST = "digest"
@@ -14,38 +14,38 @@ DIGEST = "digest"
 _CHECKSUM_BYTES = 32
 
 
-def put_part(header: Header, group: str, name: str, data: bytes) -> None:
+def put_part(handle: Atlas, group: str, name: str, data: bytes) -> None:
     """Keep a finished part of a search; it appears whole or not at all."""
-    header.place.put(f"{PARTS}/{group}/{name}", hashlib.sha256(data).digest() + data)
+    handle.place.put(f"{PARTS}/{group}/{name}", hashlib.sha256(data).digest() + data)
 
 
-def get_part(header: Header, group: str, name: str) -> bytes | None:
+def get_part(handle: Atlas, group: str, name: str) -> bytes | None:
     """A part; None if it does not exist or is damaged, and has to be found again."""
-    stored = header.place.get(f"{PARTS}/{group}/{name}") or b""
+    stored = handle.place.get(f"{PARTS}/{group}/{name}") or b""
     checksum, data = stored[:_CHECKSUM_BYTES], stored[_CHECKSUM_BYTES:]
     return data if hashlib.sha256(data).digest() == checksum else None
 
 
-def part_names(header: Header, group: str) -> Iterator[str]:
+def part_names(handle: Atlas, group: str) -> Iterator[str]:
     """The names of all parts."""
     root = f"{PARTS}/{group}/"
-    return (key.removeprefix(root) for key in header.place.list_keys(root))
+    return (key.removeprefix(root) for key in handle.place.list_keys(root))
 
 
-def damaged_parts(header: Header, group: str) -> list[str]:
+def damaged_parts(handle: Atlas, group: str) -> list[str]:
     """The keys of parts that are damaged."""
-    names = sorted(part_names(header, group))
-    return [f"{PARTS}/{group}/{name}" for name in names if get_part(header, group, name) is None]
+    names = sorted(part_names(handle, group))
+    return [f"{PARTS}/{group}/{name}" for name in names if get_part(handle, group, name) is None]
 
 
-def drop_parts(header: Header, group: str) -> None:
+def drop_parts(handle: Atlas, group: str) -> None:
     """Remove all parts."""
-    header.place.remove_all(list(header.place.list_keys(f"{PARTS}/{group}/")))
+    handle.place.remove_all(list(handle.place.list_keys(f"{PARTS}/{group}/")))
 
 
-def kept_parts(header: Header, group: str, digest: str) -> set[str]:
+def kept_parts(handle: Atlas, group: str, digest: str) -> set[str]:
     """The names of the parts that a search with this digest has finished; those of any other search are removed."""
-    if get_part(header, group, DIGEST) != digest.encode():
-        drop_parts(header, group)
-        put_part(header, group, DIGEST, digest.encode())
-    return {name for name in part_names(header, group) if get_part(header, group, name) is not None}
+    if get_part(handle, group, DIGEST) != digest.encode():
+        drop_parts(handle, group)
+        put_part(handle, group, DIGEST, digest.encode())
+    return {name for name in part_names(handle, group) if get_part(handle, group, name) is not None}

@@ -40,7 +40,7 @@ from atlas.store.record import (
     record_key,
     unpacked,
 )
-from atlas.store.store import READERS, Header, array_by, done_tiles, is_done, open_arrays
+from atlas.store.store import READERS, Atlas, array_by, done_tiles, is_done, open_arrays
 from atlas.store.tiles import encoded, read_tile
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
@@ -60,18 +60,18 @@ class Records:
     The last three are there as soon as ``rows`` is.
     """
 
-    def __init__(self, header: Header, listed: Iterable[Index] | None = None) -> None:
-        self.header, self.damaged = header, dict[str, str]()
+    def __init__(self, handle: Atlas, listed: Iterable[Index] | None = None) -> None:
+        self.handle, self.damaged = handle, dict[str, str]()
         self.lost, self.single = list[Index](), list[Index]()
-        self._sizes, self._listed = header.tiling.sizes(), listed
+        self._sizes, self._listed = handle.tiling.sizes(), listed
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
         """See the class; from two objects if the atlas is finished, else from a listing."""
         if self._whole is not None:
-            return np.ones(self.header.tiling.grid, dtype=bool)
-        done = np.zeros(self.header.tiling.grid, dtype=bool)
-        for index in done_tiles(self.header) if self._listed is None else self._listed:
+            return np.ones(self.handle.tiling.grid, dtype=bool)
+        done = np.zeros(self.handle.tiling.grid, dtype=bool)
+        for index in done_tiles(self.handle) if self._listed is None else self._listed:
             done[index] = True
         return done
 
@@ -96,16 +96,16 @@ class Records:
     @cached_property
     def _whole(self) -> Rows | None:
         """The compaction, if it has all tiles and nothing is newer; None on a disk, where listing is cheap."""
-        on_disk = self.header.place.local is not None
-        if on_disk or self._listed is not None or single_records(self.header):
+        on_disk = self.handle.place.local is not None
+        if on_disk or self._listed is not None or single_records(self.handle):
             return None
         rows = self._compacted()
         return rows if add_up(rows, self._sizes).all() else None
 
     def _compacted(self) -> Rows:
-        none = np.zeros((*self.header.tiling.grid, WIDTH))
+        none = np.zeros((*self.handle.tiling.grid, WIDTH))
         try:
-            rows = np.asarray(_compaction(self.header)[...], dtype=np.float64)
+            rows = np.asarray(_compaction(self.handle)[...], dtype=np.float64)
         except OSError:
             raise
         except Exception as error:  # a codec that meets bytes nobody wrote may raise anything
@@ -117,13 +117,13 @@ class Records:
         """The rows of the compaction, with single records in their places."""
         done = self.done  # before the records: each finished tile then has its own
         for _ in range(_LOOKS):
-            self.single = single_records(self.header)
+            self.single = single_records(self.handle)
             rows = self._compacted()
             empty, without = not rows.any(), done & ~rows.any(axis=-1)
             for index in self.single:
                 rows[index], without[index] = 0.0, False
             wanted = {record_key(index): index for index in self.single if done[index]}
-            found = self.header.place.get_all(wanted)
+            found = self.handle.place.get_all(wanted)
             if found.keys() == wanted.keys():
                 break
         if empty and without.any():
@@ -143,8 +143,8 @@ class RunRecords:
     ``due`` are the tiles that its workers may write.
     """
 
-    def __init__(self, header: Header, records: Records, due: NDArray[np.bool_]) -> None:
-        self._header, self._rows, self._open = header, records.rows.copy(), due.copy()
+    def __init__(self, handle: Atlas, records: Records, due: NDArray[np.bool_]) -> None:
+        self._handle, self._rows, self._open = handle, records.rows.copy(), due.copy()
         self._new = bool(records.single)
         self._done = records.done.copy()
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)
@@ -172,24 +172,24 @@ class RunRecords:
         uncounted = _indices(self._uncounted & ~self._open)
         if uncounted:
             on_wait(len(uncounted))
-        for index, row in zip(uncounted, count_tiles(self._header, uncounted), strict=True):
+        for index, row in zip(uncounted, count_tiles(self._handle, uncounted), strict=True):
             if not isinstance(row, ChunkError):
                 self._rows[index] = row
         if self._new or uncounted:
-            write_compaction(self._header, self._rows, ~self._open)
+            write_compaction(self._handle, self._rows, ~self._open)
 
 
-def put_together(header: Header) -> None:
+def put_together(handle: Atlas) -> None:
     """Collect all records of a store on which no run is at work."""
-    none = np.zeros(header.tiling.grid, dtype=bool)
-    RunRecords(header, Records(header, done_tiles(header)), none).compact()
+    none = np.zeros(handle.tiling.grid, dtype=bool)
+    RunRecords(handle, Records(handle, done_tiles(handle)), none).compact()
 
 
-def write_compaction(header: Header, rows: Rows, settled: NDArray[np.bool_]) -> None:
+def write_compaction(handle: Atlas, rows: Rows, settled: NDArray[np.bool_]) -> None:
     """Write all rows as one chunk, then remove the single records of ``settled`` tiles that have a row in it."""
-    header.place.put_all(encoded(_compaction(header), tuple(map(slice, rows.shape)), rows))
-    counts = settled & add_up(rows, header.tiling.sizes())
-    header.place.remove_all([record_key(index) for index in single_records(header) if counts[index]])
+    handle.place.put_all(encoded(_compaction(handle), tuple(map(slice, rows.shape)), rows))
+    counts = settled & add_up(rows, handle.tiling.sizes())
+    handle.place.remove_all([record_key(index) for index in single_records(handle) if counts[index]])
 
 
 EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
@@ -201,33 +201,33 @@ def is_exchanged(records: Records, index: Index, row: Rows) -> bool:
     return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])
 
 
-def read_record(header: Header, index: Index) -> Rows | None:
+def read_record(handle: Atlas, index: Index) -> Rows | None:
     """The single record of a tile, None if there is none or it is damaged."""
-    data = header.place.get(record_key(index))
+    data = handle.place.get(record_key(index))
     return None if data is None else unpacked(data)
 
 
-def single_records(header: Header) -> list[Index]:
+def single_records(handle: Atlas) -> list[Index]:
     """The tiles with a record of their own, finished or not, from one listing."""
-    found = (record_index(key, header.tiling.grid) for key in header.place.list_keys(f"{RECORD}/"))
+    found = (record_index(key, handle.tiling.grid) for key in handle.place.list_keys(f"{RECORD}/"))
     return sorted(index for index in found if index is not None)
 
 
-def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
+def count_tiles(handle: Atlas, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
     """The rows of finished tiles, without digests, from their chunks; the error of a damaged tile.
 
     A tile that is no longer finished has a row of zeros.
     """
     if not tiles:
         return
-    arrays = open_arrays(header)
+    arrays = open_arrays(handle)
 
     def count_one(index: Index) -> Rows | ChunkError:
         try:
-            found = read_tile(header, index, (REGIME.name, REASON.name), arrays)
+            found = read_tile(handle, index, (REGIME.name, REASON.name), arrays)
         except ChunkError as error:
-            return error if is_done(header, index) else np.zeros(WIDTH)
-        return counted_row(header.spec, header.tiling.at(index).slices, header.leading(found))
+            return error if is_done(handle, index) else np.zeros(WIDTH)
+        return counted_row(handle.spec, handle.tiling.at(index).slices, handle.leading(found))
 
     with ThreadPoolExecutor(READERS) as readers:
         yield from readers.map(count_one, tiles)
@@ -241,8 +241,8 @@ def by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
     return regimes, named
 
 
-def _compaction(header: Header) -> Any:
-    return array_by(header.place, RECORDS, header.nodes[RECORDS])
+def _compaction(handle: Atlas) -> Any:
+    return array_by(handle.place, RECORDS, handle.nodes[RECORDS])
 
 
 def _indices(mask: NDArray[np.bool_]) -> list[Index]:

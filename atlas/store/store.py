@@ -34,7 +34,7 @@ READERS = 8
 
 
 class _Opened(dict[str, Any]):
-    """What the views of a header have read and opened, by name; ``lock`` is held while that is done."""
+    """What the views of a handle have read and opened, by name; ``lock`` is held while that is done."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -42,7 +42,7 @@ class _Opened(dict[str, Any]):
 
 
 class MadeOnce(cached_property[_T]):
-    """A property that is made once for all views of a header."""
+    """A property that is made once for all views of a handle."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
         name, kept = str(self.attrname), instance.kept
@@ -54,8 +54,8 @@ class MadeOnce(cached_property[_T]):
 
 
 @dataclass(frozen=True)
-class Header:
-    """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
+class Atlas:
+    """The handle of a store: its place, what it was made from and by which solver, and what it holds.
 
     ``outline`` is its spec, without the values of axes and points. ``nodes`` are the root's copies of the metadata of
     all its arrays and groups, by their paths. ``state`` is a digest of the root's metadata as they were read. What else
@@ -78,21 +78,21 @@ class Header:
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         vars(self).update(state, kept=_Opened())
 
-    def __deepcopy__(self, memo: object) -> "Header":
+    def __deepcopy__(self, memo: object) -> "Atlas":
         return self  # nothing of it changes
 
-    def current(self) -> "Header":
-        """This one if the store's root is still as it was read, else the store as it is; errors as of ``read_header``.
+    def current(self) -> "Atlas":
+        """This one if the store's root is still as it was read, else the store as it is; errors as of ``open_handle``.
 
         One request, in place of all that opening a store takes.
         """
         with refused(self.place, "read"):
             same = self.state and _state(self.place.get(ROOT)) == self.state
-        return self if same else read_header(self.place)
+        return self if same else open_handle(self.place)
 
-    def at(self, place: Place) -> "Header":
-        """The same header for another view of its place; what one of them has read and opened, the other has."""
-        other = object.__new__(Header)
+    def at(self, place: Place) -> "Atlas":
+        """The same handle for another view of its place; what one of them has read and opened, the other has."""
+        other = object.__new__(Atlas)
         vars(other).update(vars(self), place=place)
         return other
 
@@ -209,20 +209,20 @@ class Header:
         return coordinates(self.spec)
 
 
-def read_header(store: "Given | Header", storage_options: Mapping[str, Any] | None = None) -> Header:
-    """The header of a store, given or read; InputError if there is none, or it is not ours, or of an unknown format.
+def open_handle(store: "Given | Atlas", storage_options: Mapping[str, Any] | None = None) -> Atlas:
+    """The handle of a store, given or read; InputError if there is none, or it is not ours, or of an unknown format.
 
     Where the disk or the server refused, its OSError is that InputError's cause. NetworkError if the server does
     not answer.
     """
-    if isinstance(store, Header):
+    if isinstance(store, Atlas):
         return store
     place = place_of(store, storage_options=storage_options)
     with refused(place, "read"):
-        return _read_header(place)
+        return _open_handle(place)
 
 
-def _read_header(place: Place) -> Header:
+def _open_handle(place: Place) -> Atlas:
     regime = f"{REGIME.name}/{ROOT}"
     objects = place.get_all([ROOT, regime, SPARE])
     content = objects.get(ROOT)
@@ -246,7 +246,7 @@ def _read_header(place: Place) -> Header:
     if regime not in objects:
         raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
     try:
-        return replace(header_by(place, root, json.loads(objects[regime])), state=_state(content))
+        return replace(handle_by(place, root, json.loads(objects[regime])), state=_state(content))
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: its metadata are damaged: {message_of(error)}: {remedy(place)}") from None
 
@@ -255,12 +255,12 @@ def _state(content: bytes | None) -> str:
     return hashlib.sha256(content or b"").hexdigest()
 
 
-def header_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) -> Header:
-    """The header of a store by the metadata of its root and of its regimes."""
+def handle_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) -> Atlas:
+    """The handle of a store by the metadata of its root and of its regimes."""
     attrs, nodes = root["attributes"], (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
     if fault := unlike_copy(regime, nodes[REGIME.name]):
         raise ValueError(f"{REGIME.name}/{ROOT} {fault}")
-    header = Header(
+    handle = Atlas(
         place=place,
         outline=json.loads(attrs["spec"]),
         digest=attrs["digest"],
@@ -269,16 +269,16 @@ def header_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) 
         nodes=nodes,
         origin=Origin.of_attributes(attrs),
     )
-    _ = header.tile, header.record
-    return header
+    _ = handle.tile, handle.record
+    return handle
 
 
-def find(store: Given) -> Header | None:
-    """The header of a store, None if there is none yet; InputError if there is something else."""
+def find(store: Given) -> Atlas | None:
+    """The handle of a store, None if there is none yet; InputError if there is something else."""
     place = place_of(store)
     with refused(place, "written"):
         free = is_free(place)
-    return None if free else read_header(place)
+    return None if free else open_handle(place)
 
 
 def is_free(place: Place) -> bool:
@@ -289,18 +289,18 @@ def is_free(place: Place) -> bool:
     return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
-def done_tiles(header: Header, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
+def done_tiles(handle: Atlas, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
     """Indices of the tiles that are finished: those whose regime chunk exists, by these keys or by one listing."""
-    root, end = f"{REGIME.name}/c/", "/0" * len(header.regime.extra)
-    keys = header.place.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
+    root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra)
+    keys = handle.place.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
     ours = (key.removeprefix(root).removesuffix(end) for key in keys if key.endswith(end))
-    found = (chunk_index(key, header.tiling.grid) for key in ours)
+    found = (chunk_index(key, handle.tiling.grid) for key in ours)
     return {index for index in found if index is not None}
 
 
-def is_done(header: Header, index: tuple[int, ...]) -> bool:
+def is_done(handle: Atlas, index: tuple[int, ...]) -> bool:
     """Whether one tile is finished; see ``done_tiles`` for all of them."""
-    return header.place.exists(chunk_key(header.regime, index))
+    return handle.place.exists(chunk_key(handle.regime, index))
 
 
 def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
@@ -308,29 +308,29 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
 
 
-def open_arrays(header: Header) -> dict[str, Any]:
+def open_arrays(handle: Atlas) -> dict[str, Any]:
     """All Zarr arrays of the store's root by name, results and coordinates, for reading.
 
     ChunkError if their metadata are missing or damaged, or differ from the root's copy of them.
     """
-    own, faults = own_nodes(header), dict[str, str]()
-    for name in header.array_names:
-        if fault := unlike_copy(own.get(name), header.nodes.get(name)):
+    own, faults = own_nodes(handle), dict[str, str]()
+    for name in handle.array_names:
+        if fault := unlike_copy(own.get(name), handle.nodes.get(name)):
             faults[f"{name}/{ROOT}"] = fault if name in own else "is missing"
     if faults:
-        raise ChunkError(header.place, faults)
-    return arrays_by(header, own)
+        raise ChunkError(handle.place, faults)
+    return arrays_by(handle, own)
 
 
-def arrays_by(header: Header, nodes: Mapping[str, Any]) -> dict[str, Any]:
+def arrays_by(handle: Atlas, nodes: Mapping[str, Any]) -> dict[str, Any]:
     """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError if these are damaged."""
     found = {}
-    for name in header.array_names:
+    for name in handle.array_names:
         try:
             if name in nodes:
-                found[name] = array_by(header.place, name, nodes[name])
+                found[name] = array_by(handle.place, name, nodes[name])
         except Exception as error:  # what is no metadata may raise anything
-            raise ChunkError(header.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
+            raise ChunkError(handle.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
     return found
 
 
@@ -344,14 +344,14 @@ def array_by(place: Place, path: str, node: Any) -> Any:
     return Array(AsyncArray(node, StorePath(zarr_store(place, read_only=True), path)))
 
 
-def own_nodes(header: Header) -> dict[str, Any]:
+def own_nodes(handle: Atlas) -> dict[str, Any]:
     """The metadata that the arrays of the store's root have themselves, by name. ChunkError if they are damaged."""
     found = {}
-    for key, data in header.place.get_all(f"{name}/{ROOT}" for name in header.array_names).items():
+    for key, data in handle.place.get_all(f"{name}/{ROOT}" for name in handle.array_names).items():
         try:
             found[key.removesuffix(f"/{ROOT}")] = json.loads(data)
         except (ValueError, RecursionError) as error:
-            raise ChunkError(header.place, {key: f"is damaged ({message_of(error)})"}) from None
+            raise ChunkError(handle.place, {key: f"is damaged ({message_of(error)})"}) from None
     return found
 
 

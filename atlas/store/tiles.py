@@ -22,70 +22,70 @@ from atlas.store.record import (
     packed,
     record_key,
 )
-from atlas.store.store import Header, chunk_key, open_arrays
+from atlas.store.store import Atlas, chunk_key, open_arrays
 from workers.results import LABEL, REGIME, Variable
 
 
-def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def write_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Write a tile as whole objects and return its record. ``regime`` is last, and with it the tile is done for good.
 
     The record comes right before. Another attempt at the tile writes the same bits.
     """
-    to, whole = header.writable, _with_allowances(header, index, arrays)
+    to, whole = handle.writable, _with_allowances(handle, index, arrays)
     objects, done = dict[str, bytes](), dict[str, bytes]()
-    for variable in _written(header):
+    for variable in _written(handle):
         array, values = to[variable.name], whole[variable.name]
         made = encoded(array, block(array, index), values, variable.sparse)
         (done if variable.name == REGIME.name else objects).update(made)
-    row = _begin_tile(header, index, whole)
-    header.place.put_all(objects)
-    put_record(header, index, row)
-    header.place.put_all(done)
+    row = _begin_tile(handle, index, whole)
+    handle.place.put_all(objects)
+    put_record(handle, index, row)
+    handle.place.put_all(done)
     return row
 
 
-def take_tile(header: Header, origin: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def take_tile(handle: Atlas, origin: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Write a tile as ``write_tile`` does, but take over its objects from a store of the same cells and tiles.
 
     ``arrays`` are what was read there, which has shown that the objects are whole.
     """
-    row = _begin_tile(header, index, _with_allowances(header, index, arrays))
-    *keys, last = [chunk_key(variable, index) for variable in _written(header)]
-    header.place.take_all(origin.place, keys)
-    put_record(header, index, row)
-    header.place.take_all(origin.place, [last])
+    row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
+    *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
+    handle.place.take_all(origin.place, keys)
+    put_record(handle, index, row)
+    handle.place.take_all(origin.place, [last])
     return row
 
 
-def _begin_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def _begin_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Note which machine writes a tile, and remove what a lost tile left where there is to be no object; the record."""
-    record_machine(header, this_machine())
-    sparse = (each for each in _written(header) if each.sparse)
+    record_machine(handle, this_machine())
+    sparse = (each for each in _written(handle) if each.sparse)
     absent = [chunk_key(each, index) for each in sparse if is_blank(arrays[each.name], each)]
     if absent:
-        header.place.remove_all(absent)
-    return record_of(header, index, arrays)
+        handle.place.remove_all(absent)
+    return record_of(handle, index, arrays)
 
 
-def _with_allowances(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _with_allowances(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Arrays of a tile with those that say how much each cell was given, by default what the spec says."""
-    return {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
+    return {each.name: _as_in_spec(handle, index, each) for each in ALLOWANCES} | dict(arrays)
 
 
-def _written(header: Header) -> list[Variable]:
+def _written(handle: Atlas) -> list[Variable]:
     """The variables of cells that the store has, ``regime`` last."""
-    return [*header.allowances, *header.variables]
+    return [*handle.allowances, *handle.variables]
 
 
-def relabel_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+def relabel_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
     """Give a tile of basins the labels in ``arrays``, which are known once all tiles are; all else there is as stored.
 
     Meanwhile its record is empty, so that a kill leaves none that contradicts the tile.
     """
-    array = header.writable[LABEL.name]
-    put_record(header, index, np.zeros(WIDTH))
-    header.place.put_all(encoded(array, block(array, index), arrays[LABEL.name]))
-    put_record(header, index, record_of(header, index, arrays))
+    array = handle.writable[LABEL.name]
+    put_record(handle, index, np.zeros(WIDTH))
+    handle.place.put_all(encoded(array, block(array, index), arrays[LABEL.name]))
+    put_record(handle, index, record_of(handle, index, arrays))
 
 
 def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
@@ -102,30 +102,30 @@ def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dic
     return {key: data.to_bytes() for key, data in objects.items()}
 
 
-def record_of(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def record_of(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """The record of a tile with these arrays, ``ALLOWANCES`` among them."""
-    row = counted_row(header.spec, header.tiling.at(index).slices, header.leading(arrays))
-    covered = covered_variables(header, header.record["attributes"])
+    row = counted_row(handle.spec, handle.tiling.at(index).slices, handle.leading(arrays))
+    covered = covered_variables(handle, handle.record["attributes"])
     row[DIGEST] = halves(digest_of(index, covered, arrays))
     return row
 
 
-def put_record(header: Header, index: tuple[int, ...], row: Rows) -> None:
+def put_record(handle: Atlas, index: tuple[int, ...], row: Rows) -> None:
     """Write the record of a tile."""
-    header.place.put(record_key(index), packed(row))
+    handle.place.put(record_key(index), packed(row))
 
 
-def drop_tile(header: Header, index: tuple[int, ...]) -> None:
+def drop_tile(handle: Atlas, index: tuple[int, ...]) -> None:
     """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten.
 
     Its record goes first: an empty one replaces it, and takes precedence over the row in the records of all tiles.
     """
-    put_record(header, index, np.zeros(WIDTH))
-    header.place.remove(chunk_key(header.regime, index))
+    put_record(handle, index, np.zeros(WIDTH))
+    handle.place.remove(chunk_key(handle.regime, index))
 
 
 def read_tile(
-    header: Header, index: tuple[int, ...], names: Iterable[str] | None = None, arrays: Mapping[str, Any] | None = None
+    handle: Atlas, index: tuple[int, ...], names: Iterable[str] | None = None, arrays: Mapping[str, Any] | None = None
 ) -> dict[str, np.ndarray]:
     """Arrays of a finished tile: the named ones, or all results and ``ALLOWANCES``.
 
@@ -133,33 +133,33 @@ def read_tile(
 
     Raises ChunkError, which names every bad chunk; OSError if the place cannot be read at all.
     """
-    arrays = open_arrays(header) if arrays is None else arrays
-    wanted = {each.name for each in (*header.variables, *ALLOWANCES)} if names is None else set(names)
+    arrays = open_arrays(handle) if arrays is None else arrays
+    wanted = {each.name for each in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
-    for variable in (*header.variables, *ALLOWANCES):
+    for variable in (*handle.variables, *ALLOWANCES):
         if variable.name not in wanted:
             continue
         if isinstance(variable, Allowance) and variable.name not in arrays:
-            values[variable.name] = _as_in_spec(header, index, variable)
+            values[variable.name] = _as_in_spec(handle, index, variable)
             continue
         key, array = chunk_key(variable, index), arrays[variable.name]
         found = read_chunk(array, index)
         if isinstance(found, str):
             faults[key] = found
         # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
-        elif not variable.sparse and is_blank(found, variable) and (lost := _lost(header, array, key)):
+        elif not variable.sparse and is_blank(found, variable) and (lost := _lost(handle, array, key)):
             faults[key] = lost
         else:
             values[variable.name] = found
     if faults:
-        raise ChunkError(header.place, faults)
+        raise ChunkError(handle.place, faults)
     return values
 
 
-def covered_variables(header: Header, attributes: Mapping[str, Any]) -> list[Variable]:
+def covered_variables(handle: Atlas, attributes: Mapping[str, Any]) -> list[Variable]:
     """The variables that digests cover, by the attributes of their array; KeyError for one that the store lacks."""
-    known = {variable.name: variable for variable in (*header.variables, *ALLOWANCES)}
+    known = {variable.name: variable for variable in (*handle.variables, *ALLOWANCES)}
     return [known[name] for name in attributes[COVERED]]
 
 
@@ -174,8 +174,8 @@ def object_shape(array: Any) -> tuple[int, ...]:
     return tuple(array.shards or array.chunks)
 
 
-def _as_in_spec(header: Header, index: tuple[int, ...], allowance: Allowance) -> np.ndarray:
-    return np.full(header.tiling.at(index).shape, allowance.of_spec(header.spec), allowance.dtype)
+def _as_in_spec(handle: Atlas, index: tuple[int, ...], allowance: Allowance) -> np.ndarray:
+    return np.full(handle.tiling.at(index).shape, allowance.of_spec(handle.spec), allowance.dtype)
 
 
 def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
@@ -192,11 +192,11 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
         return f"is damaged ({message_of(error)})"
 
 
-def _lost(header: Header, array: Any, key: str) -> str:
+def _lost(handle: Atlas, array: Any, key: str) -> str:
     """What is wrong with an object that reads as fill values; of a shard, which does so too where it is empty."""
     if not array.shards:
-        return "" if header.place.exists(key) else "is missing"
-    data = header.place.get(key)
+        return "" if handle.place.exists(key) else "is missing"
+    data = handle.place.get(key)
     return "is missing" if data is None else "" if data else "is damaged (it is empty)"
 
 

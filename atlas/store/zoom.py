@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Any
 
 from atlas.store.location import Place
-from atlas.store.store import ROOT, ZOOM, Header
+from atlas.store.store import ROOT, ZOOM, Atlas
 from workers.results import REGIME
 
 _SEEN = "seen"
@@ -20,88 +20,88 @@ FILE_BLOCK = 4096
 """Bytes that an object takes at least, if its size is unknown."""
 
 
-def sheet_place(header: Header, plane: str, sheet: str) -> Place:
+def sheet_place(handle: Atlas, plane: str, sheet: str) -> Place:
     """Where a sheet of a plane lies, made or not; ValueError for a store that cannot have any."""
-    return header.place.inner(f"{ZOOM}/{plane}/{sheet}")
+    return handle.place.inner(f"{ZOOM}/{plane}/{sheet}")
 
 
-def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None:
+def make_plane(handle: Atlas, plane: str, described: Mapping[str, Any]) -> None:
     """Make the group of a plane, and the group of all planes, where there are none."""
     for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
-        if not header.place.exists(f"{key}/{ROOT}"):
-            header.place.put_new(f"{key}/{ROOT}", _group(attributes))
+        if not handle.place.exists(f"{key}/{ROOT}"):
+            handle.place.put_new(f"{key}/{ROOT}", _group(attributes))
 
 
-def describe_planes(header: Header) -> None:
+def describe_planes(handle: Atlas) -> None:
     """Write the metadata of the group of all planes again."""
-    header.place.put(f"{ZOOM}/{ROOT}", _group(ABOUT))
+    handle.place.put(f"{ZOOM}/{ROOT}", _group(ABOUT))
 
 
 def _group(attributes: Mapping[str, Any]) -> bytes:
     return json.dumps({"zarr_format": 3, "node_type": "group", "attributes": attributes}).encode()
 
 
-def sheets(header: Header) -> list[tuple[str, str]]:
+def sheets(handle: Atlas) -> list[tuple[str, str]]:
     """The planes and the names of all sheets; none of a packed store, whose sheets are read as parts of it alone."""
-    if header.place.only_read:
+    if handle.place.only_read:
         return []
-    local = header.place.local
+    local = handle.place.local
     if local is not None:  # without a look at what lies in them
         keys = [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
     else:
-        keys = [key for key in header.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
+        keys = [key for key in handle.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
     return sorted((key.split("/")[1], key.split("/")[2]) for key in keys)
 
 
-def sheet_bytes(header: Header, plane: str, sheet: str) -> int:
+def sheet_bytes(handle: Atlas, plane: str, sheet: str) -> int:
     """The bytes of a sheet on its disk, in whole blocks; at a URL, a lower bound."""
     total = 0
-    for key in header.place.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
+    for key in handle.place.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
         size = 1
-        if header.place.local is not None:
+        if handle.place.local is not None:
             with suppress(FileNotFoundError):
-                size = (header.place.local / key).stat().st_size
+                size = (handle.place.local / key).stat().st_size
         total += -(-size // FILE_BLOCK) * FILE_BLOCK
     return total
 
 
-def seen_sheets(header: Header) -> dict[tuple[str, str], float]:
+def seen_sheets(handle: Atlas) -> dict[tuple[str, str], float]:
     """When each sheet was last looked at, in seconds since 1970, if that was noted."""
     found: dict[tuple[str, str], float] = {}
-    for plane in {plane for plane, _ in sheets(header)}:
-        noted = _plane_group(header, plane).get("attributes", {}).get(_SEEN, {})
+    for plane in {plane for plane, _ in sheets(handle)}:
+        noted = _plane_group(handle, plane).get("attributes", {}).get(_SEEN, {})
         found |= {(plane, sheet): float(when) for sheet, when in noted.items()}
     return found
 
 
-def note_seen(header: Header, seen: Mapping[tuple[str, str], float]) -> None:
+def note_seen(handle: Atlas, seen: Mapping[tuple[str, str], float]) -> None:
     """Note when sheets were last looked at. For the claim's holder only."""
     for plane in {plane for plane, _ in seen}:
         key = f"{ZOOM}/{plane}/{ROOT}"
-        group = _plane_group(header, plane)
+        group = _plane_group(handle, plane)
         noted = {sheet: when for (of, sheet), when in seen.items() if of == plane}
         if group and group["attributes"].get(_SEEN) != noted:
             group["attributes"][_SEEN] = noted
-            header.place.put(key, json.dumps(group).encode())
+            handle.place.put(key, json.dumps(group).encode())
 
 
-def drop_sheet(header: Header, plane: str, sheet: str) -> None:
+def drop_sheet(handle: Atlas, plane: str, sheet: str) -> None:
     """Remove a sheet: first what says that its tiles are done, so that a kill leaves none that lacks something."""
     root = f"{ZOOM}/{plane}/{sheet}/"
-    keys = list(header.place.list_keys(root))
+    keys = list(handle.place.list_keys(root))
     done = [key for key in keys if f"/{REGIME.name}/c/" in key]
     last = [key for key in keys if key.endswith(ROOT)]
     for some in (done, {*keys} - {*done, *last}, last):
-        header.place.remove_all(some)
-    if header.place.local is not None:
-        header.place.confirm()
-        shutil.rmtree(header.place.local / root, ignore_errors=True)
+        handle.place.remove_all(some)
+    if handle.place.local is not None:
+        handle.place.confirm()
+        shutil.rmtree(handle.place.local / root, ignore_errors=True)
 
 
-def _plane_group(header: Header, plane: str) -> dict[str, Any]:
+def _plane_group(handle: Atlas, plane: str) -> dict[str, Any]:
     """The metadata of a plane, empty if there are none that can be read."""
     try:
-        found = json.loads(header.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
+        found = json.loads(handle.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
         return found if isinstance(found.get("attributes"), dict) else {}
     except (ValueError, AttributeError, RecursionError):
         return {}

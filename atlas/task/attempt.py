@@ -44,16 +44,16 @@ def run_job(job: Job) -> Receipt:
     one that kills its process. RunError then names the last, and the note stays, so that only another run tries again.
     """
     with file_errors(job.site.store):
-        header = job.header()
-        notes = notes_of(header.place)
-        if is_done(header, job.index):  # its worker died after it was written, before its report
-            solved = np.ones(header.tiling.at(job.index).shape, dtype=bool)
-            receipt = receipt_of(header, job.index, stored_tile(header, job.index), solved)
-            return replace(receipt, record=stored_record(header, job.index))
+        handle = job.handle()
+        notes = notes_of(handle.place)
+        if is_done(handle, job.index):  # its worker died after it was written, before its report
+            solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
+            receipt = receipt_of(handle, job.index, stored_tile(handle, job.index), solved)
+            return replace(receipt, record=stored_record(handle, job.index))
         attempt = put_attempt(notes, job.note, job.site.claim, DEATHS)
     try:
         job = replace(job, attempt=attempt.token)
-        return solve_and_write(job, job.site.fenced(header, job.note, job.attempt))
+        return solve_and_write(job, job.site.fenced(handle, job.note, job.attempt))
     finally:
         if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
             with file_errors(job.site.store):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from atlas.store.groups import ATTRACTORS, group_attributes, write_table
 from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
-from atlas.store.store import Header, done_tiles
+from atlas.store.store import Atlas, done_tiles
 from atlas.store.tiles import read_tile, relabel_tile
 from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME
@@ -25,7 +25,7 @@ BYTES_OF_LABEL = 64
 """Of a cell that is labelled, besides its state: labels, its place and the order."""
 
 
-def complete_basins(header: Header) -> None:
+def complete_basins(handle: Atlas) -> None:
     """Give every initial state its last label, and write the table of the attractors.
 
     Cells are labelled in the order of the plane, so that tiles, workers and interruptions decide no label, and band by
@@ -34,11 +34,11 @@ def complete_basins(header: Header) -> None:
     """
     from workers.attractors.basins import AttractorTable, fixed_values
 
-    spec, tiles = header.spec, sorted(done_tiles(header))
-    if len(tiles) < header.tiling.count:
+    spec, tiles = handle.spec, sorted(done_tiles(handle))
+    if len(tiles) < handle.tiling.count:
         return
-    complete = group_attributes(header, ATTRACTORS) is not None
-    if complete and not any((_labels(header, index) == BEYOND_TABLE).any() for index in tiles):
+    complete = group_attributes(handle, ATTRACTORS) is not None
+    if complete and not any((_labels(handle, index) == BEYOND_TABLE).any() for index in tiles):
         return
     assert spec.attractors is not None
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
@@ -47,20 +47,20 @@ def complete_basins(header: Header) -> None:
     table = AttractorTable(spec.record, values, spec.settings, spec.attractors)
     reference, solved = len(table.attractors), 0
     hits: Counter[int] = Counter()
-    for _, band in itertools.groupby(tiles, lambda index: index[: _leading(header.tile)]):
-        for index, labels in _label_band(header, table, reference, list(band)):
+    for _, band in itertools.groupby(tiles, lambda index: index[: _leading(handle.tile)]):
+        for index, labels in _label_band(handle, table, reference, list(band)):
             found, counts = np.unique(labels, return_counts=True)
             hits.update(dict(zip(found.tolist(), counts.tolist(), strict=True)))
-            solved += int((read_tile(header, index, [REGIME.name])[REGIME.name] != INVALID).sum())
-    columns = _columns(header, table, hits, solved)
-    write_table(header, ATTRACTORS, columns, {"title": "attractors by their labels"})
+            solved += int((read_tile(handle, index, [REGIME.name])[REGIME.name] != INVALID).sum())
+    columns = _columns(handle, table, hits, solved)
+    write_table(handle, ATTRACTORS, columns, {"title": "attractors by their labels"})
 
 
-def labelling_bytes(header: Header) -> int:
+def labelling_bytes(handle: Atlas) -> int:
     """Memory that ``complete_basins`` takes at most, besides that of a tile: where a whole band is beyond the table."""
-    place = _leading(header.tile)
-    cells = math.prod(header.tile[:place]) * math.prod(header.spec.shape[place:])
-    return cells * (2 * 8 * len(header.spec.record.states) + BYTES_OF_LABEL)
+    place = _leading(handle.tile)
+    cells = math.prod(handle.tile[:place]) * math.prod(handle.spec.shape[place:])
+    return cells * (2 * 8 * len(handle.spec.record.states) + BYTES_OF_LABEL)
 
 
 def _leading(tile: tuple[int, ...]) -> int:
@@ -68,12 +68,12 @@ def _leading(tile: tuple[int, ...]) -> int:
     return next((dim for dim, side in enumerate(tile) if side > 1), len(tile) - 1) + 1
 
 
-def _labels(header: Header, index: tuple[int, ...]) -> NDArray[np.int64]:
-    return read_tile(header, index, [LABEL.name])[LABEL.name].astype(np.int64)
+def _labels(handle: Atlas, index: tuple[int, ...]) -> NDArray[np.int64]:
+    return read_tile(handle, index, [LABEL.name])[LABEL.name].astype(np.int64)
 
 
 def _label_band(
-    header: Header, table: "AttractorTable", reference: int, band: list[tuple[int, ...]]
+    handle: Atlas, table: "AttractorTable", reference: int, band: list[tuple[int, ...]]
 ) -> Iterator[tuple[tuple[int, ...], NDArray[np.int64]]]:
     """The tiles of a band and their last labels, once these are written.
 
@@ -81,31 +81,31 @@ def _label_band(
     """
     from workers.attractors.basins import added
 
-    labels = {index: _labels(header, index) for index in band}
+    labels = {index: _labels(handle, index) for index in band}
     beyond = {index: (each == BEYOND_TABLE) | (each >= reference) for index, each in labels.items()}
     beyond = {index: mask for index, mask in beyond.items() if mask.any()}
     if beyond:
-        places = np.concatenate([_places(header, index, mask) for index, mask in beyond.items()])
-        states = np.concatenate([read_tile(header, index, ["state"])["state"][mask] for index, mask in beyond.items()])
+        places = np.concatenate([_places(handle, index, mask) for index, mask in beyond.items()])
+        states = np.concatenate([read_tile(handle, index, ["state"])["state"][mask] for index, mask in beyond.items()])
         order, last = np.argsort(places), np.empty(places.size, dtype=np.int64)
         last[order] = added(table, states[order])
         ends = np.cumsum([int(mask.sum()) for mask in beyond.values()])
         for (index, mask), given in zip(beyond.items(), np.split(last, ends[:-1]), strict=True):
             labels[index][mask] = given
-            arrays = read_tile(header, index)
+            arrays = read_tile(handle, index)
             arrays[LABEL.name][mask] = given
-            relabel_tile(header, index, arrays)
+            relabel_tile(handle, index, arrays)
     yield from labels.items()
 
 
-def _places(header: Header, index: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _places(handle: Atlas, index: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     """The places of some cells of a tile in the order of the plane."""
-    begins = [part.start for part in header.tiling.at(index).slices]
-    return np.ravel_multi_index(tuple((np.argwhere(mask) + begins).T), header.spec.shape)
+    begins = [part.start for part in handle.tiling.at(index).slices]
+    return np.ravel_multi_index(tuple((np.argwhere(mask) + begins).T), handle.spec.shape)
 
 
 def _columns(
-    header: Header, table: "AttractorTable", cells: Mapping[int, int], solved: int
+    handle: Atlas, table: "AttractorTable", cells: Mapping[int, int], solved: int
 ) -> Mapping[str, StoredArray]:
     """The table's variables, by the cells of each label. Shares are of initial states that are not beyond a stop."""
     from workers.attractors.basins import section_points

@@ -14,9 +14,9 @@ from atlas.store.machines import machines, record_machine
 from atlas.store.origin import ALLOWANCES
 from atlas.store.records import EXCHANGED, is_exchanged
 from atlas.store.schema import extra_sizes
-from atlas.store.store import Header, chunk_key, is_done
+from atlas.store.store import Atlas, chunk_key, is_done
 from atlas.store.tiles import read_tile, record_of
-from atlas.task.known import known_header, known_records
+from atlas.task.known import known_handle, known_records
 from workers.results import PENDING, REGIME, empty_results
 
 
@@ -39,24 +39,24 @@ class KnownCells(NamedTuple):
     arrays: dict[str, np.ndarray]
     regime: NDArray[np.int8]
     due: NDArray[np.bool_]
-    source: Header | None = None
+    source: Atlas | None = None
 
 
-def known_cells(header: Header, slices: Slices) -> KnownCells:
+def known_cells(handle: Atlas, slices: Slices) -> KnownCells:
     """What is known of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
-    arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
-    arrays |= {each.name: np.full(shape, each.fill, each.dtype) for each in header.allowances}
-    origin = None if header.origin is None else _origin_of(header)
+    arrays = empty_results(handle.spec.variables, shape, extra_sizes(handle.spec))
+    arrays |= {each.name: np.full(shape, each.fill, each.dtype) for each in handle.allowances}
+    origin = None if handle.origin is None else _origin_of(handle)
     if origin is not None:
-        _copy_known(header, origin, slices, arrays)
-    regime = header.leading(arrays)[REGIME.name].copy()
+        _copy_known(handle, origin, slices, arrays)
+    regime = handle.leading(arrays)[REGIME.name].copy()
     due = regime == PENDING
-    if header.origin is None or header.origin.retry is None:
+    if handle.origin is None or handle.origin.retry is None:
         return KnownCells(arrays, regime, due)
-    again = header.origin.retry.selects(arrays)
-    for each in header.allowances:
-        arrays[each.name][again] = np.maximum(arrays[each.name], header.origin.retry.given(each))[again]
+    again = handle.origin.retry.selects(arrays)
+    for each in handle.allowances:
+        arrays[each.name][again] = np.maximum(arrays[each.name], handle.origin.retry.given(each))[again]
     return KnownCells(arrays, regime, due | again, origin)
 
 
@@ -69,20 +69,20 @@ def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
     )
 
 
-def _copy_known(header: Header, origin: Header, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
+def _copy_known(handle: Atlas, origin: Atlas, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
     """Put the finished cells of the origin that lie in a tile into its arrays."""
     first = True
-    for index, here, there in _meetings(shared(origin.spec, header.spec), slices, origin.tile):
+    for index, here, there in _meetings(shared(origin.spec, handle.spec), slices, origin.tile):
         if not is_done(origin, index):
             continue
         if first:
             first = False
             for machine in machines(origin):
-                record_machine(header, machine)
+                record_machine(handle, machine)
         found = read_tile(origin, index, arrays=origin.readable)
         if is_exchanged(known_records(origin), index, record_of(origin, index, found)):
             raise ChunkError(origin.place, {chunk_key(origin.regime, index): EXCHANGED})
-        if not header.allowances:  # a cell that was given more than the spec says does not come out the same here
+        if not handle.allowances:  # a cell that was given more than the spec says does not come out the same here
             for each in ALLOWANCES:
                 found[REGIME.name][found.pop(each.name) != each.of_spec(origin.spec)] = PENDING
         for name, values in found.items():
@@ -103,23 +103,23 @@ def _meetings(
         yield tuple(k for k, _, _ in met), [here for _, here, _ in met], [there for _, _, there in met]
 
 
-def _origin_of(header: Header) -> Header:
-    assert header.origin is not None
-    done, otherwise = "extended", f"extend {header.place} into a new store"
-    if header.origin.retry is not None:
+def _origin_of(handle: Atlas) -> Atlas:
+    assert handle.origin is not None
+    done, otherwise = "extended", f"extend {handle.place} into a new store"
+    if handle.origin.retry is not None:
         done, otherwise = "retried", "make it again by atlas run, and a new store of it by atlas retry"
     try:
-        origin = known_header(beside(header.place, header.origin.store))
+        origin = known_handle(beside(handle.place, handle.origin.store))
     except InputError as error:
         found = str(error)
     else:
-        if origin.run_id == header.origin.run_id:
+        if origin.run_id == handle.origin.run_id:
             return origin
-        found = f"{header.origin.store}: another store than the one that was {done}"
-    raise RunError(f"{found}; {header.place} copies cells of it: put it back, or {otherwise}")
+        found = f"{handle.origin.store}: another store than the one that was {done}"
+    raise RunError(f"{found}; {handle.place} copies cells of it: put it back, or {otherwise}")
 
 
-def count_shared(origin: Header, spec: Spec, done: set[tuple[int, ...]]) -> int:
+def count_shared(origin: Atlas, spec: Spec, done: set[tuple[int, ...]]) -> int:
     """How many finished cells of the origin a grown atlas has; ``done`` are its finished tiles."""
     counts = [
         np.bincount(there // length, minlength=tiles)

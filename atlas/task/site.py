@@ -10,9 +10,9 @@ from atlas.store.outage import BRIEF, LONG
 from atlas.store.parts import get_part, put_part
 from atlas.store.place import Fence, Place
 from atlas.store.sidecar import CLAIM, note_fence
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from atlas.task.compile import compile_once
-from atlas.task.known import forget_header, known_header
+from atlas.task.known import forget_handle, known_handle
 from workers import SOLVER_VERSION
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -41,27 +41,27 @@ class Site:
     patience: float = LONG
     claim: str = ""
 
-    def header(self, note: str = "", attempt: str = "") -> Header:
-        """The header of the store, see ``checked_header``, behind the fence of the run's claim.
+    def handle(self, note: str = "", attempt: str = "") -> Atlas:
+        """The handle of the store, see ``checked_handle``, behind the fence of the run's claim.
 
         With the token of an ``attempt`` also behind that of the ``note`` that holds it.
         """
         with file_errors(self.store):
-            header = checked_header(self.store, self.run_id, self.solver_version, self.patience)
-            return self.fenced(header, note, attempt)
+            handle = checked_handle(self.store, self.run_id, self.solver_version, self.patience)
+            return self.fenced(handle, note, attempt)
 
-    def fenced(self, header: Header, note: str = "", attempt: str = "") -> Header:
-        """The same header, behind these fences."""
-        return header.at(self._guarded(header.place, note, attempt))
+    def fenced(self, handle: Atlas, note: str = "", attempt: str = "") -> Atlas:
+        """The same handle, behind these fences."""
+        return handle.at(self._guarded(handle.place, note, attempt))
 
-    def keep(self, header: Header, group: str, name: str, data: bytes) -> None:
+    def keep(self, handle: Atlas, group: str, name: str, data: bytes) -> None:
         """Keep a part of a group."""
         with file_errors(self.store):
-            put_part(header, group, name, data)
+            put_part(handle, group, name, data)
 
     def forget(self) -> None:
         """Drop what this process keeps of the store."""
-        forget_header(self.store, self.patience)
+        forget_handle(self.store, self.patience)
 
     def _guarded(self, place: Place, note: str, attempt: str) -> Place:
         """A place behind the fence of a job: its run has the claim, and a note holds the token of the attempt.
@@ -86,26 +86,26 @@ class Site:
 
 def prepare(site: Site, kernels: Sequence[str]) -> None:
     """Check what any job needs of this worker, and see to it that its kernels are compiled."""
-    site.header()
+    site.handle()
     compile_once(*kernels)
 
 
-def checked_header(store: str | Place, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
-    """The header of the store that a run asks this worker to work on, see ``known_header``.
+def checked_handle(store: str | Place, run_id: str, solver_version: int, patience: float = BRIEF) -> Atlas:
+    """The handle of the store that a run asks this worker to work on, see ``known_handle``.
 
     Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
     where the store's disk or server refused.
     """
     check_solver(solver_version)
     try:
-        header = known_header(store, patience)
+        handle = known_handle(store, patience)
     except InputError as error:
         if isinstance(error.__cause__, OSError):  # the disk or the server is at fault, not the path
             raise error.__cause__ from None
         raise RefusedError(f"{error}; is the path the same on all hosts?") from None
-    if header.run_id != run_id:
+    if handle.run_id != run_id:
         raise RefusedError(f"{store} is not the store of run {run_id}; is the path the same on all hosts?")
-    return header
+    return handle
 
 
 def check_solver(version: int) -> None:
@@ -128,9 +128,9 @@ def file_errors(store: object) -> Iterator[None]:
         raise
 
 
-def stored_part(header: Header, group: str, name: str) -> bytes:
+def stored_part(handle: Atlas, group: str, name: str) -> bytes:
     """A part that a job has kept; RefusedError if there is none."""
-    data = get_part(header, group, name)
+    data = get_part(handle, group, name)
     if data is None:
-        raise RefusedError(f"{header.place}: has no part {name}; is the path the same on all hosts?")
+        raise RefusedError(f"{handle.place}: has no part {name}; is the path the same on all hosts?")
     return data

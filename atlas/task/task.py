@@ -10,7 +10,7 @@ from atlas.overview.pyramid import opened
 from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
 from atlas.store.records import read_record, single_records
-from atlas.store.store import Header, is_done
+from atlas.store.store import Atlas, is_done
 from atlas.store.tiles import read_tile, take_tile, write_tile
 from atlas.store.tiling import PART, Tiling
 from atlas.task.basins import complete_basins
@@ -45,9 +45,9 @@ class Job:
         """The name of the note that holds the token of the present attempt at the tile."""
         return "started-" + "-".join(map(str, self.index))
 
-    def header(self) -> Header:
-        """The header of the store as it is now, behind the fences of the run and of the attempt."""
-        return self.site.header(self.note, self.attempt)
+    def handle(self) -> Atlas:
+        """The handle of the store as it is now, behind the fences of the run and of the attempt."""
+        return self.site.handle(self.note, self.attempt)
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ class Made:
 def make_chunk(job: Job) -> Made:
     """Make a chunk of the overviews."""
     with file_errors(job.site.store):
-        header = job.header()
+        handle = job.handle()
         try:
-            opened(header, job.site.claim).make(job.level, job.index)
+            opened(handle, job.site.claim).make(job.level, job.index)
         except RefusedError:
             raise
         except (RunError, ValueError) as error:  # damage below is not the worker's fault
@@ -103,30 +103,30 @@ def make_chunk(job: Job) -> Made:
 def label_basins(job: Job) -> Made:
     """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
     with file_errors(job.site.store):
-        header = job.header()
-        complete_basins(header)
+        handle = job.handle()
+        complete_basins(handle)
         # All of them: an attempt that died may have written a tile again.
-        return Made(job.index, tuple((index, stored_record(header, index)) for index in single_records(header)))
+        return Made(job.index, tuple((index, stored_record(handle, index)) for index in single_records(handle)))
 
 
-def solve_and_write(job: Job, header: Header) -> Receipt:
+def solve_and_write(job: Job, handle: Atlas) -> Receipt:
     """Solve the cells of a tile that the store's origin does not give, and write it."""
     with file_errors(job.site.store):
-        slices = header.tiling.at(job.index).slices
-        known = known_cells(header, slices)
-    compile_once(*kernels_of(header.spec))  # its own disk may be full, which is not the store's
+        slices = handle.tiling.at(job.index).slices
+        known = known_cells(handle, slices)
+    compile_once(*kernels_of(handle.spec))  # its own disk may be full, which is not the store's
     begin, busy = time.perf_counter(), time.thread_time()
-    arrays = solve_cells(header.spec, slices, known.arrays, known.due)
+    arrays = solve_cells(handle.spec, slices, known.arrays, known.due)
     middle, processor = time.perf_counter(), time.thread_time() - busy
     with file_errors(job.site.store):
-        header = job.header()  # it may be another store by now
-        if is_done(header, job.index):  # another attempt has finished meanwhile: what is stored stays
-            arrays, record = stored_tile(header, job.index), stored_record(header, job.index)
+        handle = job.handle()  # it may be another store by now
+        if is_done(handle, job.index):  # another attempt has finished meanwhile: what is stored stays
+            arrays, record = stored_tile(handle, job.index), stored_record(handle, job.index)
         else:
-            record = commit(header, job, arrays, known.source if not known.due.any() else None)
-    before, after = known.regime[known.due], header.leading(arrays)[REGIME.name][known.due]
+            record = commit(handle, job, arrays, known.source if not known.due.any() else None)
+    before, after = known.regime[known.due], handle.leading(arrays)[REGIME.name][known.due]
     return replace(
-        receipt_of(header, job.index, arrays, known.due, record),
+        receipt_of(handle, job.index, arrays, known.due, record),
         taken=int((~known.due).sum()),
         changed=int(((before != PENDING) & (before != after)).sum()),
         solve_seconds=middle - begin,
@@ -149,33 +149,33 @@ def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> A
     return arrays
 
 
-def commit(header: Header, job: Job, arrays: Arrays, source: Header | None = None) -> tuple[float, ...]:
+def commit(handle: Atlas, job: Job, arrays: Arrays, source: Atlas | None = None) -> tuple[float, ...]:
     """Write a tile, unless the job may not any more, and the overview over it alone; return its record.
 
     ``source`` is a store that has the same tile, whose objects are taken over. A worker that stands still between a
     look at the notes and the write that follows writes later than it may, but the same bits as any other.
     """
-    record = write_tile(header, job.index, arrays) if source is None else take_tile(header, source, job.index, arrays)
-    opened(header, job.site.claim).make_over(job.index, arrays)
+    record = write_tile(handle, job.index, arrays) if source is None else take_tile(handle, source, job.index, arrays)
+    opened(handle, job.site.claim).make_over(job.index, arrays)
     return tuple(record.tolist())
 
 
-def stored_tile(header: Header, index: tuple[int, ...]) -> Arrays:
+def stored_tile(handle: Atlas, index: tuple[int, ...]) -> Arrays:
     """All arrays of a finished tile."""
-    return read_tile(header, index)
+    return read_tile(handle, index)
 
 
-def stored_record(header: Header, index: tuple[int, ...]) -> tuple[float, ...]:
+def stored_record(handle: Atlas, index: tuple[int, ...]) -> tuple[float, ...]:
     """The record of a tile that was finished before, as a receipt has it."""
-    found = read_record(header, index)
+    found = read_record(handle, index)
     return () if found is None else tuple(found.tolist())
 
 
 def receipt_of(
-    header: Header, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
+    handle: Atlas, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
 ) -> Receipt:
     """The receipt of a tile with these arrays, for its cells ``solved``, without times."""
-    leading = header.leading(arrays)
+    leading = handle.leading(arrays)
     codes = leading[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return Receipt(

@@ -9,7 +9,7 @@ from typing import Any
 Value = float | int | str
 
 CLOSED_FORM = "closed form"
-"""The basis of a number from a formula that the entry's module derives; tests/test_published.py checks it apart."""
+"""The basis of a number from a formula that the entry's module derives; ``test_published.py`` checks it apart."""
 FINDING = "finding"
 """The basis of a count or a word."""
 EXACT = 1e-9

@@ -15,8 +15,8 @@ HEAD = (
     " reasons. Where the axes of a source are known, its picture here has the same.",
     "The tables say how each reference is known. A *closed form* follows from the equations that the work solves. The"
     " module of the entry in `scripts/published/entries/` derives it anew, so that symbols may differ from the work's,"
-    " and `tests/test_published.py` checks it by integrations and maps that share no code with the solver. Differences"
-    " of at most {exact:g} from a closed form count as agreement.",
+    " and `tests/project/test_published.py` checks it by integrations and maps that share no code with the solver."
+    " Differences of at most {exact:g} from a closed form count as agreement.",
     "`python -m scripts.published` computes all entries again and writes `docs/published.json` and this page; with"
     " names of entries it computes these alone. It runs in a checkout of the repository: entries are checks of the"
     " program, which a package need not carry. The commands and the examples below do with an installed package.",

@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent.parent
+from tests.paths import ROOT
 
 ATLAS = [sys.executable, "-c", "import sys; from atlas.cli.main import main; main(sys.argv[1:])"]
 """The command, in a process of its own."""

@@ -20,7 +20,7 @@ def _install(module):
     whole = module.solve_and_write
     folder = Path(os.environ["FAULTS"])
 
-    def faulty(job, header):
+    def faulty(job, handle):
         tile = "-".join(map(str, job.index))
         with open(folder / "log", "a+") as log:
             log.seek(0)
@@ -39,7 +39,7 @@ def _install(module):
             if word in ("full", "forbidden"):
                 number = errno.ENOSPC if word == "full" else errno.EROFS
                 raise OSError(number, os.strerror(number))
-        return whole(job, header)
+        return whole(job, handle)
 
     module.solve_and_write = faulty
 

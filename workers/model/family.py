@@ -36,8 +36,9 @@ class OrbitMachines:
     omega, tau (N,)  forcing frequency, forcing phase at a section
     elements         contacts and friction
     rest (N, 2n)     the physical state that states are counted from, and stops
-    make             makes a mode of all N; describe the machines as numbers, counted from rest too; build their record
-                     for the kernels of cells
+    make             makes a mode of all N
+    describe         the machines as numbers, counted from rest too
+    build            their record for the kernels of cells
     """
 
     omega: Array

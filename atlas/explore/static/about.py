@@ -10,7 +10,7 @@ from atlas.render import words
 from atlas.render.coded import text_of
 from atlas.spec.citation import bibtex, computed_by
 from atlas.store.origin import ALLOWANCES
-from atlas.store.store import Header
+from atlas.store.store import Atlas
 from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ _PROVENANCE = {
 """The attributes of a store that a page lists, and their names there."""
 
 
-def described(ds: "xr.Dataset", header: Header, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
+def described(ds: "xr.Dataset", handle: Atlas, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
     """What the page's program knows of an atlas, as plain JSON."""
-    record, place = header.spec.record, ds.attrs.get(ATTRACTOR)
+    record, place = handle.spec.record, ds.attrs.get(ATTRACTOR)
     names = {regime.code: words.name_of(regime.code) for regime in REGIMES}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
     return {
@@ -49,11 +49,11 @@ def described(ds: "xr.Dataset", header: Header, axes: tuple[PlaneAxis, PlaneAxis
     }
 
 
-def command(ds: "xr.Dataset", header: Header) -> str:
+def command(ds: "xr.Dataset", handle: Atlas) -> str:
     """The command that solves a cell again, but for the values of the axes; empty where cells start from a state that
     the page does not hold: on one of several attractors, or on a neighbour's.
     """
-    spec = header.spec
+    spec = handle.spec
     if spec.coexistence or spec.continuation is not None:
         return ""
     values = {p.name: float(ds[p.name]) for p in spec.record.parameters if p.name in ds.coords and not ds[p.name].ndim}
@@ -73,16 +73,16 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
     }
 
 
-def provenance(ds: "xr.Dataset", header: Header) -> dict[str, str]:
+def provenance(ds: "xr.Dataset", handle: Atlas) -> dict[str, str]:
     """Where the numbers are from, by its name on the page."""
-    cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in header.spec.axes)
+    cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in handle.spec.axes)
     found = {"cells": cells} | {_PROVENANCE[key]: str(ds.attrs[key]) for key in _PROVENANCE if key in ds.attrs}
     return {name: found[name] for name in ("atlas", *found) if name in found}
 
 
-def citation(ds: "xr.Dataset", header: Header) -> str:
+def citation(ds: "xr.Dataset", handle: Atlas) -> str:
     """What to cite, as BibTeX."""
-    return bibtex(header.spec.record, computed_by(str(ds.attrs.get("software", ""))), header.solver_version)
+    return bibtex(handle.spec.record, computed_by(str(ds.attrs.get("software", ""))), handle.solver_version)
 
 
 def _axis(ds: "xr.Dataset", axis: PlaneAxis) -> dict[str, Any]:

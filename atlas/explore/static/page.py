@@ -16,7 +16,7 @@ from atlas.explore.static import about
 from atlas.explore.static.numbers import Packed, fit, pack
 from atlas.query.attractors import leading, of_all, one
 from atlas.query.export import check_writable, written_whole
-from atlas.query.open import header_of
+from atlas.query.open import handle_of
 from atlas.query.plane import rising
 from atlas.query.reads import counted
 from atlas.query.resample import view
@@ -72,24 +72,24 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     """The page as text; arguments and errors as in ``write_page``."""
     ds = leading(every)
     _check_plane(ds)
-    header = header_of(ds)
+    handle = handle_of(ds)
     seen, block = _cells(ds, most_cells)
     seen, axes = rising(seen)
-    order = [variable.name for variable in header.spec.variables]
+    order = [variable.name for variable in handle.spec.variables]
     names = sorted(map(str, seen.data_vars), key=lambda name: order.index(name) if name in order else len(order))
     maps = list(coded_maps(ds, seen[names]))
-    described = about.described(ds, header, (axes[0], axes[1])) | {
+    described = about.described(ds, handle, (axes[0], axes[1])) | {
         "block": list(block),
-        "command": about.command(ds, header) if max(block) == 1 else "",
+        "command": about.command(ds, handle) if max(block) == 1 else "",
         "curves": curves_over(ds),
         "leftOut": [],
         "variables": {name: about.variable(seen, name) for name in names},
     }
     words = {
         "title": str(ds.attrs.get("title", "Impact atlas")),
-        "spec": spec_toml(header.spec),
-        "citation": about.citation(ds, header),
-        "provenance": about.provenance(ds, header),
+        "spec": spec_toml(handle.spec),
+        "citation": about.citation(ds, handle),
+        "provenance": about.provenance(ds, handle),
     }
     others = _others(every) if of_all(every) and max(block) == 1 else {}
     described["others"] = {name: _label_of_other(name, described["variables"]) for name in others}

@@ -1,0 +1,185 @@
+"""All attractors of a cell that is clicked: found on the cluster, or those that the store has."""
+
+from dataclasses import replace
+from pathlib import Path
+from queue import SimpleQueue
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from bokeh.models import ColumnDataSource
+from bokeh.plotting import figure
+from distributed import Client
+
+import atlas
+from atlas.explore.actions import new_atlas
+from atlas.explore.attractors import KeptAttractors, known_attractors, search_job
+from atlas.explore.basinspanel import BasinsPanel
+from atlas.explore.chosen import beginning
+from atlas.explore.details import Details
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Cell
+from atlas.explore.state import State, Store
+from atlas.explore.subject import Subject, subject_of
+from atlas.explore.words import attractors_table
+from atlas.query.queries import at
+from atlas.store.store import open_handle
+from atlas.store.zoom import sheet_place, sheets
+from tests.explore.test_solving import exploring, solved
+from tests.query.test_coexistence import spec_of
+from workers import Settings
+from workers.attractors.waves import solve_attractors
+from workers.results import PENDING, REGIME
+
+CELL = {"omega": 4.1234567, "b": 0.1}
+"""Between the cells of the plane: an orbit of period 1 there, with others beside it."""
+
+
+def asked(explorer: Explorer, cell: Cell) -> KeptAttractors:
+    """The attractors that the explorer finds of a cell."""
+    answers: SimpleQueue[KeptAttractors] = SimpleQueue()
+    explorer.patches.want("test", [search_job(explorer.subject, cell, answers.put)])
+    return answers.get(timeout=120.0)
+
+
+@pytest.fixture(scope="module")
+def coexistence(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    """An atlas of all attractors of a few cells."""
+    path = tmp_path_factory.mktemp("coexistence") / "out.zarr"
+    atlas.run(spec_of(), path, client=client)
+    return path
+
+
+def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of_exploring(
+    finished: Path, client: Client
+) -> None:
+    with exploring(finished, client, keep=False) as explorer:
+        subject = explorer.subject
+        parameters = dict(subject.plane.parameters) | CELL
+        found = asked(explorer, Cell(parameters, CELL, of_atlas=False))
+    alone = solve_attractors(subject.system, parameters, subject.settings, subject.starts)
+    assert found.found == int(alone["attractors"]) > 1
+    assert [each["share"] for each in found.each] == alone["share"][: found.found].tolist()
+    assert [each["largest"] for each in found.each] == alone["largest"][: found.found].tolist()
+    assert (found.starts, found.own, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
+
+
+def test_an_answer_about_a_cell_that_was_clicked_before_another_is_not_shown(finished: Path) -> None:
+    subject, works = subject_of(str(finished)), list[object]()
+    background = SimpleNamespace(later=lambda act: act, run=works.append)
+    explorer = SimpleNamespace(subject=subject, patches=SimpleNamespace(want=lambda *_: None))
+    store = Store(State(beginning(subject)))
+    mark = ColumnDataSource({"x": [], "y": []})
+    shown: list[Any] = [explorer, background, store, lambda: "a sight", mark, figure()]
+    details = Details(*shown)
+    for x in (2.5, 3.5):
+        details.show(replace(store.now.chosen, cell=(subject.plane, x, 0.2)))
+    assert len(works) == 2
+    found = KeptAttractors(trouble="of the first", starts=1), KeptAttractors(trouble="of the second", starts=1)
+    for click, answer in ((2, found[1]), (1, found[0])):
+        details._answer(CELL, click, answer)
+    assert "of the second" in details._attractors.text
+
+
+def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:
+    subject = subject_of(str(coexistence))
+    assert subject.every is not None
+    point = {"omega": 4.0, "R": 0.7}
+    found = at(subject.every, point)
+    cell = Cell(dict(subject.plane.parameters) | point, at(subject.ds, point), of_atlas=True)  # type: ignore[arg-type]
+    shown = known_attractors(subject, cell)
+    assert shown is not None and shown.stored
+    assert str(list(shown.each)) == str(found["coexisting"])  # NaN is not equal to itself
+    assert known_attractors(subject, Cell(cell.parameters, cell.results, of_atlas=False)) is None
+
+
+def test_cells_of_a_coexistence_atlas_have_the_motion_from_their_own_initial_state(coexistence: Path) -> None:
+    subject = subject_of(str(coexistence))
+    every, ds = subject.every, subject.ds
+    assert every is not None and ds is not None
+    for place, own in np.ndenumerate(every["own"].values):
+        if own < 0:
+            assert ds[REGIME.name].values[place] == PENDING
+        else:
+            for name in ("largest", REGIME.name, "period"):
+                assert np.array_equal(ds[name].values[place], every[name].values[*place, own], equal_nan=True)
+
+
+def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motion_a_cell(
+    coexistence: Path, client: Client
+) -> None:
+    with exploring(coexistence, client) as explorer:
+        subject = explorer.subject
+        sight = subject.sight((3.9, 4.1), (0.75, 0.8), (16, 16))
+        solved(explorer, sight)
+        shown = explorer.known.seen(subject.plane, sight, ["largest"])
+    assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
+    handle = open_handle(coexistence)
+    assert all(open_handle(sheet_place(handle, *each)).spec.attractors is None for each in sheets(handle))
+    assert atlas.verify(coexistence, sample=1).fine
+
+
+def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finished: Path) -> None:
+    subject = subject_of(str(finished))
+    fixed = replace(subject, settings=Settings(method="fixed"))
+    found = known_attractors(fixed, Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+    assert found is not None and "adaptive" in attractors_table(found, fixed)
+    for each, offered in ((subject, True), (fixed, False)):
+        explorer = SimpleNamespace(subject=each, patches=SimpleNamespace(want=lambda who, jobs: None))
+        panel = BasinsPanel(explorer, SimpleNamespace(later=lambda act: act))  # type: ignore[arg-type]
+        panel.offer(Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+        assert panel._button.visible == offered
+
+
+def test_a_cell_without_a_motion_has_no_attractors(finished: Path) -> None:
+    assert "none of 0 initial states is decided" in attractors_table(KeptAttractors(), subject_of(str(finished)))
+
+
+def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finished: Path) -> None:
+    subject: Subject = subject_of(str(finished))
+    orbit = {"regime": "periodic", "period": 3, "impacts_upper": 2, "impacts_lower": 1, "largest": -0.25}
+    chaos = {"regime": "chaotic", "period": 0, "impacts_upper": 0, "impacts_lower": 0, "largest": 0.5}
+    shares = {"share": 0.75, "share_low": 0.58, "share_high": 0.87}, {"share": 0.2, "share_low": 0.1, "share_high": 0.4}
+    text = attractors_table(KeptAttractors((orbit | shares[0], chaos | shares[1]), 3, 32, 1, 0.09, 1), subject)
+    rows = text.split("<tr>")
+    assert "<td></td><td>periodic</td><td>3-2-1</td><td>−0.25</td><td>75 % (58–87)</td>" in rows[2]
+    assert "<td>►</td><td>chaotic</td><td></td><td>0.5</td><td>20 % (10–40)</td>" in rows[3]
+    assert all(words in text for words in ("of 32 initial states", "1 more, of smaller shares", "1 undecided", "9 %"))
+
+
+PLANE = """
+system = "two-mass"
+
+[axes.omega]
+start = 2.0
+stop = 3.0
+num = 5
+
+[axes.b]
+start = 0.1
+stop = 0.4
+num = 4
+
+[solve]
+max_periods = 1000
+survival = 0
+"""
+ALL_ATTRACTORS = """
+[attractors]
+starts = 8
+seed = 3
+keep = 2
+box = { x1 = [-0.2, 0.1] }
+"""
+
+
+@pytest.mark.parametrize("table", ["", ALL_ATTRACTORS])
+def test_the_spec_of_a_new_atlas_seeks_all_attractors_where_the_explored_one_does(tmp_path: Path, table: str) -> None:
+    path = tmp_path / "plane.toml"
+    path.write_text(PLANE + table, encoding="utf-8")
+    subject = subject_of(str(path))
+    made = new_atlas(subject, beginning(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
+    sought = atlas.Spec.from_toml(made.file).attractors
+    assert sought == atlas.Spec.from_toml(path).attractors
+    assert (sought is None) == (table == "")

@@ -1,0 +1,189 @@
+"""Other axes and layers of a machine that is explored: what is chosen in the page, as its address holds it."""
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import parse_qs
+
+import numpy as np
+import pytest
+from distributed import Client
+
+import atlas
+from atlas.errors import InputError
+from atlas.explore.chosen import carried, from_address, to_address, turned_to
+from atlas.explore.explorer import MOST_OTHERS, Explorer
+from atlas.explore.kept import Keeper
+from atlas.explore.state import State, Store
+from atlas.explore.subject import Subject, subject_of
+from atlas.explore.view import TileKey
+from tests.explore.test_solving import exploring, waited
+from workers.results import PENDING, REGIME
+
+
+@pytest.fixture
+def explorer(client: Client) -> Iterator[Explorer]:
+    with exploring("omega-b", client) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    store = tmp_path_factory.mktemp("stack") / "stack.zarr"
+    axes = {"omega": [3.5, 3.7, 3.9], "b": [0.3, 0.4, 0.5], "zeta": [0.02, 0.05]}
+    atlas.run(atlas.Spec("two-mass", axes, solve={"tolerance": 0.1}), store, client=client)
+    return store
+
+
+def arguments(query: str) -> dict[str, list[bytes]]:
+    return {name: [text.encode() for text in texts] for name, texts in parse_qs(query).items()}
+
+
+def test_an_address_restores_axes_parameters_window_cell_and_cut(explorer: Explorer) -> None:
+    query = "axes=R,x2&R=0.5:0.75&x2=-0.25:0.25&kind=period&omega=2.5&b=0.25&cell=0.6,0.1&cut=0.5,0.0,0.75,0.1"
+    turned = turned_to(explorer, arguments(query))
+    chosen = from_address(turned.subject, arguments(query))
+    again = to_address(explorer.subject, turned.subject, chosen)
+    assert turned.subject.axes == ("R", "x2")
+    assert from_address(turned_to(explorer, arguments(again)).subject, arguments(again)) == chosen
+    assert chosen.cell == (chosen.plane, 0.6, 0.1) and chosen.cut == (0.5, 0.0, 0.75, 0.1)
+    assert dict(chosen.plane.parameters)["omega"] == 2.5
+
+
+def test_what_was_chosen_goes_along_to_other_axes(explorer: Explorer) -> None:
+    home = explorer.subject
+    chosen = from_address(home, arguments("omega=2.0:3.0&b=0.2:0.3&kind=scalar&variable=period&R=0.7"))
+    turned = explorer.turned(("R", "zeta")).subject
+    values = dict(zip(home.axes, chosen.middle(home), strict=True)) | dict(chosen.plane.parameters)
+    there = carried(turned, chosen, values)
+    assert (there.kind, there.variable) == ("scalar", "period")
+    assert dict(there.plane.parameters)["omega"] == 2.5 and "R" not in dict(there.plane.parameters)
+
+
+def test_cells_over_other_axes_are_those_of_the_point_command_to_the_bit(explorer: Explorer) -> None:
+    turned = explorer.turned(("R", "b"))
+    subject, plane = turned.subject, turned.subject.plane.moved("omega", 3.9)
+    sight = subject.sight((0.7, 0.8), (0.45, 0.55), (20, 20))
+    turned.want("test", plane, sight, range(3, -1, -1))
+    assert waited(lambda: turned.patches.left("test") == 0)
+    assert not np.any(turned.known.seen(plane, sight, [])[REGIME.name].values == PENDING)
+    cell = turned.known.cell(plane, sight, 0.75, 0.5)
+    assert cell is not None and cell.parameters["omega"] == 3.9
+    alone = atlas.point(cell.parameters, system=subject.system, settings=subject.settings)
+    assert (alone["largest"], alone["state"]) == (cell.results["largest"], alone["state"])
+    assert alone["peak_to_peak"] == cell.results["peak_to_peak"]
+
+
+def test_the_link_to_other_axes_is_admitted_also_from_a_view_whose_middle_is_out_of_range(explorer: Explorer) -> None:
+    home = explorer.subject
+    chosen = from_address(home, arguments("omega=2.0:3.0&b=-0.4:0.2"))  # a gap has to be positive
+    turned = explorer.turned(("omega", "R")).subject
+    values = dict(zip(home.axes, chosen.middle(home), strict=True)) | dict(chosen.plane.parameters)
+    there = carried(turned, chosen, values)
+    assert from_address(turned, arguments(to_address(home, turned, there))) == there
+    assert dict(there.plane.parameters)["b"] == dict(turned.plane.parameters)["b"] > 0
+
+
+def test_a_box_is_forgotten_with_the_view_in_which_it_was_chosen() -> None:
+    subject = subject_of("omega-b")
+    store = Store(State(from_address(subject, {})))
+    box = ((2.5, 2.75), (0.25, 0.375))
+    for change, kept in (
+        ({"kind": "period"}, box), ({"x": (2.0, 3.0)}, None), ({"plane": subject.plane.moved("R", 0.7)}, None),
+    ):  # fmt: skip
+        store.set(box=box)
+        store.choose(**change)
+        assert store.now.box == kept, change
+
+
+def test_turning_to_other_axes_does_not_wait_for_a_layer_whose_tiles_are_being_written(
+    stack: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, written = threading.Event(), []
+
+    def slow(keeper: Keeper, handle: object, batch: list[object]) -> None:
+        assert go_on.wait(30.0)
+        written.extend(batch)
+        keeper._waiting.clear()
+
+    monkeypatch.setattr(Keeper, "_turn", slow)
+    monkeypatch.setattr("atlas.explore.explorer.MOST_OTHERS", 1)
+    with exploring(stack, client) as explorer:
+        layer = explorer.turned(("omega", "b"), 0.05)
+        layer.keeper.offer(layer.subject.plane, TileKey(0, 0, 0, 0), {})
+        assert explorer.turned(("R", "b")) is not explorer.turned(("R", "omega"))
+        assert not written
+        go_on.set()
+    assert len(written) == 1
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    [
+        ("axes=R,R", "axes: found R twice, must be two parameters"),
+        ("axes=R", "axes: found 'R', must be two parameters, ACROSS,UP"),
+        ("axes=R,zeto", "unknown axis 'zeto'; did you mean 'zeta'"),
+        ("layer=0.1", "layer: found 0.1; possible: none"),
+    ],
+)
+def test_axes_and_layers_that_there_are_not_are_refused(explorer: Explorer, query: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        turned_to(explorer, arguments(query))
+
+
+def test_another_layer_of_a_stack_has_its_own_cells_of_the_store(stack: Path) -> None:
+    first = subject_of(str(stack))
+    second = first.turned(first.axes, 0.05)
+    assert (first.layer_value, second.layer_value) == (0.02, 0.05)
+    assert dict(second.plane.parameters)["zeta"] == 0.05
+    assert second.ds is not None and float(second.ds["zeta"]) == 0.05
+    assert second.turned(second.axes, 0.02).plane == first.plane
+
+
+def test_a_layer_has_one_explorer_whether_it_is_named_or_not(stack: Path, client: Client) -> None:
+    with exploring(stack, client) as explorer:
+        assert explorer.turned(("omega", "b"), 0.02) is explorer.turned(("omega", "b")) is explorer
+        assert explorer.turned(("R", "b"), 0.02) is explorer.turned(("R", "b"))
+        assert explorer.turned(("R", "b"), 0.05) is not explorer.turned(("R", "b"))
+
+
+def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
+    shown = explorer.turned(("R", "b"))
+    shown.listen("page", lambda *_: None)
+    names = [p.name for p in explorer.subject.system.parameters if p.name not in ("omega", "b", "R")]
+    names = names[: MOST_OTHERS + 1]
+    others = [explorer.turned((name, "b")) for name in names]
+    assert explorer.turned(("R", "b")) is shown
+    assert len(explorer._others) == MOST_OTHERS
+    assert explorer.turned((names[-1], "b")) is others[-1]
+    assert explorer.turned((names[0], "b")) is not others[0]
+    assert waited(lambda: all(each.ended for each in explorer._ending))
+    explorer.turned((names[1], "b"))
+    assert len(explorer._ending) <= 1  # the one that has just been forgotten
+
+
+def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they_are_forgotten(
+    explorer: Explorer,
+) -> None:
+    turned = explorer.turned(("b", "omega"))
+    key, arrays = TileKey(0, 0, 0, 0), {"regime": np.zeros((4, 4), np.int8)}
+    for each in (explorer, turned):
+        each.known.tiles.put(each.subject.plane, key, arrays)
+    memory = explorer.known.tiles.memory
+    assert turned.known.tiles.memory is memory and memory.bytes == 32
+    turned.known.tiles.clear()
+    assert memory.bytes == 16 and explorer.known.tiles.get(explorer.subject.plane, key) is not None
+
+
+def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:
+    subject = subject_of("omega-b")
+    store, came = Store(State(from_address(subject, {}), trouble="old")), []
+    store.listen(lambda old, new: came.append((old.chosen.kind, new.chosen.kind, new.trouble)))
+    store.choose(kind="period")
+    store.choose(kind="period")
+    assert came == [("exponent", "period", "")]
+
+
+def test_a_subject_over_its_own_axes_is_itself() -> None:
+    subject: Subject = subject_of("omega-b")
+    assert subject.turned(subject.axes) is subject

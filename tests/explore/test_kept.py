@@ -1,0 +1,168 @@
+"""What explorers keep in a store: its budget, and what happens where it cannot be written."""
+
+import errno
+import shutil
+from collections.abc import Iterator
+from inspect import signature
+from pathlib import Path
+
+import pytest
+
+from atlas.cli.explore import GB, explore
+from atlas.explore import kept
+from atlas.explore.kept import MOST_BYTES, Keeper
+from atlas.explore.session import explore as session
+from atlas.explore.sheets import Sheets
+from atlas.explore.subject import Subject, subject_of
+from atlas.explore.tiles import Arrays
+from atlas.explore.view import TILE, TileKey
+from atlas.store.making import create
+from atlas.store.store import Atlas, open_handle
+from atlas.store.zoom import FILE_BLOCK, ZOOM, sheet_bytes, sheets
+from tests.explore.test_solving import waited
+from tests.synthetic import spec_of
+from workers.results import PERIODIC, REGIME
+
+
+@pytest.fixture
+def handle(tmp_path: Path) -> Atlas:
+    return create(tmp_path / "a.zarr", spec_of(), (19, 45))
+
+
+def test_each_file_counts_as_a_whole_block_so_that_the_budget_bounds_files_too(handle: Atlas) -> None:
+    """A tile takes about twenty files, and a screen of cells a thousand tiles."""
+    sheet = handle.path / ZOOM / "plane" / "sheet"
+    sheet.mkdir(parents=True)
+    for k, size in enumerate((1, 100, FILE_BLOCK, FILE_BLOCK + 1)):
+        (sheet / str(k)).write_bytes(b"0" * size)
+    assert sheet_bytes(handle, "plane", "sheet") == 5 * FILE_BLOCK
+    assert MOST_BYTES / FILE_BLOCK < 65_000
+
+
+def test_the_command_and_python_have_the_same_budget() -> None:
+    (limit,) = [each.default for each in explore.params if each.name == "limit"]
+    assert limit * GB == signature(session).parameters["most_bytes"].default == MOST_BYTES
+
+
+KEYS = [TileKey(4, 4, x, y) for x in (0, 1) for y in (0, 1)]
+
+
+@pytest.fixture
+def subject(finished: Path) -> Subject:
+    return subject_of(str(finished))
+
+
+@pytest.fixture
+def keeper(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> Iterator[Keeper]:
+    """A keeper that tries again soon."""
+    monkeypatch.setattr(kept, "PAUSE", 0.05)
+    monkeypatch.setattr(kept, "LONGEST_PAUSE", 0.1)
+    made = Keeper(subject)
+    yield made
+    made.stop()
+
+
+def tile(subject: Subject) -> Arrays:
+    """A tile of cells that are all periodic."""
+    arrays = subject.without_results(subject.variables, (TILE, TILE))
+    arrays[REGIME.name][...] = PERIODIC
+    return arrays
+
+
+def offer(keeper: Keeper, subject: Subject) -> None:
+    for key in KEYS:
+        keeper.offer(subject.plane, key, tile(subject))
+
+
+def all_written(keeper: Keeper, subject: Subject) -> bool:
+    """Whether all tiles are in the store, within a minute, and nothing is said to be wrong."""
+    done = waited(lambda: keeper.waiting == 0 and keeper.trouble == "")
+    return done and keeper.sheets is not None and all(keeper.sheets.has(subject.plane, key) for key in KEYS)
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+@pytest.mark.parametrize("where", ["atlas.explore.kept.write_tile", "atlas.explore.sheets.create"])
+def test_after_a_full_disk_or_an_error_of_the_disk_all_that_was_solved_is_kept(
+    keeper: Keeper, subject: Subject, monkeypatch: pytest.MonkeyPatch, where: str, code: int
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(code, errno.errorcode[code])
+
+    with monkeypatch.context() as broken:
+        broken.setattr(where, refuse)
+        offer(keeper, subject)
+        assert waited(lambda: f"kept later: [Errno {code}]" in keeper.trouble)
+        assert keeper.waiting == len(KEYS) and not keeper.full
+    assert all_written(keeper, subject)
+
+
+def test_of_more_tiles_than_may_wait_the_oldest_are_not_kept_and_are_counted(
+    keeper: Keeper, subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(kept, "MOST_WAITING", 2)
+    with monkeypatch.context() as broken:
+        broken.setattr("atlas.explore.kept.write_tile", refuse)
+        keeper.offer(subject.plane, KEYS[0], tile(subject))
+        assert waited(lambda: "full" in keeper.trouble)
+        offer(keeper, subject)
+        assert keeper.waiting == 2 and "2 solved tiles could not be kept: more than 2 were waiting" in keeper.trouble
+    assert waited(lambda: keeper.waiting == 0)
+
+
+@pytest.mark.parametrize("name", ["zarr.json", "regime/zarr.json"])
+@pytest.mark.parametrize("content", [b"", b"{", None])
+def test_a_damaged_sheet_is_made_anew_and_keeping_goes_on(
+    keeper: Keeper, subject: Subject, finished: Path, name: str, content: bytes | None
+) -> None:
+    offer(keeper, subject)
+    assert all_written(keeper, subject)
+    ((plane, sheet),) = sheets(open_handle(finished))
+    file = finished / ZOOM / plane / sheet / name
+    if content is None:
+        file.unlink()
+    else:
+        file.write_bytes(content)
+    again = Keeper(subject)
+    try:
+        offer(again, subject)
+        assert all_written(again, subject)
+    finally:
+        again.stop()
+    fresh = Sheets(subject, open_handle(finished))
+    assert all(fresh.has(subject.plane, key) for key in KEYS)
+
+
+def test_a_sheet_that_another_explorer_made_meanwhile_is_taken_as_it_is(keeper: Keeper, subject: Subject) -> None:
+    other = Keeper(subject)
+    try:
+        assert not any(other.has(subject.plane, key) for key in KEYS)  # it remembers for a while that there is none
+        keeper.offer(subject.plane, KEYS[0], tile(subject))
+        assert waited(lambda: keeper.waiting == 0)
+        for key in KEYS[1:]:
+            other.offer(subject.plane, key, tile(subject))
+        assert waited(lambda: other.waiting == 0) and other.trouble == ""
+        assert other.has(subject.plane, KEYS[0])
+    finally:
+        other.stop()
+
+
+def test_a_tile_that_cannot_be_written_for_a_reason_of_its_own_holds_up_no_other(
+    keeper: Keeper, subject: Subject
+) -> None:
+    keeper.offer(subject.plane, TileKey(4, 4, 2, 2), {name: array[:3] for name, array in tile(subject).items()})
+    offer(keeper, subject)
+    assert waited(lambda: keeper.waiting == 0) and "1 solved tile could not be kept" in keeper.trouble
+    assert keeper.sheets is not None and all(keeper.sheets.has(subject.plane, key) for key in KEYS)
+
+
+def test_a_store_that_is_gone_is_said_to_be_and_nothing_is_dropped(
+    keeper: Keeper, subject: Subject, finished: Path
+) -> None:
+    shutil.move(finished, finished.with_name("away.zarr"))
+    offer(keeper, subject)
+    assert waited(lambda: "kept later" in keeper.trouble) and keeper.waiting == len(KEYS)
+    shutil.move(finished.with_name("away.zarr"), finished)
+    assert all_written(keeper, subject)

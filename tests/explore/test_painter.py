@@ -1,0 +1,159 @@
+"""When the explorer looks a view up and draws it, without a browser."""
+
+import itertools
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from distributed import Client
+
+from atlas.explore import painter as painting
+from atlas.explore.chosen import Chosen, beginning
+from atlas.explore.explorer import Explorer
+from atlas.explore.painter import Painted, Painter
+from atlas.explore.view import STAGES
+from atlas.platform import give_back_memory
+from tests.explore.test_solving import exploring, waited
+
+SIZE = (48, 40)
+
+
+@pytest.fixture
+def explorer(finished: Path, client: Client) -> Iterator[Explorer]:
+    with exploring(finished, client, keep=False) as made:
+        yield made
+
+
+@pytest.fixture
+def came() -> list[Painted]:
+    return []
+
+
+@pytest.fixture
+def painter(explorer: Explorer, came: list[Painted]) -> Iterator[Painter]:
+    made = Painter(explorer, came.append, pytest.fail)
+    yield made
+    made.close()
+    made.wait()
+
+
+@pytest.fixture
+def view(explorer: Explorer) -> Chosen:
+    return replace(beginning(explorer.subject), x=(2.5, 3.5), y=(0.15, 0.25))
+
+
+def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
+    painter: Painter, came: list[Painted], view: Chosen
+) -> None:
+    for k in range(6):
+        painter.show(replace(view, x=(2.5 + 0.01 * k, 3.5)), SIZE)
+    assert painter.busy and waited(lambda: not painter.busy)
+    assert painter.looked == 1
+    assert came[-1].shares == (1.0, 1.0, 1.0, 1.0)
+    steps = [each.shares for each in came]
+    assert all(old <= new for one, other in pairwise(steps) for old, new in zip(one, other, strict=True))
+    assert came[-1].x[0] == pytest.approx(2.55, abs=0.05)
+
+
+def test_while_a_slider_moves_the_first_stage_alone_is_solved(
+    explorer: Explorer, painter: Painter, view: Chosen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(painting, "STAY", 3.0)
+    plane = explorer.subject.plane.moved("R", 0.71)
+    painter.show(replace(view, plane=plane), SIZE, rests=False)
+
+    def stages() -> set[int]:
+        sight = painter.sight
+        return set() if sight is None else {sight.x.level - key.level_x for key, _ in explorer.known.tiles.of(plane)}
+
+    assert waited(lambda: stages() == {STAGES}, 3.0)
+    assert waited(lambda: stages() == set(range(STAGES + 1)) and not painter.busy)
+    assert painter.looked == 2
+
+
+def test_pictures_follow_each_other_no_faster_than_they_may(
+    painter: Painter, came: list[Painted], view: Chosen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(painting, "PAUSE", 1000.0)
+    painter.show(view, SIZE)
+    assert waited(lambda: bool(came))
+    explorer = painter._explorer
+    assert waited(lambda: explorer.patches.left(painter) == 0)
+    assert len(came) == 1 and painter.busy  # the picture of what was solved meanwhile is still to come
+    painter.show(replace(view, kind="period"), SIZE)
+    assert waited(lambda: len(came) == 2, 5.0)
+
+
+def test_a_painter_that_is_closed_ends_at_once(explorer: Explorer) -> None:
+    made = Painter(explorer, pytest.fail, pytest.fail)
+    thread = threading.Thread(target=made.wait)
+    made.close()
+    thread.start()
+    thread.join(5.0)
+    assert not thread.is_alive() and made not in explorer.listeners
+
+
+def test_a_picture_has_the_cells_of_its_window(painter: Painter, came: list[Painted], view: Chosen) -> None:
+    painter.show(view, SIZE)
+    assert waited(lambda: bool(came))
+    shape = np.array(came[0].screen.cells.shape[1::-1])
+    spans = np.array([np.ptp(came[0].x) / np.ptp(view.x), np.ptp(came[0].y) / np.ptp(view.y)])
+    assert np.all(np.abs(shape - np.array(SIZE) * spans) <= 1)
+
+
+def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(
+    painter: Painter, came: list[Painted], view: Chosen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[int] = []
+    monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
+    monkeypatch.setattr(painting, "give_back_memory", lambda: given.append(len(came)))
+    painter.show(view, SIZE)
+    assert waited(lambda: not painter.busy and bool(given) and given[-1] == len(came))
+    count = len(given)
+    assert not waited(lambda: len(given) > count, 0.5)  # once
+
+
+def test_memory_goes_back_though_there_is_always_more_to_be_drawn(
+    painter: Painter, view: Chosen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A visitor who never rests: each view is replaced before it is looked up."""
+    given: list[bool] = []
+    painter.show(view, SIZE)
+    assert waited(lambda: not painter.busy)
+    monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
+    monkeypatch.setattr(painting, "give_back_memory", lambda: given.append(painter.busy))
+    moves = itertools.count(1)
+
+    def moved() -> bool:
+        shift = 1e-4 * next(moves)
+        painter.show(replace(view, x=(2.5 + shift, 3.5 + shift)), SIZE)
+        return bool(given)
+
+    assert waited(moved, 5.0)
+    assert given[0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc")
+def test_what_threads_have_freed_goes_back_to_the_system() -> None:
+    """Small blocks that stay between large ones keep the C library from giving these back by itself."""
+    stay: list[bytes] = []
+
+    def use() -> None:
+        large = []
+        for _ in range(2000):
+            large.append(bytearray(100_000))
+            stay.append(bytes(2000))
+
+    thread = threading.Thread(target=use)
+    thread.start()
+    thread.join()
+    process = psutil.Process()
+    before = process.memory_info().rss
+    give_back_memory()
+    assert process.memory_info().rss < before - 50_000_000

@@ -1,0 +1,494 @@
+"""What an explorer solves, keeps and finds again, without a page."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from distributed import CancelledError, Client, Future
+
+import atlas
+from atlas.errors import InputError
+from atlas.explore import kept
+from atlas.explore.explorer import Explorer
+from atlas.explore.kept import Keeper
+from atlas.explore.patch import solve_patch
+from atlas.explore.patches import Errand, Patches, PatchJob, Task
+from atlas.explore.sheets import SheetKey
+from atlas.explore.subject import Subject, SubjectPlane, subject_of
+from atlas.explore.tiles import Memory, Tiles
+from atlas.explore.view import TILE, Sight, TileKey
+from atlas.service.lease import claimed
+from atlas.store.sidecar import notes_of
+from atlas.store.store import open_handle
+from atlas.store.zoom import sheet_place, sheets
+from workers.results import INVALID, PENDING, REGIME
+
+
+def waited(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
+    """Whether a condition holds within so many seconds."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def view_of(subject: Subject, pixels: int = 40) -> Sight:
+    """A window within the plane, a few tiles of it."""
+    (x, y) = (np.array(axis.values) for axis in subject.spec.axes)
+    window = (float(x[1]), float(x[3])), (float(y[1]), float(y[3]))
+    return subject.sight(*window, (pixels, pixels))
+
+
+@contextmanager
+def exploring(store: Path | str, client: Client, **options: object) -> Iterator[Explorer]:
+    """An explorer of a store whose cells are solved on a client."""
+
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        yield client
+
+    made = Explorer(subject_of(str(store)), connect, **options)  # type: ignore[arg-type]
+    try:
+        yield made
+    finally:
+        made.stop()
+
+
+def solved(explorer: Explorer, sight: Sight, plane: SubjectPlane | None = None) -> list[TileKey]:
+    """Have a view solved, and return the tiles in the order in which they came."""
+    came: list[TileKey] = []
+    plane = plane or explorer.subject.plane
+    explorer.listen("test", lambda _, key: came.append(key))
+    explorer.known.look(plane, sight, ["largest"])
+    explorer.want("test", plane, sight, range(3, -1, -1))
+    assert waited(lambda: explorer.patches.left("test") == 0)
+    explorer.listen("test", None)
+    return came
+
+
+def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_bit(
+    finished: Path, client: Client
+) -> None:
+    with exploring(finished, client) as explorer:
+        subject, sight = explorer.subject, view_of(explorer.subject)
+        solved(explorer, sight)
+        ds = explorer.known.seen(subject.plane, sight, ["largest"])
+        assert not np.any(ds[REGIME.name].values == PENDING)
+        cell = explorer.known.cell(subject.plane, sight, 2.4012345, 0.21)
+    assert cell is not None
+    alone = atlas.point(cell.parameters, system=subject.system, settings=subject.settings)
+    same = {name: value for name, value in cell.results.items() if name in alone and name not in subject.spec.dims}
+    assert len(same) > 15
+    assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
+
+
+def test_a_view_is_known_stage_by_stage_coarse_to_fine(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        assert known.shares(plane, sight) == (0.0, 0.0, 0.0, 0.0)
+        explorer.want("test", plane, sight, range(3, 0, -1))  # all but the full density
+        assert waited(lambda: explorer.patches.left("test") == 0)
+        assert known.shares(plane, sight) == (1.0, 1.0, 1.0, 0.0)
+        first, *_ = sight.tiles(0)
+        rows, columns = sight.place(first)
+        known.tiles.put(plane, first, known.whole(plane, first.above) or {})
+        share = (rows.stop - rows.start) * (columns.stop - columns.start) / (sight.x.count * sight.y.count)
+        assert known.shares(plane, sight) == (1.0, 1.0, 1.0, pytest.approx(share))
+
+
+def test_a_tile_that_is_known_in_full_counts_for_all_coarser_stages(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        for key in sight.tiles(0):
+            known.tiles.put(plane, key, known.subject.without_results(known.subject.variables, (TILE, TILE)))
+        assert known.shares(plane, sight) == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_a_view_of_the_stores_own_cells_is_drawn_as_densely_as_they_lie(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject = explorer.subject
+        inner = [(float(axis.values[0]), float(axis.values[-1])) for axis in subject.spec.axes]
+        cells = len(subject.spec.axes[0]), len(subject.spec.axes[1])
+        sight = subject.sight(*inner, (4 * cells[0], 4 * cells[1]))
+        assert (sight.x.level, sight.y.level) == (2, 2)
+        shares = explorer.known.shares(subject.plane, sight)
+        assert shares == (1.0, 1.0, 0.0, 0.0)
+
+
+def test_a_cell_that_is_solved_alone_is_that_of_its_tile_to_the_bit(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight, plane = view_of(explorer.subject), explorer.subject.plane
+        solved(explorer, sight)
+        found = explorer.known.cell(plane, sight, 2.4012345, 0.21)
+        assert found is not None
+        alone = explorer.known.solved(plane, found.parameters["omega"], found.parameters["b"])
+    assert alone.parameters == found.parameters
+    assert str(alone.results | {"distance": 0}) == str(found.results | {"distance": 0})  # some are not a number
+
+
+def test_a_point_names_the_same_cell_before_and_after_the_view_is_solved(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        before = known.point(plane, sight, 2.4012345, 0.21)
+        solved(explorer, sight)
+        found = known.cell(plane, sight, 2.4012345, 0.21)
+        assert found is not None
+        after = known.point(plane, sight, 2.4012345, 0.21)
+    assert before == after == tuple(found.parameters[name] for name in explorer.subject.axes)
+
+
+@pytest.mark.slow
+def test_tiles_come_coarse_first_and_none_twice(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject, 150)
+        came = solved(explorer, sight)
+        again = solved(explorer, sight)
+    assert len(set(came)) == len(came) and not again
+    middle = [sum(key[:2]) for key in came]
+    assert np.mean(middle[: len(middle) // 3]) < np.mean(middle[-len(middle) // 3 :])
+
+
+def test_a_tile_is_waited_for_until_it_is_known(finished: Path, client: Client) -> None:
+    left: list[int] = []
+    with exploring(finished, client) as explorer:
+        explorer.listen("count", lambda _, key: left.append(explorer.patches.left("test")))
+        solved(explorer, view_of(explorer.subject))
+    assert min(left) == 1
+
+
+def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        solved(explorer, sight)
+        first = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"])
+    with exploring(finished, client) as explorer:
+        assert solved(explorer, sight) == []
+        explorer.known.look(explorer.subject.plane, sight, ["largest", "period"])
+        second = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"])
+    assert first.identical(second)
+
+
+@pytest.mark.slow
+def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept, "MOST_WAITING", 1)
+    with exploring(finished, client) as explorer:
+        tiles = solved(explorer, view_of(explorer.subject))
+        assert len(tiles) > 3
+        assert waited(lambda: explorer.keeper.waiting == 0)
+        assert all(explorer.keeper.has(explorer.subject.plane, key) for key in tiles)
+
+
+def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight, plane = view_of(explorer.subject), explorer.subject.plane
+        with claimed(notes_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
+            tiles = solved(explorer, sight)
+            explorer.known.tiles = Tiles(Memory(1))
+            assert len(tiles) > 3 and explorer.keeper.waiting == len(tiles)
+            assert explorer.want("page", plane, sight, range(3, -1, -1)) == 0
+            arrays = [explorer.known.whole(plane, key) for key in tiles]
+        assert all(each is not None and (each[REGIME.name] != PENDING).all() for each in arrays)
+
+
+@pytest.mark.slow
+def test_kept_cells_leave_the_atlas_as_it_was_and_are_verified_with_it(finished: Path, client: Client) -> None:
+    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
+    with exploring(finished, client) as explorer:
+        solved(explorer, view_of(explorer.subject))
+    assert all(path.read_bytes() == content for path, content in before.items())
+    report = atlas.verify(finished)
+    assert report.fine and report.sheets > 0
+
+
+@pytest.mark.slow
+def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explorer(
+    finished: Path, client: Client
+) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        solved(explorer, sight)
+    (chunk, *_) = sorted((finished / "zoom").glob(f"*/x{sight.x.level}_*/largest/c/*/*"))
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
+    report = atlas.verify(finished, sample=0)
+    assert not report.fine and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
+    with exploring(finished, client) as explorer:
+        assert len(solved(explorer, sight)) > 0
+        seen = explorer.known.seen(explorer.subject.plane, sight, ["largest"])
+        assert not np.any(seen[REGIME.name].values == PENDING)
+
+
+@pytest.mark.slow
+def test_plain_xarray_reads_what_was_kept(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        solved(explorer, view_of(explorer.subject))
+    handle = open_handle(finished)
+    for plane, sheet in sheets(handle):
+        ds = xr.open_zarr(finished / "zoom" / plane / sheet)
+        done = ds[REGIME.name].values != PENDING
+        assert done.any() and np.isfinite(ds.periods_used.values[done]).all()
+        assert open_handle(sheet_place(handle, plane, sheet)).spec.settings == explorer.subject.settings
+
+
+@pytest.mark.slow
+def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject, sight = explorer.subject, view_of(explorer.subject)
+        plane = subject.moved(subject.plane, "R", 0.71)
+        solved(explorer, sight, plane)
+        assert not (finished / "zoom").exists()
+        explorer.keep_plane(plane)
+    assert {name for name, _ in sheets(open_handle(finished))} == {subject.digest(plane)[:16]}
+
+
+def test_the_keeping_of_another_plane_ends_where_that_is_asked_for(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        plane = explorer.subject.moved(explorer.subject.plane, "R", 0.71)
+        kept = [explorer.keeps(plane)]
+        for on in (True, True, False):
+            explorer.keep_plane(plane, on)
+            kept.append(explorer.keeps(plane))
+        assert kept == [False, True, True, False] and explorer.keeps(explorer.subject.plane)
+
+
+@pytest.mark.slow
+def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        with claimed(notes_of(finished), str(finished)):
+            solved(explorer, view_of(explorer.subject))
+            assert waited(lambda: "kept later" in explorer.keeper.trouble)
+            assert not (finished / "zoom").exists()
+        assert waited(lambda: explorer.keeper.trouble == "" and (finished / "zoom").exists())
+
+
+@pytest.mark.slow
+def test_two_explorers_of_one_store_keep_by_turns(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as one, exploring(finished, client) as other:
+        sight = view_of(one.subject)
+        threads = [threading.Thread(target=solved, args=(each, sight)) for each in (one, other)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert waited(lambda: (finished / "zoom").exists())
+    assert atlas.verify(finished).fine
+
+
+@pytest.mark.slow
+def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Client, tmp_path: Path) -> None:
+    atlas.pack(finished, tmp_path / "packed.zip")
+    with exploring(tmp_path / "packed.zip", client) as explorer:
+        sight = view_of(explorer.subject)
+        assert solved(explorer, sight) and "read only" in explorer.keeper.trouble
+
+
+@pytest.mark.slow
+def test_a_store_that_cannot_be_written_is_explored_without_keeping(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(30, "Read-only file system")
+
+    monkeypatch.setattr("atlas.store.sidecar.Folder.put", refuse)
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        assert solved(explorer, sight)
+        assert waited(lambda: "kept later" in explorer.keeper.trouble)
+        assert "cannot be written: Read-only file system" in explorer.keeper.trouble
+        assert explorer.keeper.waiting > 0
+
+
+@pytest.mark.slow
+def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path, client: Client) -> None:
+    subject = subject_of(str(finished))
+    arrays = solve_patch(subject.patch(subject.plane, TileKey(0, 0, 0, 0)))
+    tile = {name: array.reshape((TILE, TILE, *array.shape[1:])) for name, array in arrays.items()}
+    keys = [TileKey(level, level, 0, 0) for level in (2, 3, 4)]
+    for k, key in enumerate(keys):
+        keeper = Keeper(subject, most_bytes=1)
+        keeper.offer(subject.plane, key, tile)
+        keeper.stop()
+        assert keeper.trouble == ""
+        if k == 0:
+            assert len(sheets(open_handle(finished))) == 1  # what was just looked at is never dropped
+    keeper = Keeper(subject, most_bytes=1, recent=0.0)
+    keeper.offer(subject.plane, TileKey(5, 5, 0, 0), tile)
+    keeper.stop()
+    kept = [sheet for _, sheet in sheets(open_handle(finished))]
+    assert kept in ([], [SheetKey(5, 5, 0, 0).name])
+
+
+def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    back = threading.Event()
+
+    def gone(future: Future, timeout: float | None = None) -> object:
+        if not back.is_set():
+            raise CancelledError(future.key)
+        return result(future, timeout)
+
+    result = Future.result
+    monkeypatch.setattr(Future, "result", gone)
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        explorer.want("test", explorer.subject.plane, sight, range(3, -1, -1))
+        assert waited(lambda: explorer.patches.state.trouble == "the cluster was lost; trying again")
+        back.set()
+        solved(explorer, sight)
+        assert explorer.patches.state.trouble == ""
+
+
+_SHOUTED = list[str]()
+
+
+def _shouted(text: str) -> str:
+    """A text in capitals; InputError, with how often it came, for the word input."""
+    _SHOUTED.append(text)
+    if text == "input":
+        raise InputError(f"input {_SHOUTED.count(text)}")
+    return text.upper()
+
+
+@dataclass(frozen=True)
+class Mistaken(PatchJob):
+    """A job with a mistake in one of its methods, or in none."""
+
+    wrong: str
+    came: list[str] = field(compare=False)
+
+    def make(self) -> tuple[Task, object]:
+        self._step("make")
+        return (_shouted, self.wrong), "held"
+
+    def solved(self, held: object, found: object) -> int:
+        self._step("solved")
+        assert held == "held"
+        self.came.append(str(found))
+        return 1
+
+    def failed(self, why: str) -> None:
+        self.came.append(why)
+
+    def _step(self, name: str) -> None:
+        if name == self.wrong:
+            raise KeyError(name)
+
+
+def test_a_result_that_went_with_its_worker_is_asked_for_again_and_never_waited_for_without_end(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker may die after it reported a job as done, before it handed the result over."""
+    asked, found, result = list[float | None](), list[int](), Future.result
+
+    def late(future: Future, timeout: float | None = None) -> Any:
+        asked.append(timeout)
+        if len(asked) == 1:
+            raise TimeoutError
+        return result(future, timeout)
+
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        yield client
+
+    monkeypatch.setattr(Future, "result", late)
+    patches = Patches(connect)
+    try:
+        patches.want("test", [Errand((abs, -3), found.append, pytest.fail)])
+        assert waited(lambda: patches.left("test") == 0)
+    finally:
+        patches.stop()
+    assert found == [3] and len(asked) == 2 and None not in asked
+
+
+def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: Client) -> None:
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        yield client
+
+    patches, came = Patches(connect), list[str]()
+    try:
+        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "solved", "none", "input")])
+        assert waited(lambda: patches.left("page") == 0 and len(came) == 4)
+        assert sorted(came) == ["KeyError: 'make'", "KeyError: 'solved'", "NONE", "input 1"]
+    finally:
+        patches.stop()
+
+
+def test_a_tile_that_was_given_up_is_tried_again_by_who_looks_later(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with exploring(finished, client) as explorer:
+        plane, sight = explorer.subject.plane, view_of(explorer.subject)
+
+        def count() -> int:
+            return explorer.want("test", plane, sight, range(3, -1, -1))
+
+        with monkeypatch.context() as broken:
+            broken.setattr("atlas.explore.explorer.solve_patch", _refused)
+            tiles = count()
+            assert tiles > 3 and waited(lambda: explorer.patches.left("test") == 0)
+        assert len(explorer.failures) == tiles and count() == 0
+        monkeypatch.setattr("atlas.explore.explorer.AGAIN", 0.0)
+        assert solved(explorer, sight) and not explorer.failures
+        assert not np.any(explorer.known.seen(plane, sight, [])[REGIME.name].values == PENDING)
+
+
+def _refused(patch: object) -> object:
+    raise InputError("no cell of this tile can be solved")
+
+
+def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject, 600)
+        explorer.listen("page", lambda *_: None)
+        assert explorer.want("page", explorer.subject.plane, sight, range(3, -1, -1)) > 100
+        explorer.listen("page", None)
+        assert explorer.patches.left("page") == 0
+
+
+def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject, known = explorer.subject, explorer.known
+        outside, partly = TileKey(0, 0, 0, -40), TileKey(2, 2, 0, -1)
+        assert known.has(subject.plane, outside) and not known.outside(partly)
+        found = known.whole(subject.plane, outside)
+        assert found is not None
+        for name, solved_so in solve_patch(subject.patch(subject.plane, outside)).items():
+            assert np.array_equal(
+                found[name].reshape(solved_so.shape), solved_so, equal_nan=solved_so.dtype.kind == "f"
+            )
+        sight = subject.sight((2.0, 3.0), (-20.0, -19.0), (30, 30))
+        assert solved(explorer, sight) == []
+        assert (explorer.known.seen(subject.plane, sight, []).regime == INVALID).all()
+
+
+@pytest.mark.slow
+def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject = explorer.subject
+        sight = subject.sight((2.0, 3.0), (-0.1, 0.1), (30, 30))
+        solved(explorer, sight)
+        ds = explorer.known.seen(subject.plane, sight, [])
+        assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
+    assert atlas.verify(finished).fine
+
+
+@pytest.mark.parametrize("task", ["patch.solve_patch", "cut.follow", "branches.follow_orbit", "basins.solve_rows"])
+def test_workers_need_no_bokeh(task: str) -> None:
+    module, function = task.split(".")
+    program = f"import sys; from atlas.explore.{module} import {function}; print('bokeh' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

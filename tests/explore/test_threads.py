@@ -1,0 +1,146 @@
+"""No thread of the explorer ends silently: what it raises is logged and shown, and its work begins again."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import Client
+
+from atlas.explore.chosen import beginning
+from atlas.explore.explorer import Explorer
+from atlas.explore.kept import Keeper
+from atlas.explore.painter import Painted, Painter
+from atlas.explore.patches import Errand, Patches
+from atlas.explore.server import PageServer
+from atlas.explore.subject import subject_of
+from atlas.explore.view import TILE, TileKey
+from tests.explore.test_solving import exploring, solved, view_of, waited
+
+ERRORS = [UnboundLocalError("cannot access local variable 'result'"), asyncio.CancelledError("gone"), OSError(5, "EIO")]
+"""What Dask's ``sync`` was seen to raise; what is no Exception; and what a disk says."""
+
+
+def raise_once(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, error: BaseException) -> list[str]:
+    """Have a method raise when it is called first; the list returned has an entry for each call."""
+    function, calls = getattr(owner, name), list[str]()
+
+    @wraps(function)
+    def once(*given: Any, **named: Any) -> Any:
+        calls.append(name)
+        if len(calls) == 1:
+            raise error
+        return function(*given, **named)
+
+    monkeypatch.setattr(owner, name, once)
+    return calls
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """All that patches and keepers have said of trouble."""
+    said, patched, kept = list[str](), Patches._say, Keeper._say
+
+    def patches_say(self: Patches, trouble: str, workers: int = 0) -> None:
+        said.append(trouble)
+        patched(self, trouble, workers)
+
+    def keeper_says(self: Keeper, trouble: str) -> None:
+        said.append(trouble)
+        kept(self, trouble)
+
+    monkeypatch.setattr(Patches, "_say", patches_say)
+    monkeypatch.setattr(Keeper, "_say", keeper_says)
+    return said
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("step", ["_serve", "_work", "_looked", "_drop", "_submit"])
+def test_the_thread_that_has_jobs_done_goes_on_with_a_new_client_after_any_exception(
+    client: Client, monkeypatch: pytest.MonkeyPatch, shown: list[str], step: str, error: BaseException
+) -> None:
+    connected, found = list[int](), list[int]()
+
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        connected.append(1)
+        yield client
+
+    raise_once(monkeypatch, Patches, step, error)
+    patches = Patches(connect)
+    try:
+        patches.want("test", [Errand((abs, -3), found.append, pytest.fail)])
+        assert waited(lambda: patches.left("test") == 0)
+        assert patches.state.trouble == ""
+    finally:
+        patches.stop()
+    assert found == [3] and len(connected) == (1 if step == "_serve" else 2)
+    assert any(str(error) in said for said in shown)
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("step", ["_serve", "_turn", "_trim"])
+def test_the_thread_that_keeps_tiles_keeps_all_of_them_after_any_exception(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch, shown: list[str], step: str, error: BaseException
+) -> None:
+    raise_once(monkeypatch, Keeper, step, error)
+    with exploring(finished, client) as explorer:
+        tiles = solved(explorer, view_of(explorer.subject))
+        assert len(tiles) > 3 and waited(lambda: explorer.keeper.waiting == 0 and explorer.keeper.trouble == "")
+        assert explorer.keeper.sheets is not None
+        assert all(explorer.keeper.sheets.has(explorer.subject.plane, key) for key in tiles)
+    assert any(str(error) in said for said in shown)
+
+
+def test_a_keeper_that_always_fails_ends_when_it_is_asked_to(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise UnboundLocalError("always")
+
+    monkeypatch.setattr(Keeper, "_turn", broken)
+    subject = subject_of(str(finished))
+    keeper = Keeper(subject)
+    keeper.offer(subject.plane, TileKey(4, 4, 0, 0), subject.without_results(subject.variables, (TILE, TILE)))
+    thread = threading.Thread(target=keeper.stop)
+    thread.start()
+    thread.join(20.0)
+    assert not thread.is_alive() and "always" in keeper.trouble
+
+
+@pytest.fixture
+def explorer(finished: Path, client: Client) -> Iterator[Explorer]:
+    with exploring(finished, client, keep=False) as made:
+        yield made
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("step", ["_serve", "_find", "_paint"])
+def test_the_thread_that_paints_says_what_went_wrong_and_paints_on(
+    explorer: Explorer, monkeypatch: pytest.MonkeyPatch, step: str, error: BaseException
+) -> None:
+    raise_once(monkeypatch, Painter, step, error)
+    came, refused = list[Painted](), list[str]()
+    painter = Painter(explorer, came.append, refused.append)
+    view = replace(beginning(explorer.subject), x=(2.5, 3.5), y=(0.15, 0.25))
+    try:
+        painter.show(view, (48, 40))
+        assert waited(lambda: len(refused) == 1)
+        assert str(error.args[-1]) in refused[0]
+        painter.show(replace(view, kind="period"), (48, 40))
+        assert waited(lambda: bool(came) and not painter.busy)
+    finally:
+        painter.close()
+        painter.wait()
+
+
+def test_a_server_that_cannot_begin_says_why_and_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ValueError("no pages")
+
+    monkeypatch.setattr("atlas.explore.server._guarded_pages", broken)
+    with pytest.raises(RuntimeError, match="ValueError: no pages"):
+        PageServer(lambda document: None)

@@ -1,0 +1,389 @@
+"""What an explorer looks at: levels of an axis, tiles of a view, the cells in view as a dataset; nothing is solved."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas.curves.asking import curves_of
+from atlas.curves.table import write_curves
+from atlas.errors import InputError
+from atlas.explore.chosen import beginning, from_address, kinds, overlays, to_address
+from atlas.explore.compose import composed
+from atlas.explore.curvelist import CurveList
+from atlas.explore.known import below
+from atlas.explore.lattice import Lattice
+from atlas.explore.patches import WorkState as Work
+from atlas.explore.state import State, Store
+from atlas.explore.subject import Subject, SubjectPlane, exploring, subject_of
+from atlas.explore.tiles import Memory, Tiles
+from atlas.explore.view import STAGES, TILE, TileKey
+from atlas.explore.words import plain, progress, progress_bar, refinement, ticks
+from atlas.render import SCALAR
+from atlas.render.screen import screen
+from atlas.spec.axis import Axis
+from atlas.spec.toml_text import spec_toml
+from atlas.store.store import open_handle
+from tests.pictures import atlas as atlas_of
+from tests.pictures import curves
+from workers.results import PENDING, PERIODIC, REGIME, empty_results, result_variables
+
+LINEAR = Lattice(Axis("omega", tuple(np.linspace(2.0, 4.0, 101).tolist())))
+LOG = Lattice(Axis("b", tuple(np.geomspace(0.01, 1.0, 51).tolist()), "log"))
+UNEVEN = Lattice(Axis("omega", (1.0, 1.5, 3.0, 3.1)))
+each = pytest.mark.parametrize("lattice", [LINEAR, LOG, UNEVEN], ids=["linear", "log", "uneven"])
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    spec = atlas.Spec(
+        "two-mass", {"omega": {"start": 2, "stop": 4, "num": 101}, "b": {"start": 0.1, "stop": 0.5, "num": 81}}
+    )
+    return Subject(spec, exploring(spec.settings))
+
+
+@each
+def test_points_of_level_zero_are_those_of_the_axis_to_the_bit(lattice: Lattice) -> None:
+    index = np.arange(len(lattice.axis))
+    assert lattice.values(0, index).tolist() == list(lattice.axis.values)
+
+
+@each
+@pytest.mark.parametrize("level", [0, 1, 7, 20])
+def test_a_point_has_the_same_bits_at_the_next_level(lattice: Lattice, level: int) -> None:
+    index = np.arange(-50, 200, dtype=np.int64) * 3
+    assert lattice.values(level, index).tolist() == lattice.values(level + 1, 2 * index).tolist()
+
+
+@each
+@pytest.mark.parametrize("level", [0, 3, 20, "deepest"])
+def test_points_rise_strictly_at_every_level(lattice: Lattice, level: int | str) -> None:
+    depth = lattice.deepest if level == "deepest" else int(level)
+    middle = (len(lattice.axis) - 2) << depth
+    values = lattice.values(depth, np.arange(middle - 40, middle + 40, dtype=np.int64))
+    assert np.all(np.diff(values) > 0)
+
+
+@each
+def test_positions_are_the_inverse_of_values_to_a_thousandth_of_a_cell_a_million_times_deeper(lattice: Lattice) -> None:
+    index = (np.int64(1) << 20) + np.arange(100, dtype=np.int64)
+    assert np.abs(lattice.positions(lattice.values(20, index)) * 2.0**20 - index).max() < 1e-3
+
+
+def test_cells_in_view_are_between_one_and_two_pixels_wide() -> None:
+    for pixels in (100, 333, 640, 1000):
+        cells = 100 * 2.0 ** LINEAR.level(2.0, 4.0, pixels)
+        assert 0.84 <= pixels / cells <= 2.0
+
+
+def test_an_axis_of_one_point_cannot_be_explored() -> None:
+    with pytest.raises(InputError, match="axis omega has one point; to be explored it needs two or more"):
+        Lattice(Axis("omega", (1.0,)))
+
+
+def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(subject: Subject) -> None:
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (640, 480))
+    levels = [{key.level_x for key in sight.tiles(stage)} for stage in range(STAGES + 1)]
+    assert levels == [{sight.x.level - stage} for stage in range(STAGES + 1)]
+    finest = sight.tiles(0)
+    middle = 0.5 * (sight.x.first + sight.x.last), 0.5 * (sight.y.first + sight.y.last)
+    height, width = sight.shape
+    away = [
+        np.hypot(((k.x + 0.5) * TILE - middle[0]) / width, ((k.y + 0.5) * TILE - middle[1]) / height) for k in finest
+    ]
+    assert away == sorted(away)
+
+
+def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject) -> None:
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (640, 480))
+    for stage in range(STAGES + 1):
+        covered = np.zeros(sight.shape, int)
+        for key in sight.tiles(stage):
+            covered[sight.place(key)] += 1
+        assert np.all(covered == 1)
+
+
+def test_the_tile_above_has_every_fourth_cell_of_a_tile() -> None:
+    for key in (TileKey(3, 2, 5, -4), TileKey(1, 1, -1, 0)):
+        rows, columns = key.quarter
+        assert np.array_equal(2 * key.above.columns.index[columns], key.columns.index[::2])
+        assert np.array_equal(2 * key.above.rows.index[rows], key.rows.index[::2])
+        assert key in below(key.above)
+
+
+def filled(subject: Subject, key: TileKey, value: float) -> dict[str, np.ndarray]:
+    sizes = {"exponent": 4, "state": 4, "sample": 0}
+    arrays = empty_results(result_variables(subject.settings), (TILE, TILE), sizes)
+    arrays["largest"][:] = value
+    arrays[REGIME.name][:] = 3
+    return arrays
+
+
+def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Subject) -> None:
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (300, 200))
+    coarse, fine = sight.tiles(2)[0], sight.tiles(0)[0]
+    tiles = Tiles()
+    for key, value in ((fine, 1.0), (coarse, 4.0)):
+        tiles.put(subject.plane, key, filled(subject, key, value))
+    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
+    expected = np.full(sight.shape, np.nan)
+    expected[sight.place(coarse)] = 4.0
+    expected[sight.place(fine)] = 1.0
+    assert np.array_equal(ds.largest.values, expected, equal_nan=True)
+    assert np.array_equal(ds.regime.values == PENDING, np.isnan(expected))
+
+
+def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Subject) -> None:
+    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (300, 200))
+    key = sight.tiles(1)[0]
+    arrays = filled(subject, key, 0.0)
+    arrays["largest"] += subject.x.values(key.level_x, key.columns.index)
+    tiles = Tiles()
+    tiles.put(subject.plane, key, arrays)
+    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
+    off = np.abs(ds.largest.values - ds.omega.values)[sight.place(key)] / np.diff(ds.omega.values).mean()
+    assert off.max() <= 1.0 + 1e-6
+
+
+def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject) -> None:
+    keys = [TileKey(0, 0, i, 0) for i in range(4)]
+    arrays = filled(subject, keys[0], 0.0)
+    tiles = Tiles(Memory(3 * sum(array.nbytes for array in arrays.values())))
+    for key in keys[:3]:
+        tiles.put(subject.plane, key, arrays)
+    tiles.get(subject.plane, keys[0])
+    tiles.put(subject.plane, keys[3], arrays)
+    assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
+
+
+def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subject) -> None:
+    keys = [TileKey(0, 0, i, 0) for i in range(4)]
+    arrays = filled(subject, keys[0], 0.0)
+    tiles = Tiles(Memory(2 * sum(array.nbytes for array in arrays.values())))
+    for key, only_here in zip(keys, (True, False, True, True), strict=True):
+        tiles.put(subject.plane, key, arrays, only_here)
+        if key == keys[2]:
+            assert [tiles.get(subject.plane, each) is not None for each in keys] == [True, False, True, False]
+    assert [tiles.get(subject.plane, each) is not None for each in keys] == [False, False, True, True]
+
+
+def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
+    write_curves(open_handle(finished), curves())
+    stored = subject_of(str(finished))
+    sight = stored.sight((2.3, 2.9), (0.2, 0.3), (30, 20))
+    assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"])).curves) == len(curves().curves)
+    chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
+    assert chosen.drawn(stored) == ("grazing", "curves")
+    assert replace(chosen, plane=stored.plane.moved("R", 0.7)).drawn(stored) == ("grazing",)
+
+
+def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(finished: Path) -> None:
+    write_curves(open_handle(finished), curves())
+    stored = subject_of(str(finished))
+    sight = stored.sight((2.3, 2.9), (0.2, 0.3), (60, 40))
+    tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
+    for kind in kinds(stored):
+        chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
+        ds = composed(stored, stored.plane, sight, tiles, chosen.names)
+        scalar = chosen.variable if kind == SCALAR else None
+        made = screen(ds, kind, (60, 40), 40, overlay=chosen.overlays, variable=scalar)
+        assert made.cells.shape == (40, 60, 4), kind
+
+
+def test_curves_are_not_offered_where_there_is_no_store(subject: Subject) -> None:
+    assert overlays(subject) == ["grazing", "boundaries", "isolines"] and "regions" not in kinds(subject)
+
+
+def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
+    from urllib.parse import parse_qs
+
+    given = {"omega": [b"2.5:2.75"], "b": [b"0.2:0.21"], "kind": [b"scalar"], "variable": [b"peak_to_peak"],
+             "log": [b"1"], "overlay": [b"grazing,isolines"], "vmin": [b"0.1"], "R": [b"0.75"],
+             "without": [b"graze,fold"]}  # fmt: skip
+    chosen = from_address(subject, given)
+    again = {
+        name: [text.encode() for text in texts]
+        for name, texts in parse_qs(to_address(subject, subject, chosen)).items()
+    }
+    assert from_address(subject, again) == chosen
+    assert chosen.plane == subject.plane.moved("R", 0.75)
+    assert chosen.curves is not None and {"fold", "graze"}.isdisjoint(chosen.curves)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"omega": [b"3:2"]}, "omega: found '3:2', must be LOW:HIGH"),
+        ({"R": [b"1.5"]}, "R = 1.5: must satisfy 0 <= R <= 1"),
+        ({"kind": [b"sweep"]}, "kind: found 'sweep'; possible: exponent"),
+        ({"overlay": [b"stars"]}, "overlay: found 'stars'; possible: grazing"),
+        ({"without": [b"stars"]}, "without: found 'stars'; possible: fold"),
+        ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', which begins and ends at one point"),
+        ({"vmin": [b"nan"]}, "vmin: found 'nan', must be a finite number"),
+    ],
+)
+def test_an_address_that_asks_for_what_there_is_not_is_refused(
+    subject: Subject, given: dict[str, list[bytes]], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        from_address(subject, given)
+
+
+def test_without_exponents_the_kinds_that_need_them_are_not_offered() -> None:
+    spec = atlas.Spec("two-mass", {"omega": [1.0, 2.0], "b": [0.1, 0.2]}, solve={"exponents": "none"})
+    offered = kinds(Subject(spec, exploring(spec.settings)))
+    assert "exponent" not in offered and beginning(Subject(spec, spec.settings)).kind == "period"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("fig6", "explore shows a plane, found one axis"), ("omega-c", "no such file, and unknown example 'omega-c'")],
+)
+def test_what_is_no_plane_is_refused(name: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        subject_of(name)
+
+
+def test_planes_that_differ_in_a_parameter_or_in_how_they_are_solved_have_digests_of_their_own(
+    subject: Subject,
+) -> None:
+    finer = Subject(subject.spec, exploring(subject.spec.settings, tolerance=0.1))
+    planes = [subject.digest(subject.plane), subject.digest(subject.plane.moved("R", 0.7)), finer.digest(subject.plane)]
+    assert len(set(planes)) == 3
+
+
+def test_the_list_of_curves_has_those_in_view_and_those_left_out_and_switches_them(subject: Subject) -> None:
+    store = Store(State(from_address(subject, {"without": [b"fold"]}), lines=("graze", "codimension_two")))
+    listed = CurveList(store)
+    listed.show(store.now)
+    assert not listed.widget.visible  # the curves are not drawn at all
+    store.listen(lambda _, state: listed.show(state))
+    store.choose(overlays=("curves",))
+    assert listed.widget.visible and len(listed.widget.labels) == 3 and listed.widget.active == [1, 2]
+    listed.widget.active = [0, 2]
+    assert store.now.chosen.hidden == ("graze",)
+    store.set(lines=("fold", "codimension_two"))
+    assert listed.widget.labels[:2] == ["fold", "graze"] and listed.widget.active == [0, 2]
+
+
+def test_the_progress_of_a_view_is_how_densely_it_is_drawn_and_is_not_rounded_up_to_all() -> None:
+    lines = {
+        (0.0, 0.0, 0.0, 0.0): "drawn: 0 % at 1/8 of full resolution",
+        (1.0, 0.5, 0.0, 0.0): "drawn at 1/8 of full resolution, 50 % at 1/4 of full resolution",
+        (1.0, 1.0, 1.0, 0.9999): "drawn at 1/2 of full resolution, 99 % at full resolution",
+        (1.0, 1.0, 1.0, 1.0): "all that is in view is solved",
+    }
+    assert {shares: refinement(shares) for shares in lines} == lines
+    bars = [progress_bar(shares) for shares in lines]
+    assert [re.findall(r'aria-valuenow="(\d+)"', bar) for bar in bars] == [["0"], ["37"], ["99"], []]
+    line = progress(Work("", 2, 1234.5), 3, [], (1.0, 0.5, 0.0, 0.0))
+    assert "3 tiles left, 1\N{NARROW NO-BREAK SPACE}234 cells/s" in line
+
+
+def test_a_page_that_has_no_picture_yet_does_not_claim_that_all_is_solved() -> None:
+    assert progress(Work("", 2, 0.0), 0, []).startswith("no picture yet")
+
+
+def test_symbols_of_mathtext_are_written_in_unicode() -> None:
+    assert [plain(text) for text in (r"\mu_m", r"\dot x_1(0)", "f_2", r"x_{12}", "R")] == [
+        "μₘ",
+        "ẋ₁(0)",
+        "f₂",
+        "x₁₂",
+        "R",
+    ]
+
+
+def test_ticks_of_a_window_a_million_times_smaller_count_from_a_round_number(subject: Subject) -> None:
+    low, high = 2.9941234567, 2.9941234567 + 3.5e-6
+    found = ticks(subject, "omega", low, high)
+    assert low - 1e-5 < found.base < high + 1e-5 and len(repr(found.base)) <= 9
+    assert found.unit == 1e-6 and "distance from 2.99412" in found.label
+    value = low + 1e-6
+    assert abs((value - found.base) / found.unit * found.unit + found.base - value) <= np.spacing(value)
+
+
+def test_the_text_of_a_spec_is_read_as_that_spec() -> None:
+    from atlas.spec.spec import Spec
+    from workers.model.toml_text import parse_toml
+
+    axes = {
+        "omega": {"start": 2.0, "stop": 4.0, "num": 9, "scale": "linear"},
+        "b": {"start": 0.1, "stop": 1.0, "num": 5, "scale": "log"},
+    }
+    for system in ("two-mass", "bouncing-ball"):
+        record = atlas.Spec(system, {"omega": [1.0, 2.0], "R": [0.5, 0.6]}).record
+        sides = axes if system == "two-mass" else {"omega": axes["omega"], "A": axes["b"]}
+        made = atlas.Spec(record, sides, {"R": 0.7}, atlas.Settings(tolerance=0.02))
+        assert Spec.from_mapping(parse_toml(spec_toml(made))).digest == made.digest
+
+
+def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None:
+    from atlas.spec.spec import Spec
+    from workers.model.toml_text import parse_toml
+
+    record = replace(atlas.Spec("two-mass", {"omega": [1.0, 2.0]}).record, packaged=False, name="mine")
+    sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
+    made = atlas.Spec(record, sides)
+    assert Spec.from_mapping(parse_toml(spec_toml(made))).digest == made.digest
+
+
+def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
+    from workers.model.toml_text import parse_toml
+
+    own = {
+        "packaged": False,
+        "name": "mine",
+        "title": 'a "ball" \\ \x7f \U0001f3b1',
+        "equation": 'y\'\' = -g\n\t""" y >= 0',
+    }
+    record = replace(atlas.Spec("bouncing-ball", {"omega": [1.0, 2.0]}).record, **own)
+    sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
+    assert parse_toml(spec_toml(atlas.Spec(record, sides)))["system"] == record.table()
+
+
+def test_a_plane_is_told_by_its_parameters_alone() -> None:
+    assert SubjectPlane.of({"R": 0.8, "tau": 1.0}) == SubjectPlane((("R", 0.8), ("tau", 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["fig6"], "explore shows a plane, found one axis"),
+        (["omega-b", "--select", "R=0.7"], "--select picks a plane of a stack, found a plane of b, omega"),
+        (["omega-b", "--tolerance", "0"], "tolerance: found 0.0, must be a number > 0"),
+        (["omega-b", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "give one of the two"),
+    ],
+)
+def test_the_command_refuses_in_one_line_what_cannot_be_explored(words: list[str], message: str) -> None:
+    from click.testing import CliRunner
+
+    from atlas.cli.main import main
+
+    shown = CliRunner().invoke(main, ["explore", "--no-browser", *words])
+    assert shown.exit_code == 2 and message in shown.stderr.splitlines()[-1]
+
+
+def test_a_low_picture_loses_no_entry_of_its_legend(subject: Subject) -> None:
+    """Nine entries need 160 pixels: where there are fewer they are written smaller, and the first is still there."""
+    periods, shape = np.array([[1, 2, 3, 4, 5, 6, 8, 16, 17]], np.int32), (1, 9)
+    ds = atlas_of({"omega": np.arange(1.0, 10.0), "b": [0.1]}, regime=np.full(shape, PERIODIC, np.int8), period=periods)
+    for height in (400, 120):
+        key = screen(ds, "period", (300, height), 165).key
+        assert np.any(np.all(key[..., :3] == (0x44, 0x77, 0xAA), axis=-1)), height
+        assert np.any(np.all(key[..., :3] == (0x03, 0x14, 0xCF), axis=-1)), height
+
+
+def test_a_value_between_two_planes_of_a_stack_selects_the_nearest(tmp_path: Path) -> None:
+    axes = "".join(
+        f"[axes.{name}]\nvalues = {values}\n"
+        for name, values in (("omega", [1.0, 2.0]), ("b", [0.1, 0.2]), ("R", [0.6, 0.7, 0.8]))
+    )
+    (tmp_path / "stack.toml").write_text(f'system = "two-mass"\n{axes}')
+    picked = subject_of(str(tmp_path / "stack.toml"), {"R": 0.72})
+    assert (picked.layer, picked.spec.parameters["R"]) == (1, 0.7)
+    with pytest.raises(InputError, match=r"R = 1 lies outside the grid; valid: 0.55 to 0.85"):
+        subject_of(str(tmp_path / "stack.toml"), {"R": 1.0})

@@ -1,0 +1,107 @@
+"""Claims about names that an atlas has for something of its own: no parameter of a user's system gets one of them.
+
+Truth is what the package writes: the groups, arrays and dimensions of a store, and the columns of its tables.
+"""
+
+import inspect
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import atlas
+from atlas.accessor import AtlasAccessor
+from atlas.curves.export import columns
+from atlas.curves.table import Curves, as_arrays
+from atlas.errors import InputError
+from atlas.explore.chosen import ARGUMENTS
+from atlas.labels.table import _MEANINGS, BRANCH
+from atlas.measures.table import MEASURES
+from atlas.overview.coarsen import SHARE, level_variables
+from atlas.overview.coordinates import bounds_name, coarse_name
+from atlas.render import figure, words
+from atlas.spec.points import POINT
+from atlas.spec.system import checked_system
+from atlas.store import making, store
+from atlas.store.groups import CURVES, TABLES
+from atlas.store.machine import MACHINES
+from atlas.store.origin import ALLOWANCES
+from atlas.store.parts import PARTS
+from atlas.store.record import TILES
+from atlas.store.schema import OVERVIEWS
+from tests.workers.model.test_systems import table
+from workers import Settings, System
+from workers.model.entries import DefinitionError
+from workers.model.system import packaged_system, system_names
+from workers.results import result_variables
+
+PAGE = Path(atlas.__file__).with_name("explore").joinpath("static", "page.js").read_text(encoding="utf-8")
+EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
+
+
+def own_names() -> Iterator[str]:
+    """What the package calls its own things."""
+    yield from (*TABLES, CURVES, PARTS, TILES, MACHINES, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
+    for kind in ({}, {"attractors": True}, {"basins": True}):
+        results = result_variables(EVERYTHING, **kind)
+        for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):
+            yield from (variable.name, *variable.extra)
+    for name, array in as_arrays(Curves(("omega", "b"), ())).items():
+        yield from (name, *array.dims)
+    yield from _MEANINGS
+    yield from set(columns(("omega", "b"))) - {"omega", "b"}
+    yield from (coarse_name("omega"), bounds_name(coarse_name("omega")))
+    yield from ARGUMENTS
+    yield from set(re.findall(r"`(\w+)=", PAGE))
+    for function in vars(AtlasAccessor).values():
+        if inspect.isfunction(function) and "point" in inspect.signature(function).parameters:
+            named = inspect.signature(function).parameters.values()
+            yield from {each.name for each in named if each.kind is not each.POSITIONAL_ONLY} - {"point"}
+
+
+def with_parameter(name: str) -> dict[str, object]:
+    given = table()
+    return given | {"parameters": given["parameters"] | {name: {"default": 1.0}}}
+
+
+@pytest.mark.parametrize("name", sorted(set(own_names())))
+def test_a_name_that_an_atlas_has_for_its_own_is_no_parameters(name: str) -> None:
+    why = "has another meaning already" if name.isidentifier() else "must be a name of letters"
+    with pytest.raises(DefinitionError, match=f"system.parameters.{name}: .*{why}"):
+        System.from_mapping(with_parameter(name))
+
+
+def test_no_packaged_system_has_such_a_name() -> None:
+    for name in system_names():
+        System.from_mapping(packaged_system(name).table())
+
+
+def test_a_store_from_before_its_parameters_name_was_taken_opens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("workers.model.reading.is_taken", lambda name: False)
+    spec = atlas.Spec(with_parameter("distance"), {"omega": [1.0, 2.0]})
+    making.create(tmp_path / "old.zarr", spec, (2,))
+    monkeypatch.undo()
+    assert atlas.open(tmp_path / "old.zarr").coords["distance"] == 1.0
+    with pytest.raises(InputError, match="'distance' has another meaning"):
+        checked_system(json.loads(json.dumps(spec.resolved()))["system"])
+
+
+@pytest.mark.parametrize("symbol", ["\\frac{", "a_b_c", "\\nosuch", ""])
+def test_a_symbol_that_is_no_mathtext_is_shown_as_the_name(tmp_path: Path, symbol: str) -> None:
+    given = with_parameter("stiff_2")
+    given["parameters"] |= {name: {"default": 1.0, "symbol": symbol} for name in ("stiff_2", "p")}
+    handle = making.create(tmp_path / "a.zarr", atlas.Spec(given, {"stiff_2": [1.0, 2.0], "r": [0.5, 0.6]}), (2, 2))
+    drawn = figure(atlas.open(handle.path))
+    drawn.canvas.draw()
+    assert drawn.axes[0].get_xlabel() == r"$\mathit{stiff\_2}$"
+    assert words.state_symbol(handle.spec.record, "p") == r"\mathit{p}"
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_mass_beyond_double_precision_is_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match=r"^system.mass: found .*double precision"):
+        checked_system(table() | {"mass": [[1e-320, 0.0], [0.0, 1e-320]]})

@@ -1,0 +1,56 @@
+"""Claims about what goes with the code: types, the citation, and versions that are said in several places."""
+
+import ast
+import re
+import tomllib
+from collections import defaultdict
+
+import pytest
+
+import atlas
+import workers
+from tests.project.test_docs import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+@pytest.mark.parametrize("package", [atlas, workers])
+def test_a_package_that_is_installed_says_that_it_is_typed(package: object) -> None:
+    name = package.__name__  # type: ignore[attr-defined]
+    assert (ROOT / name / "py.typed").exists()
+    assert "py.typed" in PROJECT["tool"]["setuptools"]["package-data"][name]
+
+
+def test_the_citation_is_of_this_version_and_license() -> None:
+    text = (ROOT / "CITATION.cff").read_text()
+    said = dict(re.findall(r"^(\w+): (.+)$", text, re.MULTILINE))
+    assert (said["version"], said["license"]) == (PROJECT["project"]["version"], PROJECT["project"]["license"])
+    assert "10.1088/1674-1056/20/4/040505" in text
+    assert all(author["name"] in text for author in PROJECT["project"]["authors"])
+
+
+def test_the_page_on_citing_names_the_version() -> None:
+    assert f"version = {{{PROJECT['project']['version']}}}" in (ROOT / "docs/citing.md").read_text()
+
+
+def test_every_python_from_the_oldest_that_is_allowed_on_is_classified() -> None:
+    found = re.findall(r"Python :: 3\.(\d+)", " ".join(PROJECT["project"]["classifiers"]))
+    oldest = re.fullmatch(r">=3\.(\d+)", PROJECT["project"]["requires-python"])
+    assert oldest is not None
+    assert [*map(int, found)] == [*range(int(oldest[1]), int(oldest[1]) + len(found))]
+
+
+def test_what_builds_the_pages_is_pinned() -> None:
+    names = [re.split(r"[><=\[]", each)[0] for each in PROJECT["project"]["optional-dependencies"]["docs"]]
+    pinned = (ROOT / "constraints.txt").read_text().lower()
+    assert not [name for name in names if f"\n{name}==" not in pinned]
+
+
+def test_no_class_name_stands_for_two_classes() -> None:
+    found = defaultdict(list)
+    for package in ("atlas", "workers"):
+        for file in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef):
+                    found[node.name].append(str(file.relative_to(ROOT)))
+    assert {name: files for name, files in found.items() if len(files) > 1} == {}

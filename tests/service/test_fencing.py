@@ -1,0 +1,312 @@
+"""A run that has lost its claim of a store writes nothing more into it: neither its jobs nor its coordinator.
+
+Truth: the bytes of the store before and after.
+"""
+
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zarr
+from distributed import Client
+
+import atlas
+from atlas.check import repair as repairing
+from atlas.errors import RunError
+from atlas.overview.upkeep import Overviews
+from atlas.service.lease import Claim, Record
+from atlas.service.progress import Progress
+from atlas.spec.grown import refined
+from atlas.store import sidecar
+from atlas.store.location import LocalPlace
+from atlas.store.making import create
+from atlas.store.origin import Origin, Retry
+from atlas.store.record import RECORDS
+from atlas.store.records import Records, write_compaction
+from atlas.store.sidecar import CLAIM, notes_of
+from atlas.store.store import done_tiles, open_group, open_handle
+from atlas.task import attempt, site
+from atlas.task.attempt import run_job
+from atlas.task.site import RefusedError, Site
+from atlas.task.task import Job
+from tests.planes import plane_of
+from workers import tile as solving
+from workers.settings import MOST_PERIODS
+
+LOST = "the run of this job has lost its claim of the store; nothing more is written"
+OURS = Record("ours", 3, "here", 1, "")
+THEIRS = replace(OURS, token="theirs", host="far")
+
+
+def contents(store: Path) -> dict[str, bytes]:
+    """Every object of a store but the list of machines, which anybody may add to."""
+    keys = (key for key in LocalPlace(store).list_keys() if not key.startswith("machines/"))
+    return {key: (store / key).read_bytes() for key in keys}
+
+
+def take_over(store: Path) -> None:
+    """Replace our claim of a store by that of another run."""
+    assert notes_of(store).put(CLAIM, THEIRS.pack(), expected=OURS.pack())
+
+
+def claimed_job(store: Path, index: tuple[int, ...]) -> Job:
+    handle = open_handle(store)
+    notes_of(store).put(CLAIM, OURS.pack(), expected=None)
+    return Job(index, Site(str(store), handle.run_id, handle.solver_version, claim=OURS.token))
+
+
+def new_store(folder: Path, _: Path) -> Job:
+    return claimed_job(create(folder / "new.zarr", plane_of(), (2, 3)).path, (1, 1))
+
+
+def retried_store(folder: Path, finished: Path) -> Job:
+    handle = open_handle(finished)
+    origin = Origin(str(finished), handle.run_id, Retry(("periodic",), max_periods=MOST_PERIODS))
+    return claimed_job(create(folder / "again.zarr", handle.spec, handle.tile, origin).path, (1, 1))
+
+
+def extended_store(folder: Path, finished: Path) -> Job:
+    spec = refined(open_handle(finished).spec, 2)
+    origin = Origin(str(finished), open_handle(finished).run_id)
+    return claimed_job(create(folder / "finer.zarr", spec, (2, 3), origin).path, (1, 1))
+
+
+JOBS: dict[str, Callable[[Path, Path], Job]] = {
+    "of a plain run": new_store,
+    "of a retry": retried_store,
+    "of an extension": extended_store,
+}
+
+
+@pytest.mark.parametrize("kind", JOBS)
+def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    job = JOBS[kind](tmp_path, finished)
+    store, whole = Path(job.site.store), solving.solve_tile
+    before: dict[str, bytes] = {}
+
+    def slow(*given: Any) -> Any:
+        take_over(store)
+        before.update(contents(store))
+        return whole(*given)
+
+    monkeypatch.setattr(solving, "solve_tile", slow)
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    assert contents(store) == before
+
+
+@pytest.mark.parametrize("kind", JOBS)
+def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finished: Path, kind: str) -> None:
+    job = JOBS[kind](tmp_path, finished)
+    before = contents(Path(job.site.store))
+    assert run_job(job).cells > 0
+    assert contents(Path(job.site.store)) != before
+    assert job.index in done_tiles(open_handle(job.site.store))
+
+
+@pytest.mark.parametrize(
+    "claim", [b"", b"{", b"[]", b'{"token": "theirs"}'], ids=["none", "torn", "strange", "another"]
+)
+def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
+    job = new_store(tmp_path, finished)
+    notes_of(job.site.store).remove(CLAIM, OURS.pack())
+    if claim:
+        notes_of(job.site.store).put(CLAIM, claim, expected=None)
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    assert done_tiles(open_handle(job.site.store)) == set()
+
+
+@pytest.mark.parametrize("kind", JOBS)
+@pytest.mark.parametrize("after", ["largest", "periods_used"])
+def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str, after: str
+) -> None:
+    job = JOBS[kind](tmp_path, finished)
+    store, whole = Path(job.site.store), zarr.Array.__setitem__
+    before: dict[str, bytes] = {}
+
+    def stopped(array: zarr.Array[Any], key: Any, value: Any) -> None:
+        whole(array, key, value)
+        if array.basename == after:
+            take_over(store)
+            before.update(contents(store))
+
+    monkeypatch.setattr(zarr.Array, "__setitem__", stopped)
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    assert job.index not in done_tiles(open_handle(store))
+    written = {key.partition("/")[0] for key, data in contents(store).items() if before.get(key) != data}
+    assert "regime" not in written
+
+
+def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_the_attempt(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job, looks, writes = new_store(tmp_path, finished), Counter[str](), Counter[str]()
+    run_job(replace(job, index=(0, 0)))  # the first of a process records its machine
+    put, remove, token_of = LocalPlace.put, LocalPlace.remove, sidecar.note_fence
+
+    def counted(place: Any, name: str, *rest: Any) -> Any:
+        look = token_of(place, name, *rest)
+        return lambda: (looks.update([name]), look())
+
+    monkeypatch.setattr(site, "note_fence", counted)
+    monkeypatch.setattr(LocalPlace, "put", lambda place, key, data: (writes.update([key]), put(place, key, data)))
+    monkeypatch.setattr(LocalPlace, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
+    run_job(job)
+    assert looks == {CLAIM: writes.total(), "started-1-1": writes.total()}
+    assert writes.total() > len(open_handle(job.site.store).variables)
+
+
+def test_every_job_of_a_run_has_the_token_of_its_claim(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, tokens = attempt.run_job, set()
+
+    def looking(job: Job) -> Any:
+        record = Record.unpack(notes_of(job.site.store).read(CLAIM) or b"")
+        tokens.add((job.site.claim, record and record.token))
+        return whole(job)
+
+    monkeypatch.setattr(attempt, "run_job", looking)
+    atlas.run(plane, tmp_path / "out.zarr", client=client)
+    ((job, claim),) = tokens
+    assert job == claim != ""
+
+
+# The coordinator
+
+
+class LostError(RunError):
+    """In place of the error of a claim that is lost."""
+
+
+def lost() -> None:
+    raise LostError
+
+
+def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
+    shutil.rmtree(finished / "overviews", ignore_errors=True)
+    handle = open_handle(finished)
+    with pytest.raises(LostError):
+        Overviews(handle.at(handle.place.behind(lost)), side=2, least=1)
+    assert not handle.place.exists("overviews/zarr.json")
+    claims = [lambda: None]
+    overviews = Overviews(handle.at(handle.place.behind(lambda: claims[-1]())), side=2, least=1)
+    claims.append(lost)
+    with pytest.raises(LostError):
+        overviews.finish()
+    assert not any("/regime/c/" in key for key in handle.place.list_keys("overviews/"))
+
+
+def test_records_are_not_put_together_after_the_claim_is_lost(finished: Path) -> None:
+    handle = open_handle(finished)
+    before = (finished / RECORDS / "c.0.0.0").read_bytes()
+    records = Records(handle, [])
+    with pytest.raises(LostError):
+        write_compaction(handle.at(handle.place.behind(lost)), records.rows, records.done)
+    assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
+
+
+CHANGES: dict[str, Callable[[LocalPlace], object]] = {
+    "put": lambda place: place.put("zarr.json", b""),
+    "put_all": lambda place: place.put_all({"zarr.json": b""}),
+    "put_new": lambda place: place.put_new("new", b""),
+    "remove": lambda place: place.remove("zarr.json"),
+    "remove_all": lambda place: place.remove_all(["zarr.json"]),
+    "inner": lambda place: place.inner("regime").put("zarr.json", b""),
+    "set by Zarr": lambda place: open_group(place, "r+")["regime"].__setitem__(..., 1),
+    "attributes by Zarr": lambda place: open_group(place, "r+").attrs.update({"a": 1}),
+    "deletion by Zarr": lambda place: open_group(place, "r+").__delitem__("largest"),
+    "creation by Zarr": lambda place: open_group(place, "r+").create_group("new"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_place_behind_a_fence_is_not_changed_once_the_fence_raises(finished: Path, change: str) -> None:
+    before = contents(finished)
+    with pytest.raises(LostError):
+        CHANGES[change](LocalPlace(finished).behind(lost))
+    assert contents(finished) == before
+
+
+def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for index in ("0/0", "0/1", "1/0"):
+        (finished / "largest/c" / index).unlink()
+    before, drop = done_tiles(open_handle(finished)), repairing.drop_tile
+
+    def taken(handle: Any, index: tuple[int, ...]) -> None:
+        drop(handle, index)
+        notes = notes_of(finished)
+        notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    monkeypatch.setattr(repairing, "drop_tile", taken)
+    with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
+        atlas.verify(finished, sample=0, repair=True)
+    assert before - done_tiles(open_handle(finished)) == {(0, 0)}
+
+
+def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves_the_notes_of_the_other_run(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "out.zarr"
+    written: dict[str, bytes] = {}
+
+    def asleep(progress: Progress) -> None:
+        if progress.tiles_done == 9 and not written:
+            notes = notes_of(store)
+            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+            notes.put("started-0-0", b"1", expected=None)
+            written.update(contents(store))
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    with pytest.raises(
+        RunError, match="this run has lost its claim of the store: another run has taken it; finished tiles are kept"
+    ):
+        atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=asleep))
+    assert contents(store) == written
+    assert notes_of(store).read("started-0-0") == b"1"
+    assert notes_of(store).read(CLAIM) == THEIRS.pack()
+
+
+def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "out.zarr"
+
+    def taken(progress: Progress) -> None:
+        notes = notes_of(store)
+        found = Record.unpack(notes.read(CLAIM) or b"")
+        if progress.tiles_done == 1 and found is not None and found.token != THEIRS.token:
+            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
+        atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=taken))
+    assert len(done_tiles(open_handle(store))) < 9
+
+
+def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_run(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "out.zarr"
+
+    def interrupted(progress: Progress) -> None:
+        if progress.tiles_done == 2:
+            notes = notes_of(store)
+            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+            notes.put("started-9-9", b"1", expected=None)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    with pytest.raises(KeyboardInterrupt):
+        atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=interrupted))
+    assert notes_of(store).read("started-9-9") == b"1"

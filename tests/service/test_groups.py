@@ -1,0 +1,258 @@
+"""Claims about what a store has beside its cells: a byte flipped in any of its objects is found, named and mended.
+
+Truth is the byte that was flipped. Tables, curves and zoom levels are made up; the cells are solved.
+"""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas.check.verify import verify
+from atlas.curves.table import read_curves, write_curves
+from atlas.errors import ChunkError, InputError
+from atlas.labels.table import Count, Labels, stored_count, write_labels
+from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
+from atlas.query.open import open_table
+from atlas.service.lease import CLAIM
+from atlas.service.progress import Progress
+from atlas.store import making, store
+from atlas.store.groups import ATTRACTORS, CURVES, LABELS, STABILITY, write_table
+from atlas.store.parts import put_part
+from atlas.store.schema import StoredArray
+from atlas.store.sidecar import notes_of
+from atlas.store.tiles import read_tile, write_tile
+from atlas.store.zoom import make_plane, note_seen, seen_sheets, sheet_place, sheets
+from tests.curves.test_curves_table import BOTH
+
+pytestmark = pytest.mark.slow
+
+PLANE = "0123456789abcdef"
+STARTS = {"attractors": {"starts": 4}, "solve": {"exponents": "none"}}
+
+
+@pytest.fixture(scope="module")
+def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A solved plane with curves, measures, a part of a search of both, and a sheet of a zoom level."""
+    path = Path(shutil.copytree(solved_plane, tmp_path_factory.mktemp("groups") / "plane.zarr"))
+    handle = store.open_handle(path)
+    write_curves(handle, BOTH)
+    put_part(handle, CURVES, "seed-0", b'{"found": []}')
+    write_measures(handle, Stored(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
+    put_part(handle, STABILITY, "linear-0.0-0", b"")
+    make_plane(handle, PLANE, {"digest": f"{PLANE}...", "parameters": {}})
+    sheet = making.create(sheet_place(handle, PLANE, "x0_y0_0_0"), handle.spec, handle.tile)
+    write_tile(sheet, (0, 0), read_tile(handle, (0, 0)))
+    note_seen(handle, {(PLANE, "x0_y0_0_0"): 1.0})
+    return path
+
+
+@pytest.fixture(scope="module")
+def basins(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of basins, none of its tiles solved, with a table of attractors."""
+    spec = atlas.Spec("two-mass", {"x1": [0.0, 0.01], "v1": [0.0, 0.1]}, **STARTS)
+    handle = making.create(tmp_path_factory.mktemp("basins") / "basins.zarr", spec, (2, 2))
+    column = StoredArray(np.array([0.5, 0.25]), ("attractor",), {"long_name": "share", "units": "1"})
+    points = StoredArray(np.arange(24.0).reshape(2, 3, 4), ("attractor", "point", "component"), {"units": "1"})
+    write_table(handle, ATTRACTORS, {"share": column, "points": points}, {"title": "attractors by their labels"})
+    return handle.path
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of all attractors, none of its tiles solved, with labels."""
+    spec = atlas.Spec("two-mass", {"omega": [1.0, 2.0], "b": [0.1, 0.2]}, **STARTS)
+    handle = making.create(tmp_path_factory.mktemp("labelled") / "labelled.zarr", spec, (2, 2))
+    one = np.array([1], dtype=np.int64)
+    names = ("regime", "period", "impacts_upper", "impacts_lower", "symmetric")
+    labels = np.zeros((2, 2, spec.attractors.keep if spec.attractors else 0), dtype=np.int64)
+    found = Labels(labels, one, np.array([1.0]), one, dict.fromkeys(names, one), Count(1, 1, 1, 1, 0, 0, 0, 0))
+    write_labels(handle, found)
+    return handle.path
+
+
+def flip(path: Path, byte: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[byte] ^= 0x10
+    path.write_bytes(data)
+
+
+def faults(path: Path) -> list[str]:
+    """All that is said to be wrong; of a store that cannot be read, why."""
+    try:
+        return [str(fault) for fault in verify(path, sample=0).faults]
+    except InputError as error:
+        assert str(path) in str(error)
+        return [str(error)]
+
+
+def copied(original: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(original, tmp_path / original.name))
+
+
+def objects(path: Path) -> list[Path]:
+    """One chunk of each array, and all metadata but the root's."""
+    files = sorted(file.relative_to(path) for file in path.rglob("*") if file.is_file())
+    arrays = {file.parts[: file.parts.index("c")] if "c" in file.parts else file.parts: file for file in files}
+    return [file for file in arrays.values() if str(file) != store.ROOT]
+
+
+def test_stores_as_they_were_made_have_no_fault(whole: Path, basins: Path, labelled: Path) -> None:
+    for path in (whole, basins, labelled):
+        assert faults(path) == []
+
+
+@pytest.mark.parametrize("which", ["whole", "basins", "labelled"])
+def test_a_flipped_byte_is_found_in_every_object(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    path = copied(request.getfixturevalue(which), tmp_path)
+    missed = []
+    for k, file in enumerate(objects(path)):  # the first, a middle or the last byte in turn
+        before = (path / file).read_bytes()
+        byte = (0, len(before) // 2, len(before) - 1)[k % 3]
+        flip(path / file, byte)
+        if not faults(path):
+            missed.append((str(file), byte))
+        (path / file).write_bytes(before)
+    assert missed == []
+
+
+GROUPS = [
+    ("whole", "curves/position/c/0/0", "atlas find curves {} makes it anew"),
+    ("whole", "curves/zarr.json", "atlas find curves {} makes it anew"),
+    ("whole", "parts/curves/seed-0", "parts/curves/seed-0 is damaged"),
+    ("whole", "stability/reactivity/c/0/0", "atlas attractors measure {} makes it anew"),
+    ("whole", "stability/zarr.json", "atlas attractors measure {} makes it anew"),
+    ("whole", "parts/stability/linear-0.0-0", "parts/stability/linear-0.0-0 is damaged"),
+    ("whole", "tiles/records/c.0.0.0", "tiles/records is damaged"),
+    ("whole", "tiles/record/zarr.json", "tiles/record/zarr.json is damaged"),
+    ("whole", "tiles/records/zarr.json", "tiles/records/zarr.json is damaged"),
+    ("whole", "zoom/zarr.json", "zoom/zarr.json is"),
+    ("whole", "zoom/0123456789abcdef/zarr.json", "zoom/0123456789abcdef/zarr.json is"),
+    ("whole", "zoom/0123456789abcdef/x0_y0_0_0/largest/c/0/0", "largest/c/0/0 is damaged"),
+    ("whole", "zoom/0123456789abcdef/x0_y0_0_0/zarr.json", "x0_y0_0_0"),
+    ("basins", "attractors/share/c/0", "attractors/share/c/0 is damaged"),
+    ("basins", "attractors/points/zarr.json", "attractors/points/zarr.json is"),
+    ("basins", "attractors/zarr.json", "attractors/zarr.json is damaged"),
+    ("labelled", "labels/label/c/0/0/0", "atlas attractors label {} makes it anew"),
+    ("labelled", "labels/zarr.json", "atlas attractors label {} makes it anew"),
+]
+
+
+@pytest.mark.parametrize(("which", "key", "says"), GROUPS)
+def test_damage_of_a_group_is_named_and_after_a_repair_gone(
+    which: str, key: str, says: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    path = copied(request.getfixturevalue(which), tmp_path)
+    flip(path / key, 0)
+    assert any(says.format(path) in fault for fault in faults(path))
+    assert verify(path, sample=0, repair=True).mended
+    assert faults(path) == []
+
+
+@pytest.mark.parametrize(
+    ("which", "group", "makes"),
+    [
+        ("whole", "curves", "find curves"),
+        ("whole", "stability", "attractors measure"),
+        ("labelled", "labels", "attractors label"),
+        ("basins", "attractors", ""),
+    ],
+)
+def test_a_group_whose_own_metadata_are_lost_does_not_vanish_without_a_word(
+    which: str, group: str, makes: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    path = copied(request.getfixturevalue(which), tmp_path)
+    (path / group / "zarr.json").unlink()
+    remedy = f" (atlas {makes} {path} makes it anew)" if makes else ""
+    assert f"{group}/zarr.json is missing{remedy}" in faults(path)
+    verify(path, sample=0, repair=True)
+    assert faults(path) == []
+
+
+def test_a_damaged_record_of_a_machine_is_restored_from_its_copy(whole: Path, tmp_path: Path) -> None:
+    path = copied(whole, tmp_path)
+    (record,) = (path / "machines").glob("*/zarr.json")
+    before = record.read_bytes()
+    record.write_bytes(before.replace(b"numpy", b"numpi"))
+    verify(path, sample=0, repair=True)
+    (after,) = (path / "machines").glob("*/zarr.json")
+    assert json.loads(after.read_bytes()) == json.loads(before)
+    assert verify(path, sample=1).comparison == "bits"
+
+
+def test_a_damaged_record_of_a_machine_without_a_copy_is_replaced_by_that_of_an_unknown_one(
+    solved_plane: Path, tmp_path: Path
+) -> None:
+    path = copied(solved_plane, tmp_path)
+    (record,) = (path / "machines").glob("*/zarr.json")
+    record.write_bytes(record.read_bytes().replace(b"numpy", b"numpi"))
+    assert f"{record.relative_to(path)} is damaged" in faults(path)
+    verify(path, sample=0, repair=True)
+    assert not record.exists()
+    report = verify(path, sample=1)
+    assert (report.faults, report.comparison) == ((), "error")
+
+
+@pytest.mark.parametrize("key", ["labels/label/c/0/0/0", "labels/label/zarr.json", "labels/zarr.json"])
+def test_reading_damaged_labels_names_the_store_and_the_remedy(labelled: Path, tmp_path: Path, key: str) -> None:
+    path = copied(labelled, tmp_path)
+    flip(path / key, 0)
+    with pytest.raises(ChunkError, match=rf"{path}: {key} is damaged .*: atlas attractors label {path} makes it anew"):
+        atlas.open(path).label.load()
+    assert stored_count(store.open_handle(path)) is None
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_reading_a_damaged_table_names_the_store_and_the_remedy(basins: Path, tmp_path: Path, lost: bool) -> None:
+    path = copied(basins, tmp_path)
+    chunk = path / "attractors/share/c/0"
+    chunk.unlink() if lost else flip(chunk, 3)
+    with pytest.raises(ChunkError, match=rf"{path}: attractors/share/c/0 is .*: atlas verify --repair {path}"):
+        open_table(store.open_handle(path), ATTRACTORS).load()
+
+
+def test_damaged_curves_name_the_store_and_the_remedy(whole: Path, tmp_path: Path) -> None:
+    path = copied(whole, tmp_path)
+    flip(path / "curves/unstable/c/0", 3)
+    with pytest.raises(ChunkError, match=rf"{path}: curves/unstable/c/0 is damaged .*: atlas find curves {path}"):
+        read_curves(store.open_handle(path))
+
+
+def test_damaged_metadata_of_a_zoom_level_stop_no_explorer(whole: Path, tmp_path: Path) -> None:
+    path = copied(whole, tmp_path)
+    handle = store.open_handle(path)
+    (path / "zoom" / PLANE / "zarr.json").write_text("{")
+    assert seen_sheets(handle) == {}
+    note_seen(handle, {(PLANE, "x0_y0_0_0"): 2.0})
+    verify(path, sample=0, repair=True)
+    assert sheets(handle) == []
+
+
+def test_labels_that_lost_their_checksum_are_damaged(labelled: Path, tmp_path: Path) -> None:
+    path = copied(labelled, tmp_path)
+    root, own = (json.loads((path / key).read_text()) for key in ("zarr.json", "labels/zarr.json"))
+    for group in (own, root["consolidated_metadata"]["metadata"][LABELS]):
+        del group["attributes"]["checksum"], group["attributes"]["arrays"]
+    (path / "zarr.json").write_text(json.dumps(root))
+    (path / LABELS / "zarr.json").write_text(json.dumps(own))
+    (fault,) = faults(path)
+    assert fault.startswith("labels/zarr.json is damaged")
+
+
+def test_a_repair_holds_the_claim_from_before_it_reads(whole: Path, tmp_path: Path) -> None:
+    path, claims = copied(whole, tmp_path), []
+    verify(path, sample=0, repair=True, on_progress=lambda _: claims.append(notes_of(path).read(CLAIM) is not None))
+    assert claims and all(claims)
+    assert notes_of(path).read(CLAIM) is None
+
+
+def test_verifying_without_a_repair_takes_no_claim(whole: Path, tmp_path: Path) -> None:
+    path = copied(whole, tmp_path)
+
+    def watch(_: Progress) -> None:
+        assert notes_of(path).read(CLAIM) is None
+
+    assert verify(path, sample=0, on_progress=watch).faults == ()

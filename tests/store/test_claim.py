@@ -1,0 +1,443 @@
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from atlas.errors import InputError, RunError
+from atlas.service.lease import Observer, Record, cancel, claimed
+from atlas.service.process import this_process
+from atlas.service.timing import Timing
+from atlas.store.making import remove_half_made
+from atlas.store.sidecar import CLAIM, Folder, notes_of
+from tests.paths import ROOT
+from tests.waiting import until
+
+QUICK = Timing(beat=0.02)
+IMPATIENT = Timing(beat=0.02, look=0.02, silent=0.3, dead=0.3)
+
+
+@pytest.fixture
+def notes(tmp_path: Path) -> Folder:
+    return Folder(tmp_path / "notes")
+
+
+REPLACED = "the next run replaces it"
+
+
+within_20_s = partial(until, seconds=20.0)
+
+
+def elsewhere(beat: int = 7) -> Record:
+    """A claim from a machine that this one cannot look into."""
+    return Record("theirs", beat, "far", 1, "another-boot pid:[1] 1 1")
+
+
+def test_a_note_is_put_only_where_there_is_none(notes: Folder) -> None:
+    assert notes.put("a", b"1", expected=None)
+    assert not notes.put("a", b"2", expected=None)
+    assert notes.read("a") == b"1"
+
+
+def test_a_note_is_replaced_only_by_who_read_it_last(notes: Folder) -> None:
+    notes.put("a", b"first, and longer", expected=None)
+    assert notes.put("a", b"second", expected=b"first, and longer")
+    assert not notes.put("a", b"third", expected=b"first, and longer")
+    assert not notes.remove("a", b"first, and longer")
+    assert notes.read("a") == b"second"
+
+
+def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: Folder) -> None:
+    notes.put("n", b"whole", expected=None)
+    file = notes.path / "n"
+    data = file.read_bytes()
+    file.write_bytes(data[:100])
+    maker = threading.Timer(0.1, file.write_bytes, [data])
+    maker.start()
+    assert notes.read("n") == b"whole"
+    maker.join()
+
+
+def test_the_last_note_takes_its_folder_with_it(notes: Folder) -> None:
+    notes.put("a", b"1", expected=None)
+    assert notes.remove("a", b"1")
+    assert not notes.path.exists()
+    assert notes.read("a") is None
+    assert not notes.put("a", b"2", expected=b"1")
+
+
+def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: Folder) -> None:
+    notes.put("count", b"0", expected=None)
+
+    def count() -> None:
+        for _ in range(50):
+            while True:
+                found = notes.read("count") or b""
+                if notes.put("count", str(int(found) + 1).encode(), expected=found):
+                    break
+
+    threads = [threading.Thread(target=count) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert notes.read("count") == b"200"
+
+
+def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: Folder) -> None:
+    with claimed(notes, "out.zarr", timing=QUICK):
+        seen = notes.read(CLAIM)
+        within_20_s(lambda: notes.read(CLAIM) != seen)
+    assert notes.read(CLAIM) is None
+
+
+def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: Folder) -> None:
+    with claimed(notes, "out.zarr", timing=QUICK) as first:
+        refusal = rf"^out.zarr: another run is at work on it \(process {os.getpid()} on "
+        with pytest.raises(InputError, match=refusal), claimed(notes, "out.zarr", timing=QUICK):
+            pass
+        first.check()
+
+
+def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    said: list[str] = []
+    begin = time.monotonic()
+    with claimed(notes, "out.zarr", said.append, IMPATIENT):
+        assert time.monotonic() - begin >= IMPATIENT.dead
+    assert said == [
+        "another run may be at work (process 1 on far): watching for a sign of life",
+        "replacing a claim without a sign of life",
+    ]
+
+
+def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere(0).pack(), expected=None)
+    stop = threading.Event()
+
+    def beat() -> None:
+        now = elsewhere(0)
+        while not stop.wait(0.05):
+            after = replace(now, beat=now.beat + 1)
+            assert notes.put(CLAIM, after.pack(), expected=now.pack())
+            now = after
+
+    thread = threading.Thread(target=beat)
+    thread.start()
+    with pytest.raises(InputError, match="another run is at work"), claimed(notes, "out.zarr", timing=QUICK):
+        pass
+    stop.set()
+    thread.join()
+
+
+def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Folder) -> None:
+    code = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from atlas.service.lease import claimed; from atlas.store.sidecar import Folder\n"
+        "with claimed(Folder(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=ROOT)
+    assert notes.read(CLAIM) is not None
+    seen = Observer(notes).look()
+    assert seen is not None
+    assert (seen.alive, seen.trouble) == (False, f"{seen.record} is gone without releasing its claim; {REPLACED}")
+    said: list[str] = []
+    with claimed(notes, "out.zarr", said.append):
+        pass
+    assert len(said) == 1
+    assert said[0].endswith("which is gone")
+
+
+def test_a_torn_claim_is_replaced(notes: Folder) -> None:
+    notes.put(CLAIM, b'{"token": "thei', expected=None)
+    with claimed(notes, "out.zarr", timing=IMPATIENT):
+        pass
+
+
+def test_a_holder_that_was_asleep_finds_itself_replaced(notes: Folder) -> None:
+    with claimed(notes, "out.zarr", timing=QUICK) as slept:
+        within_20_s(lambda: notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM)))
+        within_20_s(lambda: slept.lost != "")
+        with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
+            slept.check()
+    assert notes.read(CLAIM) == elsewhere().pack()
+
+
+def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with claimed(notes, "out.zarr", timing=QUICK) as claim:
+        with monkeypatch.context() as away:
+            failed = threading.Event()
+
+            def put(*_: object, **__: object) -> bool:
+                failed.set()
+                raise OSError(28, "No space left on device")
+
+            away.setattr(Folder, "put", put)
+            assert failed.wait(20)
+        seen = notes.read(CLAIM)
+        within_20_s(lambda: notes.read(CLAIM) != seen)
+        claim.check()
+
+
+@pytest.mark.parametrize("patience", [0.0, 1.0])
+def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itself(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch, patience: float
+) -> None:
+    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=patience) as claim:
+
+        def put(*_: object, **__: object) -> bool:
+            raise OSError(5, "Input/output error")
+
+        claim.check()
+        begin = time.monotonic()
+        with monkeypatch.context() as away:
+            away.setattr(Folder, "put", put)
+            with pytest.raises(
+                RunError, match=r"could not renew its claim of the store for \d+ s, so that another run"
+            ):
+                while True:
+                    claim.check()
+                    time.sleep(0.02)
+        assert time.monotonic() - begin >= max(patience, IMPATIENT.dead) - 2 * IMPATIENT.beat
+    assert notes.read(CLAIM) is None  # the store is free again
+
+
+@pytest.fixture
+def away(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]:
+    """A disk that lets nothing be written until it is told to be back."""
+    whole, back = Folder.put, threading.Event()
+
+    def put(notes: Folder, name: str, data: bytes, expected: bytes | None) -> bool:
+        if name == CLAIM and expected is not None and not back.is_set() and Record.unpack(data).token != "theirs":  # type: ignore[union-attr]
+            raise OSError(5, "Input/output error")
+        return whole(notes, name, data, expected)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Folder, "put", put)
+        yield back.set
+
+
+def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_claim(
+    notes: Folder, away: Callable[[], None]
+) -> None:
+    """Others may have replaced the claim by then, long before the run's patience ends."""
+    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
+        seen, waited = notes.read(CLAIM), []
+
+        def waiting() -> None:
+            if len(waited) < 5:  # after that the beat comes through at any moment
+                assert notes.read(CLAIM) == seen
+            waited.append(time.monotonic())
+            if len(waited) == 5:
+                away()
+
+        begin = time.monotonic()
+        while not waited:
+            claim.check(waiting)
+        assert len(waited) >= 5
+        assert waited[0] - begin >= IMPATIENT.dead - 2 * IMPATIENT.beat
+        assert notes.read(CLAIM) != seen
+
+
+def test_a_run_that_waits_for_its_store_stops_where_another_has_replaced_its_claim(
+    notes: Folder, away: Callable[[], None]
+) -> None:
+    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
+
+        def waiting() -> None:
+            notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM))
+            away()
+
+        with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
+            while True:
+                claim.check(waiting)
+    assert notes.read(CLAIM) == elsewhere().pack()
+
+
+def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its holder could not move it meanwhile; it does as soon as the store is back."""
+    holder = elsewhere()
+    notes.put(CLAIM, holder.pack(), expected=None)
+    whole, reads = Folder.read, []
+
+    def read(folder: Folder, name: str) -> bytes | None:
+        reads.append(name)
+        if len(reads) == 3:
+            time.sleep(2 * IMPATIENT.dead)
+            return whole(folder, name)
+        if len(reads) == 5:
+            notes.put(CLAIM, replace(holder, beat=8).pack(), expected=holder.pack())
+        return whole(folder, name)
+
+    monkeypatch.setattr(Folder, "read", read)
+    with pytest.raises(InputError, match="another run is at work on it"), claimed(notes, "out.zarr", timing=IMPATIENT):
+        pass
+
+
+def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:
+    with claimed(notes, "out.zarr", timing=QUICK) as claim:
+        claim.report({"workers": 3})
+        within_20_s(lambda: json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"workers": 3})
+        seen = Observer(notes).settle()
+        assert seen is not None
+        assert seen.record is not None
+        assert (seen.record.pid, seen.record.progress) == (os.getpid(), {"workers": 3})
+        assert (seen.alive, seen.trouble) == (True, "")
+
+
+def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: Folder) -> None:
+    stopped = threading.Event()
+
+    def work() -> None:
+        with (
+            pytest.raises(RunError, match="stopped by atlas cancel"),
+            claimed(notes, "out.zarr", timing=QUICK) as claim,
+        ):
+            while True:
+                claim.check()
+                time.sleep(0.005)
+        stopped.set()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    within_20_s(lambda: notes.read(CLAIM) is not None)
+    cancel(notes, "out.zarr", wait_seconds=20)
+    thread.join()
+    assert stopped.is_set()
+    assert notes.read(CLAIM) is None
+
+
+def test_cancel_without_a_run_is_refused(notes: Folder) -> None:
+    with pytest.raises(InputError, match=r"out.zarr: no run is at work on it"):
+        cancel(notes, "out.zarr", wait_seconds=1)
+
+
+def test_cancel_says_when_a_run_has_not_stopped(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    with pytest.raises(RunError, match=r"has not stopped after 0.1 s"):
+        cancel(notes, "out.zarr", wait_seconds=0.1)
+
+
+def test_cancel_says_at_once_that_a_claim_stands_still(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    with pytest.raises(RunError, match=r"out.zarr: no sign of life of process 1 on far for 0 s; if"):
+        cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
+    assert notes.read(CLAIM) == replace(elsewhere(), cancelled=True).pack()
+
+
+def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: Folder) -> None:
+    boot, namespace, *_ = this_process().split()
+    gone = replace(elsewhere(), pid=2**31 - 1, process=f"{boot} {namespace} {2**31 - 1} 1")
+    notes.put(CLAIM, gone.pack(), expected=None)
+    with pytest.raises(InputError, match=rf"no run is at work on it: process {2**31 - 1} on far is gone"):
+        cancel(notes, "out.zarr", wait_seconds=600)
+
+
+def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    observer = Observer(notes, IMPATIENT)
+    first, settled = observer.look(), observer.settle()
+    assert first is not None
+    assert settled is not None
+    assert (first.alive, first.trouble) == (None, "")
+    assert settled.trouble.startswith("no sign of life of process 1 on far for ")
+
+
+def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere(0).pack(), expected=None)
+
+    def beat(_: float) -> None:  # its holder moves it while the observer sleeps
+        assert notes.put(CLAIM, elsewhere(1).pack(), expected=elsewhere(0).pack())
+
+    seen = Observer(notes, sleep=beat).settle()
+    assert seen is not None
+    assert (seen.record, seen.trouble) == (elsewhere(1), "")
+
+
+def test_a_request_to_stop_is_no_sign_of_life(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+
+    def ask(text: str) -> None:
+        if "watching" in text:
+            notes.put(CLAIM, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
+
+    with claimed(notes, "out.zarr", ask, IMPATIENT) as claim:
+        claim.check()
+
+
+DAMAGES: dict[str, object] = {
+    "token": 7,
+    "beat": "x",
+    "host": None,
+    "pid": None,
+    "process": "boot pid:[1]",
+    "cancelled": "no",
+    "progress": [1],
+}
+
+
+@pytest.mark.parametrize("field", DAMAGES)
+def test_a_claim_with_a_field_of_another_type_is_damaged(notes: Folder, field: str) -> None:
+    data = json.dumps(json.loads(elsewhere().pack()) | {field: DAMAGES[field]}).encode()
+    notes.put(CLAIM, data, expected=None)
+    assert Record.unpack(data) is None
+    seen = Observer(notes, IMPATIENT).settle()
+    assert seen is not None
+    assert seen.trouble == f"the claim is damaged; {REPLACED}"
+    with pytest.raises(RunError, match=rf"^out.zarr: the claim is damaged; {REPLACED}$"):
+        cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
+    with claimed(notes, "out.zarr", timing=IMPATIENT) as claim:
+        claim.check()
+
+
+@pytest.mark.parametrize("data", [b"[]", b"{}", b"7", b"null", b"\xff", b'{"pid": 1e400}', b"[" * 10**5])
+def test_bytes_that_are_no_claim_unpack_to_none(data: bytes) -> None:
+    assert Record.unpack(data) is None
+
+
+@pytest.mark.parametrize("pid", [0, -1, 2**31, 10**30, True])
+def test_a_claim_of_a_number_that_no_process_has_is_damaged(pid: int) -> None:
+    assert Record.unpack(json.dumps(json.loads(elsewhere().pack()) | {"pid": pid}).encode()) is None
+
+
+def test_a_number_as_large_as_any_atlas_is_reported_as_it_is() -> None:
+    assert replace(elsewhere(), progress={"cells": 10**12}).number("cells") == 10**12
+
+
+@pytest.mark.parametrize("value", ["many", None, [1], True, float("nan"), float("inf"), 10**400])
+def test_a_number_that_is_none_counts_as_not_reported(value: object) -> None:
+    assert replace(elsewhere(), progress={"workers": value}).number("workers") == 0
+
+
+RUN = "0123456789abcdef" * 2
+
+
+def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    for name in (f".out.zarr.{RUN}.partial", f".other.zarr.{RUN}.partial", "out.zarr"):
+        (tmp_path / name).mkdir()
+    remove_half_made(tmp_path / "out.zarr")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f".other.zarr.{RUN}.partial", "out.zarr"]
+
+
+def test_notes_are_next_to_the_store(tmp_path: Path) -> None:
+    notes = notes_of(tmp_path / "out.zarr")
+    assert notes == Folder(tmp_path / ".out.zarr.run")
+
+
+def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: Folder) -> None:
+    with claimed(notes, "out.zarr", timing=Timing(beat=60.0)) as claim:
+        claim.report({"tiles": 3})
+        assert json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"tiles": 3}
+        claim.report({"tiles": 4})
+        assert json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"tiles": 3}

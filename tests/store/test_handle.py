@@ -1,0 +1,155 @@
+"""What is read of a store: once when it is opened, and by whom it is read again.
+
+Truth: the store's own objects, counted as they are asked for, by its place and by Zarr.
+"""
+
+import pickle
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from zarr.storage import LocalStore
+
+import atlas
+from atlas.errors import InputError
+from atlas.query.open import handle_of
+from atlas.store.making import create
+from atlas.store.place import LocalPlace
+from atlas.store.store import Atlas, open_handle
+from atlas.task.attempt import run_job
+from atlas.task.site import Site
+from atlas.task.task import Job
+from tests.planes import plane_of
+
+ROOT, METADATA = "zarr.json", "regime/zarr.json"
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[tuple[str, str]]]:
+    """How often each object of any store was read ("get") or looked for ("version", "exists") by its place."""
+    counts: Counter[tuple[str, str]] = Counter()
+
+    def counting(name: str) -> None:
+        whole = getattr(LocalPlace, name)
+
+        def call(place: LocalPlace, key: str) -> object:
+            counts[name, key] += 1
+            return whole(place, key)
+
+        monkeypatch.setattr(LocalPlace, name, call)
+
+    for name in ("get", "version", "exists"):
+        counting(name)
+    yield counts
+
+
+def of_metadata(counts: Counter[tuple[str, str]]) -> Counter[tuple[str, str]]:
+    return Counter({(how, key): count for (how, key), count in counts.items() if key.endswith(("zarr.json", "spare"))})
+
+
+def test_a_tile_looks_at_the_state_of_the_root_twice_and_reads_no_metadata(
+    tmp_path: Path, asked: Counter[tuple[str, str]]
+) -> None:
+    """Before it is solved and before it is written; after the first tile of a process, which has read the handle."""
+    handle = create(tmp_path / "plane.zarr", plane_of(), (2, 3))
+    job = Job((0, 0), Site(handle.place, handle.run_id, handle.solver_version))
+    run_job(job)
+    asked.clear()
+    run_job(replace(job, index=(1, 1)))
+    assert of_metadata(asked) == {("version", ROOT): 2}
+
+
+def test_a_question_to_a_dataset_looks_at_its_store_by_one_object(
+    finished: Path, asked: Counter[tuple[str, str]]
+) -> None:
+    ds = atlas.open(finished)
+    asked.clear()
+    for ask in (ds.atlas.fractions, ds.atlas.reasons):
+        ask()
+        assert of_metadata(asked) == {("get", ROOT): 1}
+        asked.clear()
+
+
+def test_a_store_is_read_by_three_objects_when_it_is_opened(finished: Path, asked: Counter[tuple[str, str]]) -> None:
+    handle = open_handle(finished)
+    assert of_metadata(asked) == {("get", ROOT): 1, ("get", METADATA): 1, ("get", "component/spare"): 1}
+    asked.clear()
+    atlas.open(handle)
+    assert not of_metadata(asked)
+
+
+def test_a_run_of_a_finished_store_reads_its_header_once(finished: Path, asked: Counter[tuple[str, str]]) -> None:
+    """And looks at the root once more, behind the claim."""
+    atlas.run(plane_of(), finished)
+    assert asked["get", METADATA] == 1
+
+
+def test_only_jobs_that_write_cells_open_the_arrays_of_cells_for_writing(finished: Path) -> None:
+    handle = open_handle(finished)
+    site = Site(handle.place, handle.run_id, handle.solver_version)
+    site.forget()
+    handle = site.handle()
+    assert handle.spec and "writable" not in handle.kept
+
+
+def test_what_jobs_open_for_writing_is_opened_once(tmp_path: Path) -> None:
+    handle = create(tmp_path / "plane.zarr", plane_of(), (2, 3))
+    job = Job((0, 0), Site(handle.place, handle.run_id, handle.solver_version))
+    assert job.handle().writable is replace(job, index=(1, 1)).handle().writable
+
+
+@pytest.mark.parametrize("through", [lambda ds: ds, lambda ds: ds.isel(omega=slice(2, 5)), deepcopy])
+def test_a_dataset_finds_what_was_read_of_its_store(finished: Path, through: object) -> None:
+    handle = open_handle(finished)
+    assert handle_of(through(atlas.open(handle))) is handle  # type: ignore[operator]
+
+
+def test_a_dataset_that_plain_xarray_opened_finds_its_store_by_name_and_run(finished: Path) -> None:
+    import xarray as xr
+
+    assert handle_of(xr.open_zarr(finished)) == open_handle(finished)
+
+
+def test_a_dataset_whose_store_has_been_replaced_is_told_so(finished: Path) -> None:
+    ds = atlas.open(finished)
+    shutil.rmtree(finished)
+    create(finished, plane_of(), (2, 3))
+    with pytest.raises(InputError, match="another store than the one that this dataset is of; open it again"):
+        handle_of(ds)
+
+
+def test_a_dataset_sees_what_its_store_has_got_since(finished: Path) -> None:
+    """As the overviews that a run makes at its end."""
+    ds, handle = atlas.open(finished), open_handle(finished)
+    root = finished / ROOT
+    root.write_bytes(root.read_bytes() + b"\n")
+    found = handle_of(ds)
+    assert found == handle and found.state != handle.state
+    assert handle_of(ds) is found
+
+
+def test_a_header_that_is_sent_takes_along_nothing_that_it_has_opened(finished: Path) -> None:
+    handle = open_handle(finished)
+    assert handle.readable and handle.spec
+    sent: Atlas = pickle.loads(pickle.dumps(handle))
+    assert sent == handle
+    assert not sent.kept
+    assert sent.spec == handle.spec
+
+
+def test_zarr_reads_the_root_of_a_store_once_when_it_is_opened_as_a_dataset(
+    finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys, whole = list[str](), LocalStore.get
+
+    async def get(store: LocalStore, key: str, *given: object, **named: object) -> object:
+        keys.append(key)
+        return await whole(store, key, *given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(LocalStore, "get", get)
+    atlas.open(finished)
+    assert keys.count(ROOT) <= 1

@@ -1,0 +1,311 @@
+"""An object store that is away for a while, or for good; and what is asked of each kind of store."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import obstore
+import pytest
+from click.testing import CliRunner
+from distributed import Client
+from obstore.exceptions import GenericError
+
+import atlas
+from atlas.cli.main import main
+from atlas.errors import InputError, NetworkError, RunError
+from atlas.service.lease import claimed
+from atlas.store import outage
+from atlas.store.location import ObjectPlace
+from atlas.store.making import create
+from atlas.store.sidecar import CLAIM, notes_at_url, notes_of
+from atlas.store.store import done_tiles, open_arrays, open_handle
+from atlas.task.attempt import run_job
+from atlas.task.site import RefusedError, Site
+from atlas.task.task import Job
+from tests.loopback import ObjectStore, Trouble, object_store
+from tests.planes import find, plane_of
+from workers.results import REGIME
+
+pytestmark = pytest.mark.slow
+URL = "s3://bucket/plane.zarr"
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ObjectStore]:
+    with object_store() as served:
+        for name, value in served.environment.items():
+            monkeypatch.setenv(name, value)
+        yield served
+
+
+def test_the_server_answers_after_its_delay_and_many_at_once(server: ObjectStore) -> None:
+    place, keys = ObjectPlace(URL), [f"x/{k}" for k in range(64)]
+    server.put({f"bucket/plane.zarr/{key}": key.encode() for key in keys})
+    server.delay(0.2)
+    begin = time.perf_counter()
+    assert len(place.get_all(keys)) == 64
+    assert 0.2 <= time.perf_counter() - begin < 0.2 * 64 / 4
+    assert server.counts == {"get": 64}
+
+
+def test_the_server_gives_parts_of_objects_and_pages_of_keys(server: ObjectStore) -> None:
+    place = ObjectPlace(URL)
+    server.put({f"bucket/plane.zarr/x/{k:04}": b"0123456789" for k in range(2001)})
+    assert bytes(obstore.get_range(place.client, "x/0000", start=2, end=5)) == b"234"
+    assert bytes(obstore.get(place.client, "x/0000", options={"range": {"suffix": 3}}).bytes()) == b"789"
+    assert list(place.list_keys("x/")) == [f"x/{k:04}" for k in range(2001)]
+    assert server.counts == {"get": 2, "list": 3}
+
+
+def arrays_of(where: object) -> dict[str, bytes]:
+    ds = atlas.open(where)  # type: ignore[arg-type]
+    return {str(name): ds[name].values.tobytes() for name in ds.variables}
+
+
+@pytest.mark.parametrize("how", [503, 429, "drop", "lost"])
+def test_every_operation_of_a_place_outlives_an_outage(server: ObjectStore, how: int | str) -> None:
+    place = ObjectPlace(URL)
+
+    def after_outage(operation: object, *args: object) -> object:
+        server.trouble = Trouble(0, 1, how)
+        done = operation(*args)  # type: ignore[operator]
+        assert server.trouble.left == 0
+        return done
+
+    after_outage(place.put, "a/b", b"1")
+    assert after_outage(place.get, "a/b") == b"1"
+    assert after_outage(place.exists, "a/b")
+    assert after_outage(lambda: list(place.list_keys("a/"))) == ["a/b"]
+    assert after_outage(place.put_new, "a/c", b"2")
+    assert not after_outage(place.put_new, "a/c", b"3")
+    found = place.get_tagged("a/c")
+    assert found is not None
+    assert after_outage(place.put_if, "a/c", b"4", found[1])
+    assert not after_outage(place.put_if, "a/c", b"5", found[1])
+    after_outage(place.remove, "a/b")
+    assert list(place.list_keys()) == ["a/c"]
+    assert place.get("a/c") == b"4"
+
+
+@pytest.mark.parametrize("url", ["s3://bucket/plane.zarr", "gs://bucket/plane.zarr"])
+def test_objects_that_are_got_or_removed_together_outlive_an_outage(server: ObjectStore, url: str) -> None:
+    place, keys = ObjectPlace(url), [f"x/{k}" for k in range(5)]
+    for key in keys:
+        place.put(key, key.encode())
+    server.trouble = Trouble(0, 3)
+    assert place.get_all(keys) == {key: key.encode() for key in keys}
+    server.trouble = Trouble(0, 1, "lost")
+    place.remove_all([*keys, "x/none"])
+    assert server.trouble.left == 0
+    assert list(place.list_keys()) == []
+
+
+def test_notes_of_thousands_of_tiles_are_removed_by_a_few_requests(server: ObjectStore) -> None:
+    notes = notes_of(URL)
+    notes.put(CLAIM, b"{}", expected=None)
+    server.put({f"bucket/.plane.zarr.run/started-{k}": b"1" for k in range(2500)})
+    server.forget()
+    notes.clear(keep=CLAIM)
+    assert server.counts == {"list": 3, "delete many": 3}
+    assert [*server.objects] == [f"bucket/.plane.zarr.run/{CLAIM}"]
+
+
+def test_a_note_that_is_removed_leaves_nothing(server: ObjectStore) -> None:
+    notes = notes_of(URL)
+    notes.put("started-0-0", b"1", expected=None)
+    assert notes.remove("started-0-0", b"1")
+    assert not notes.remove("started-0-0", b"1")
+    assert not server.objects
+
+
+def test_a_claim_that_is_released_leaves_nothing(server: ObjectStore) -> None:
+    with claimed(notes_of(URL), URL):
+        assert [*server.objects] == [f"bucket/.plane.zarr.run/{CLAIM}"]
+    assert not server.objects
+
+
+def test_a_removal_whose_answer_is_lost_is_not_made_again(server: ObjectStore) -> None:
+    """By then the note may be somebody else's."""
+    place = ObjectPlace(URL)
+    place.put("note", b"mine")
+    server.forget()
+    server.trouble = Trouble(0, 1, "lost")
+    assert not place.remove_once("note")
+    assert server.counts.total() == 1
+    assert not server.objects
+
+
+def test_a_process_has_one_client_of_a_place(server: ObjectStore) -> None:
+    assert ObjectPlace(URL).client is ObjectPlace(URL, patience=3.0).client
+    assert ObjectPlace(URL).client is ObjectPlace(URL).behind(lambda: None).client
+
+
+def test_zarr_outlives_an_outage_too(server: ObjectStore) -> None:
+    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
+    server.trouble = Trouble(0, 7)
+    array = open_arrays(handle)[REGIME.name]
+    assert (np.asarray(array[...]) == -1).all()
+    assert server.trouble.left == 0
+
+
+@pytest.mark.parametrize("how", [503, "drop"])
+def test_a_run_outlives_an_outage_and_has_the_bits_of_an_undisturbed_one(
+    server: ObjectStore, tmp_path: Path, client: Client, how: int | str
+) -> None:
+    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
+    server.trouble = Trouble(3, 8, how)
+    summary = atlas.run(plane_of(), URL, client=client)
+    assert server.trouble.left == 0
+    assert (summary.tiles_done, summary.failures, dict(summary.refused)) == (9, (), {})
+    assert arrays_of(URL) == arrays_of(tmp_path / "local.zarr")
+
+
+def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on(
+    server: ObjectStore, tmp_path: Path, client: Client
+) -> None:
+    server.trouble = Trouble(4, np.inf)
+    words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
+    with pytest.raises(RunError, match=words):
+        atlas.run(plane_of(), ObjectPlace(URL, patience=0.1), client=client, options=atlas.RunOptions(patience=0.3))
+    server.trouble = Trouble()
+    kept = len(done_tiles(open_handle(URL)))
+    assert kept == 3
+    notes_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
+    assert atlas.run(plane_of(), URL, client=client).tiles_solved == 9 - kept
+    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
+    assert arrays_of(URL) == arrays_of(tmp_path / "local.zarr")
+
+
+def test_a_header_that_cannot_be_reached_is_a_fault_of_the_network_and_not_of_the_path(server: ObjectStore) -> None:
+    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
+    job = Job((0, 0), Site(URL, handle.run_id, handle.solver_version, patience=0.0))
+    server.trouble = Trouble(0, np.inf)
+    with pytest.raises(NetworkError, match=rf"^{URL}: no answer for 0 s \(.*503 Service Unavailable\)$"):
+        run_job(job)
+    with pytest.raises(NetworkError):
+        find(ObjectPlace(URL, patience=0.0), plane_of())
+
+
+def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(server: ObjectStore) -> None:
+    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
+    server.trouble, before = Trouble(0, np.inf, 403), len(server.requests)
+    with pytest.raises(RefusedError, match=r"403 Forbidden$"):
+        run_job(Job((0, 0), Site(URL, handle.run_id, handle.solver_version)))
+    assert len(server.requests) == before + 1  # waiting would not mend it
+    with pytest.raises(InputError, match=rf"{URL}: cannot be read: "):
+        open_handle(URL)
+
+
+def test_an_outage_begins_with_the_first_failure_and_not_with_the_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A request that was under way for longer than the patience is made again when it fails."""
+    now, asked = [0.0], []
+
+    def upload() -> str:
+        asked.append(now[0])
+        now[0] += 60.0
+        if len(asked) == 1:
+            raise GenericError("HTTP error: error sending request")
+        return "done"
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    monkeypatch.setattr(outage.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(outage.time, "sleep", sleep)
+    assert outage.persist(upload, URL, patience=30.0) == "done"
+    assert len(asked) == 2
+
+
+def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_each_other_write(
+    server: ObjectStore,
+) -> None:
+    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
+    job = Job((0, 0), Site(URL, handle.run_id, handle.solver_version))
+
+    def requests(job: Job) -> list[tuple[str, str]]:
+        before = len(server.requests)
+        run_job(job)
+        return [(request.method, request.key) for request in server.requests[before:]]
+
+    requests(replace(job, index=(1, 0)))  # the machine is on the store's list from now on
+    plain = requests(job)
+    notes_of(URL).put(CLAIM, b'{"token": "ours"}', expected=None)
+    fenced = requests(replace(job, index=(0, 1), site=replace(job.site, claim="ours")))
+    looks = 3 + sum(each.sparse for each in handle.variables)  # all results, the record, the regime
+    assert len(fenced) == len(plain) + looks
+    assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == looks
+
+
+def test_nobody_listening_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    with object_store() as gone:
+        for name, value in gone.environment.items():
+            monkeypatch.setenv(name, value)
+    with pytest.raises(NetworkError, match=rf"{URL}: no answer for \d+ s \(.*error sending request\)"):
+        ObjectPlace(URL, patience=0.2).get("x")
+
+
+@pytest.mark.parametrize("command", ["status", "query", "verify"])
+def test_a_command_whose_server_does_not_answer_fails_in_one_line(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(*_: object) -> None:
+        raise NetworkError(f"{URL}: no answer for 15 s (why)")
+
+    with object_store() as gone:
+        for name, value in gone.environment.items():
+            monkeypatch.setenv(name, value)
+    for operation in ("exists", "get", "list_keys"):
+        monkeypatch.setattr(ObjectPlace, operation, away)
+    ended = CliRunner().invoke(main, [command, URL])
+    assert (ended.exit_code, ended.stderr.splitlines()[-1]) == (1, f"Error: {URL}: no answer for 15 s (why)")
+
+
+@pytest.mark.parametrize(
+    ("url", "absent", "same"),
+    [
+        ("s3://bucket/plane.zarr", ("if-none-match", "*"), ("if-match", '"{}"')),
+        ("gs://bucket/plane.zarr", ("x-goog-if-generation-match", "0"), ("x-goog-if-generation-match", "{}")),
+        ("az://bucket/plane.zarr", ("if-none-match", "*"), ("if-match", '"{}"')),
+    ],
+)
+def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
+    server: ObjectStore, url: str, absent: tuple[str, str], same: tuple[str, str]
+) -> None:
+    notes = notes_at_url(ObjectPlace(url))
+    key = "bucket/.plane.zarr.run/claim"
+
+    def asked() -> dict[str, str]:
+        puts = [request for request in server.requests if request.method == "PUT"]
+        assert puts[-1].key == key
+        return puts[-1].headers
+
+    assert notes.put("claim", b"1", expected=None)
+    assert asked()[absent[0]] == absent[1]
+    generation = server.objects[key]
+    assert notes.put("claim", b"2", expected=b"1")
+    assert asked()[same[0]] == same[1].format(generation)
+    assert not notes.put("claim", b"3", expected=None)
+    assert not notes.put("claim", b"3", expected=b"1")
+    assert notes.read("claim") == b"2"
+    assert notes.remove("claim", b"2")
+    assert notes.read("claim") is None
+    assert notes.put("claim", b"4", expected=None)
+
+
+def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server: ObjectStore) -> None:
+    place = ObjectPlace("gs://bucket/conditions")
+    place.put("x", b"1")
+    found = place.get_tagged("x")
+    assert found is not None
+    assert [place.put_if("x", b"2", found[1]), place.put_if("x", b"3", found[1])] == [True, False]
+    assert place.get("x") == b"2"
+
+
+def test_a_run_on_googles_store_has_the_bits_of_a_local_one(
+    server: ObjectStore, tmp_path: Path, client: Client
+) -> None:
+    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
+    assert atlas.run(plane_of(), "gs://bucket/plane.zarr", client=client).tiles_done == 9
+    assert arrays_of("gs://bucket/plane.zarr") == arrays_of(tmp_path / "local.zarr")

@@ -1,0 +1,408 @@
+import os
+import sys
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from click.testing import CliRunner
+from distributed import Client
+
+import atlas
+from atlas.check.verify import verify
+from atlas.cli.main import main
+from atlas.errors import InputError
+from atlas.service.extend import extend
+from atlas.service.status import read_status
+from atlas.store import location as placing
+from atlas.store import making, store
+from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
+from atlas.store.remote import RemoteStore
+from atlas.store.sidecar import notes_at_url
+from atlas.store.spare import SPARE, read_spare
+from atlas.store.tiles import drop_tile
+from tests.object_server import BUCKET, object_server
+from tests.planes import find, plane_of
+from workers.settings import MOST_PERIODS
+
+
+@pytest.fixture(scope="module")
+def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The URL of a bucket on a real S3 server, and the environment by which obstore finds it."""
+    with (
+        object_server(tmp_path_factory.mktemp("s3")) as environment,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        yield f"s3://{BUCKET}"
+
+
+@pytest.fixture(params=["local", "s3"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
+    """An empty place of each kind."""
+    name = f"{tmp_path.name}/plane.zarr"
+    if request.param == "s3":
+        return place_of(f"{request.getfixturevalue('bucket')}/{name}")
+    return place_of(str(tmp_path / "plane.zarr"))
+
+
+def arrays_of(where: Any) -> dict[str, bytes]:
+    ds = atlas.open(where)
+    return {str(name): ds[name].values.tobytes() for name in ds.variables}
+
+
+def test_each_kind_of_place_has_its_class(place: Place, request: pytest.FixtureRequest) -> None:
+    kinds = {"local": LocalPlace, "s3": ObjectPlace}
+    assert type(place) is kinds[request.node.callspec.params["place"]]
+
+
+def test_what_is_put_can_be_got_listed_and_removed(place: Place) -> None:
+    assert (place.get("a/b/c"), place.exists("a/b/c"), list(place.list_keys())) == (None, False, [])
+    place.put("a/b/c", b"one")
+    place.put("a/d", b"two")
+    place.put("a/d", b"three")
+    assert (place.get("a/b/c"), place.get("a/d"), place.exists("a/d"), place.exists("a")) == (
+        b"one",
+        b"three",
+        True,
+        False,
+    )
+    assert sorted(place.list_keys()) == ["a/b/c", "a/d"]
+    assert list(place.list_keys("a/b/")) == ["a/b/c"]
+    place.remove("a/d")
+    place.remove("a/d")
+    assert list(place.list_keys("a/")) == ["a/b/c"]
+
+
+def test_many_objects_are_got_and_removed_together(place: Place) -> None:
+    for name in "abc":
+        place.put(f"x/{name}", name.encode())
+    assert place.get_all(["x/b", "x/none", "x/a"]) == {"x/b": b"b", "x/a": b"a"}
+    place.remove_all(["x/c", "x/none", "x/a"])
+    assert list(place.list_keys()) == ["x/b"]
+    place.remove_all([])
+    assert (list(place.list_keys()), place.get_all([])) == (["x/b"], {})
+
+
+def test_objects_are_taken_over_from_a_place_of_the_same_kind(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: what is put. None of their bytes come through this process, and either place may replace its own."""
+    other = place_of(f"{place}.new")
+    place.put_all({"a/0": b"zero", "a/1": b"one"})
+    with monkeypatch.context() as patch:
+        patch.setattr(type(place), "get", None)
+        patch.setattr(type(place), "put", None)
+        other.take_all(place, ["a/0", "a/1", "a/none"])
+        other.take_all(place, ["a/1"])
+    assert other.get_all(["a/0", "a/1", "a/none"]) == {"a/0": b"zero", "a/1": b"one"}
+    assert sorted(other.list_keys()) == ["a/0", "a/1"]
+    place.put("a/0", b"changed")
+    other.remove("a/1")
+    assert (other.get("a/0"), place.get("a/1")) == (b"zero", b"one")
+
+
+def test_objects_are_taken_over_from_a_place_of_another_kind(bucket: str, tmp_path: Path) -> None:
+    local, remote = place_of(tmp_path / "plane.zarr"), place_of(f"{bucket}/{tmp_path.name}.zarr")
+    local.put("a/0", b"zero")
+    remote.take_all(local, ["a/0", "a/none"])
+    place_of(tmp_path / "back.zarr").take_all(remote, ["a/0", "a/none"])
+    assert place_of(tmp_path / "back.zarr").get("a/0") == b"zero"
+
+
+def test_an_object_is_put_new_only_once(place: Place) -> None:
+    assert [place.put_new("x", b"first"), place.put_new("x", b"second"), place.get("x")] == [True, False, b"first"]
+
+
+def test_a_note_is_put_only_over_what_was_read(bucket: str) -> None:
+    place = ObjectPlace(f"{bucket}/notes/plane.zarr")
+    notes = notes_at_url(place)
+    assert notes.read("claim") is None
+    assert notes.put("claim", b"1", expected=None)
+    assert not notes.put("claim", b"2", expected=None)
+    assert not notes.put("claim", b"2", expected=b"0")
+    assert notes.put("claim", b"2", expected=b"1")
+    assert notes.read("claim") == b"2"
+    assert not notes.remove("claim", b"1")
+    assert notes.remove("claim", b"2")
+    assert (notes.read("claim"), notes.remove("claim", b"2")) == (None, False)
+    assert notes.put("claim", b"3", expected=None)
+    notes.put("started-0", b"1", expected=None)
+    notes.clear(keep="claim")
+    assert (notes.read("claim"), notes.read("started-0")) == (b"3", None)
+    assert list(place.list_keys()) == []  # beside the store, not in it
+
+
+def test_of_two_that_replace_the_same_state_one_succeeds(bucket: str) -> None:
+    place = place_of(f"{bucket}/conditions")
+    assert isinstance(place, ObjectPlace)
+    place.put("x", b"1")
+    found = place.get_tagged("x")
+    assert found is not None
+    assert [place.put_if("x", b"2", found[1]), place.put_if("x", b"3", found[1])] == [True, False]
+    assert place.get("x") == b"2"
+    place.remove("x")
+    assert not place.put_if("x", b"4", found[1])
+
+
+@pytest.mark.slow
+def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: Path, client: Client) -> None:
+    url = str(place)
+    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
+    summary = atlas.run(plane_of(), url, client=client)
+    assert (summary.store, summary.tiles_done, summary.failures) == (url, 9, ())
+    assert arrays_of(url) == arrays_of(tmp_path / "local.zarr")
+    assert verify(url, sample=4).fine
+
+    handle = store.open_handle(url)
+    assert store.done_tiles(handle) == {(i, j) for i in range(3) for j in range(3)}
+    drop_tile(handle, (1, 2))
+    assert atlas.run(plane_of(), url, client=client).tiles_solved == 1
+    assert arrays_of(url) == arrays_of(tmp_path / "local.zarr")
+
+    assert extend(url, f"{url}-fine", refine={"b": 2}, client=client).cells_solved == 7 * 4
+    fine = atlas.open(f"{url}-fine")
+    assert fine.state.values[::2].tobytes() == arrays_of(url)["state"]
+    again = atlas.retry(url, f"{url}-again", "chaotic", survival=MOST_PERIODS // 100, client=client)
+    assert 0 < again.cells_solved < 35
+    assert verify(f"{url}-again", sample=4).fine
+
+
+@pytest.mark.slow
+def test_worker_processes_write_to_a_url(bucket: str) -> None:
+    spec = atlas.Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"max_periods": 50}, store={"tile": [1]})
+    assert atlas.run(spec, f"{bucket}/processes/sweep.zarr", options=atlas.RunOptions(workers=1)).tiles_done == 2
+
+
+@pytest.mark.slow
+def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) -> None:
+    atlas.run(plane_of(), str(place), client=client)
+    before = arrays_of(place)
+    data = bytearray(place.get("state/c/0/1/0") or b"")
+    data[9] ^= 1
+    place.put("state/c/0/1/0", bytes(data))
+    place.remove("error/c/2/0")
+    report = verify(str(place), sample=0, repair=True)
+    assert report.repaired == ((0, 1), (2, 0))
+    assert "state/c/0/1/0 is damaged" in str(report)
+    assert atlas.run(plane_of(), str(place), client=client).tiles_solved == 2
+    assert arrays_of(place) == before
+
+
+@pytest.mark.slow
+def test_every_command_takes_a_url(bucket: str, tmp_path: Path, client: Client) -> None:
+    def call(*args: object) -> str:
+        result = CliRunner().invoke(main, [str(arg) for arg in args])
+        assert result.exit_code == 0, result.output
+        return result.stdout
+
+    url = f"{bucket}/commands/tiny.zarr"
+    call("plan", "tiny", "-o", url, "--no-probe")
+    assert f"{url}: 4 of 4 tiles done" in call("run", "tiny", "-o", url, "--scheduler", client.scheduler.address)
+    assert f'"store": "{url}"' in call("status", url, "--json")
+    call("verify", url, "--sample", 2)
+    assert "periodic" in call("query", url)
+    call("query", url, "--at", "omega=3", "--at", "b=0.3")
+    call("plot", url, "-o", tmp_path / "tiny.png")
+    assert (tmp_path / "tiny.png").exists()
+
+
+def test_plain_xarray_opens_a_store_on_s3(bucket: str, client: Client) -> None:
+    atlas.run(plane_of(), f"{bucket}/xarray/plane.zarr", client=client)
+    remote = placing.ObjectPlace(f"{bucket}/xarray/plane.zarr").client
+    ds = xr.open_zarr(zarr.storage.ObjectStore(remote, read_only=True))  # warnings are errors here
+    assert (ds.regime.values >= 0).all()
+
+
+def test_the_root_is_written_last_so_that_a_creation_cut_short_leaves_no_store(
+    bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = place_of(f"{bucket}/short/plane.zarr")
+    order: list[str] = []
+    whole = ObjectPlace.put
+
+    def dies(self: ObjectPlace, key: str, data: bytes) -> None:
+        order.append(key)
+        if len(order) == 12:
+            raise OSError("the network is gone")
+        whole(self, key, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ObjectPlace, "put", dies)
+        with pytest.raises(InputError, match="cannot be written: the network is gone"):
+            making.create(place, plane_of(), (2, 3))
+    assert "zarr.json" not in order and SPARE not in order
+    with pytest.raises(InputError, match="no such store"):
+        store.open_handle(place)
+    assert find(place, plane_of()) is None  # what is left is in nobody's way
+    making.create(place, plane_of(), (2, 3))
+    assert find(place, plane_of()) == store.open_handle(place)
+
+
+def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = place_of(f"{bucket}/race/plane.zarr")
+    whole = ObjectPlace.put_new
+
+    def overtaken(self: ObjectPlace, key: str, data: bytes) -> bool:
+        with monkeypatch.context() as patch:
+            patch.setattr(ObjectPlace, "put_new", whole)
+            making.create(place, plane_of(), (2, 3))
+        return whole(self, key, data)
+
+    monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
+    with pytest.raises(InputError, match="another run has just made a store here"):
+        making.create(place, plane_of(), (2, 3))
+    assert verify(str(place), sample=0).faults == ()
+
+
+def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
+    bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that comes second has written all but the root when it is told."""
+    place = place_of(f"{bucket}/second/plane.zarr")
+    whole = ObjectPlace.put_new
+
+    def overtaken(self: ObjectPlace, key: str, data: bytes) -> bool:
+        if key != "zarr.json":
+            return whole(self, key, data)
+        with monkeypatch.context() as patch:
+            patch.setattr(ObjectPlace, "put_new", whole)
+            with pytest.raises(InputError, match="another run has just made a store here"):
+                assert whole(self, key, data)
+                making.create(place, plane_of(), (2, 3))
+        return True
+
+    monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
+    handle, spare = making.create(place, plane_of(), (2, 3)), read_spare(place)
+    assert spare is not None and spare["attributes"]["run_id"] == handle.run_id
+    assert verify(str(place), sample=0).faults == ()
+
+
+def test_what_is_not_ours_at_a_url_is_left_alone(bucket: str) -> None:
+    place = place_of(f"{bucket}/foreign")
+    place.put("thesis.tex", b"mine")
+    with pytest.raises(InputError, match=r"holds thesis.tex and is not an atlas"):
+        find(place, plane_of())
+    zarr.create_group(zarr.storage.ObjectStore(place_of(f"{bucket}/group").client))  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match="not an atlas"):
+        find(f"{bucket}/group", plane_of())
+
+
+def test_the_ledger_is_one_listing(bucket: str, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    atlas.run(plane_of(), f"{bucket}/ledger", client=client)
+    handle = store.open_handle(f"{bucket}/ledger")
+    asked: list[str] = []
+    whole = ObjectPlace.list_keys
+    monkeypatch.setattr(
+        ObjectPlace, "list_keys", lambda self, prefix="": (asked.append(prefix), whole(self, prefix))[1]
+    )
+    monkeypatch.setattr(ObjectPlace, "exists", lambda *_: pytest.fail("a question for each tile"))
+    assert len(store.done_tiles(handle)) == 9
+    assert asked == ["regime/c/"]
+
+
+def test_a_status_of_a_finished_atlas_takes_ten_requests_at_most(
+    bucket: str, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    atlas.run(plane_of(), f"{bucket}/few", client=client)
+    asked: list[str] = []
+
+    def count(owner: Any, name: str) -> None:
+        whole = getattr(owner, name)
+
+        def counted(*args: Any, **named: Any) -> Any:
+            asked.append(name)
+            return whole(*args, **named)
+
+        monkeypatch.setattr(owner, name, counted)
+
+    for name in ("get_tagged", "exists", "list_keys"):
+        count(ObjectPlace, name)
+    for name in ("get", "exists", "list_prefix", "list_dir"):
+        count(RemoteStore, name)
+    status = read_status(store.open_handle(f"{bucket}/few"))
+    assert (status.tiles_done, status.cells_done) == (9, 35)
+    assert len(asked) <= 10, asked
+    assert not status.run
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("nowhere://x/plane.zarr", "nowhere://x/plane.zarr: found nowhere://, must be a path, file:// or one of s3, "),
+        ("memory://x", "memory://x: found memory://, must be "),
+        ("simplecache::s3://x/y", "simplecache::s3://x/y: found simplecache::s3://, must be "),
+        ("s3://no-such-bucket/plane.zarr", "s3://no-such-bucket/plane.zarr: cannot be written: "),
+    ],
+)
+def test_a_url_that_leads_nowhere_is_reported_in_one_line(bucket: str, url: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as told:
+        find(url, plane_of())
+    assert "\n" not in str(told.value)
+
+
+def test_a_url_without_obstore_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "obstore.store", None)
+    with pytest.raises(InputError, match=r"s3://x/y: .*; needs obstore: pip install obstore"):
+        place_of("s3://x/y")
+
+
+def test_a_store_that_may_only_be_read_is_refused_before_a_tile_is_solved(
+    bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = place_of(f"{bucket}/readonly/plane.zarr")
+    handle = making.create(place, plane_of(), (2, 3))
+    assert find(place, plane_of()) == handle
+
+    def refused(*_: object) -> bool:
+        raise PermissionError(13, "Access Denied")
+
+    monkeypatch.setattr(ObjectPlace, "put_new", refused)
+    with pytest.raises(InputError, match="cannot be written: Access Denied"):
+        find(place, plane_of())
+    assert store.open_handle(place) == handle
+
+
+@pytest.fixture
+def web(tmp_path: Path) -> Iterator[str]:
+    """The URL of a folder that a plain web server hands out."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.slow
+def test_a_published_store_is_read_from_a_plain_web_server(web: str, tmp_path: Path, client: Client) -> None:
+    atlas.run(plane_of(), tmp_path / "plane.zarr", client=client)
+    assert arrays_of(f"{web}/plane.zarr") == arrays_of(tmp_path / "plane.zarr")
+    with pytest.raises(InputError, match="cannot be written"):
+        find(f"{web}/other.zarr", plane_of())
+
+
+@pytest.mark.parametrize("given", ["x.zarr", "./x.zarr", "file:///tmp/a%20b/x.zarr"])
+def test_a_path_is_made_absolute_and_a_file_url_is_a_path(given: str) -> None:
+    expected = "/tmp/a b/x.zarr" if given.startswith("file") else os.path.join(os.getcwd(), "x.zarr")
+    assert str(place_of(given)) == expected
+
+
+def test_a_store_at_a_bucket_itself_has_no_room_for_notes(bucket: str) -> None:
+    with pytest.raises(InputError, match="needs a name below the bucket"):
+        notes_at_url(ObjectPlace(bucket))
+
+
+def test_a_chunk_that_was_never_written_reads_as_pending(place: Place) -> None:
+    making.create(place, plane_of(), (2, 3))
+    assert (np.asarray(atlas.open(place).regime) == -1).all()

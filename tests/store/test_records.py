@@ -1,0 +1,394 @@
+"""The records of tiles: what status and shares of an unfinished atlas read, and that no kill makes them wrong."""
+
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from distributed import Client
+
+import atlas
+from atlas.overview.pyramid import Pyramid
+from atlas.query.queries import fractions
+from atlas.query.reads import counted
+from atlas.service.status import Status, read_status
+from atlas.store import records
+from atlas.store.location import LocalPlace
+from atlas.store.record import BY_REASON, RECORD, RECORDS, WIDTH, record_key
+from atlas.store.records import Records, RunRecords, put_together, single_records
+from atlas.store.store import Atlas, done_tiles, open_arrays, open_handle
+from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write_tile
+from atlas.task.attempt import run_job
+from atlas.task.site import Site
+from atlas.task.task import Job
+from tests.chunk_keys import noted_keys
+from tests.planes import plane_of
+from tests.synthetic import complete, indices, results, spec_of
+from workers.results import FAILED, GAVE_UP, REGIMES
+
+TILES = 11 * 13
+
+
+def half_done(path: Path) -> Atlas:
+    """104 x 88 cells of which every other tile is done, so that no overview is."""
+    handle = complete(path, (8, 8), spec_of(104, 88), side=32)
+    missing = [index for index in indices(handle) if sum(index) % 2]
+    Pyramid(handle).drop(missing)
+    for index in missing:
+        drop_tile(handle, index)
+    return handle
+
+
+def record(handle: Atlas) -> None:
+    """Write the record of every finished tile, as its worker does."""
+    arrays = open_arrays(handle)
+    for index in sorted(done_tiles(handle)):
+        put_record(handle, index, record_of(handle, index, read_tile(handle, index, arrays=arrays)))
+
+
+@pytest.fixture(scope="module")
+def handle(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
+    """The half-done atlas with a record of each tile, as a run that was killed leaves it."""
+    made = half_done(tmp_path_factory.mktemp("records") / "half.zarr")
+    record(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    whole = complete(tmp_path_factory.mktemp("records") / "whole.zarr", (16, 16))
+    record(whole)
+    return whole.path
+
+
+@pytest.fixture
+def whole(made: Path, tmp_path: Path) -> Atlas:
+    """A whole atlas in 9 tiles with a record of each, of its own for each test."""
+    return open_handle(shutil.copytree(made, tmp_path / "whole.zarr"))
+
+
+@pytest.fixture
+def sound(whole: Atlas) -> Atlas:
+    """The same, with its records put together."""
+    put_together(whole)
+    return whole
+
+
+@pytest.fixture
+def copy(handle: Atlas, tmp_path: Path) -> Atlas:
+    """The half-done atlas, of its own for each test."""
+    return open_handle(shutil.copytree(handle.path, tmp_path / "half.zarr"))
+
+
+@pytest.fixture
+def keys(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Keys of the chunks of cells that Zarr gets from disk, whoever asks."""
+    return noted_keys(monkeypatch, lambda key: key.startswith(("regime/c/", "reason/c/")))
+
+
+def counts_of(path: Path) -> Counter[str]:
+    """Cells by regime from the regimes themselves."""
+    names = {regime.code: regime.name for regime in REGIMES if regime.name != "pending"}
+    codes = xr.open_zarr(path).regime.values
+    return Counter({names[code]: int((codes == code).sum()) for code in names if (codes == code).any()})
+
+
+def assert_true(status: Status, path: Path) -> None:
+    assert status.regimes == counts_of(path)
+    assert status.cells_done == sum(status.regimes.values())
+
+
+def test_status_of_a_half_done_atlas_reads_no_cell(handle: Atlas, keys: list[str]) -> None:
+    status = read_status(handle)
+    assert keys == []
+    assert status.tiles_done == TILES // 2 + 1
+    assert_true(status, handle.path)
+
+
+def test_shares_of_a_half_done_atlas_read_no_cell(handle: Atlas, keys: list[str]) -> None:
+    ds = atlas.open(handle.path)
+    with counted() as reads:
+        found = fractions(ds)
+    assert keys == []
+    assert reads.chunks <= 1  # shares that are left of a dropped overview
+    assert found == pytest.approx(fractions(ds.load().copy()), rel=1e-12)
+
+
+@pytest.mark.parametrize("part", [(3, 101, 2, 86), (8, 96, 16, 80), (17, 18, 5, 80), (0, 104, 16, 32)])
+def test_shares_in_a_window_of_a_half_done_atlas_read_its_border_alone(
+    handle: Atlas, keys: list[str], part: tuple[int, int, int, int]
+) -> None:
+    left, right, low, high = part
+    block = atlas.open(handle.path).isel(omega=slice(left, right), b=slice(low, high))
+    found = fractions(block)
+    read = {tuple(map(int, key.split("/")[2:])) for key in keys}
+    cut = [(y, x) for y, x in indices(handle) if not (low <= 8 * y and 8 * y + 8 <= high)
+           or not (left <= 8 * x and 8 * x + 8 <= right)]  # fmt: skip
+    assert read <= set(cut)
+    assert found == pytest.approx(fractions(block.load().copy()), rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("values", [np.geomspace(1.0, 50.0, 80), np.linspace(1.0, 4.0, 80) ** 2])
+def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np.ndarray) -> None:
+    spec = atlas.Spec("two-mass", axes={"omega": values, "b": np.geomspace(0.1, 5.0, 40)})
+    handle = complete(tmp_path / "a.zarr", (8, 8), spec, side=32)
+    drop_tile(handle, (3, 4))
+    Pyramid(handle).drop([(3, 4)])
+    record(handle)
+    ds = atlas.open(handle.path)
+    with counted() as reads:
+        found = fractions(ds)
+    assert reads.chunks < 10
+    assert found == pytest.approx(fractions(ds.load().copy()), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["half", "put together"])
+def test_a_tile_whose_record_is_lost_is_read_and_no_other(copy: Atlas, keys: list[str], name: str) -> None:
+    put_record(copy, (4, 4), np.zeros(WIDTH))
+    if name == "put together":
+        put_together(copy)
+        put_record(copy, (4, 4), np.zeros(WIDTH))
+    keys.clear()
+    assert_true(read_status(copy), copy.path)
+    assert keys.count("regime/c/4/4") == 2  # the second is of the comparison
+    found = fractions(atlas.open(copy.path))
+    assert found == pytest.approx(fractions(atlas.open(copy.path).load().copy()), rel=1e-12)
+
+
+def test_records_of_tiles_that_are_no_longer_done_do_not_count(copy: Atlas) -> None:
+    copy.path.joinpath("regime/c/4/4").unlink()
+    assert_true(read_status(copy), copy.path)
+    ds = atlas.open(copy.path)
+    assert fractions(ds) == pytest.approx(fractions(ds.load().copy()), rel=1e-12)
+
+
+def remove(path: Path) -> None:
+    path.unlink()
+
+
+def tear(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:40])
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("harm", [remove, tear, flip])
+def test_records_put_together_that_are_missing_or_damaged_are_counted_again(
+    sound: Atlas, harm: Callable[[Path], None], keys: list[str]
+) -> None:
+    harm(sound.path / RECORDS / "c.0.0.0")
+    assert_true(read_status(sound), sound.path)
+    assert len(keys) > 9
+
+
+@pytest.mark.parametrize("harm", [remove, tear])
+def test_records_are_read_by_the_roots_copy_of_their_metadata(
+    sound: Atlas, harm: Callable[[Path], None], keys: list[str]
+) -> None:
+    harm(sound.path / RECORDS / "zarr.json")
+    assert_true(read_status(sound), sound.path)
+    assert len(keys) == 9  # no cell
+
+
+@pytest.mark.parametrize("harm", [tear, flip])
+def test_a_damaged_record_is_counted_again(whole: Atlas, harm: Callable[[Path], None], keys: list[str]) -> None:
+    harm(whole.path / record_key((1, 1)))
+    assert_true(read_status(whole), whole.path)
+    assert keys.count("regime/c/1/1") == 2
+
+
+def test_a_record_with_a_reason_of_a_later_version_is_counted_again(sound: Atlas, keys: list[str]) -> None:
+    row = Records(sound).rows[1, 1].copy()
+    row[BY_REASON.start] -= 1
+    row[BY_REASON.stop] += 1
+    put_record(sound, (1, 1), row)
+    assert_true(read_status(sound), sound.path)
+    assert keys.count("regime/c/1/1") == 2
+
+
+def test_a_run_leaves_no_single_record_and_one_of_all_tiles(tmp_path: Path, client: Client, keys: list[str]) -> None:
+    atlas.run(plane_of(), tmp_path / "out.zarr", client=client)
+    handle = open_handle(tmp_path / "out.zarr")
+    assert sorted(handle.place.list_keys(f"{RECORD}/")) == [f"{RECORD}/zarr.json"]
+    keys.clear()
+    status = read_status(handle)
+    assert keys == []
+    assert (status.tiles_done, status.cells_done) == (9, 35)
+    assert_true(status, handle.path)
+
+
+def test_records_put_together_are_those_of_the_workers_and_of_the_cells(finished: Path) -> None:
+    handle = open_handle(finished)
+    rows = Records(handle).rows
+    for index in done_tiles(handle):
+        np.testing.assert_array_equal(rows[index], record_of(handle, index, read_tile(handle, index)))
+
+
+def test_a_run_of_a_finished_atlas_writes_no_record(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def put(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(records, "write_compaction", put)
+    assert atlas.run(plane_of(), finished, client=client).tiles_solved == 0
+
+
+def test_the_next_run_records_what_an_earlier_one_did_not(finished: Path, client: Client) -> None:
+    handle = open_handle(finished)
+    before = Records(handle).rows
+    shutil.rmtree(finished / RECORDS / "c.0.0.0", ignore_errors=True)
+    (finished / RECORDS / "c.0.0.0").unlink()
+    drop_tile(handle, (2, 2))
+    atlas.run(plane_of(), finished, client=client)
+    np.testing.assert_array_equal(Records(handle).rows[..., 2:], before[..., 2:])
+    np.testing.assert_array_equal(Records(handle).rows[2, 2], before[2, 2])
+
+
+def fail(handle: Atlas, index: tuple[int, ...]) -> None:
+    """Make two cells of a tile failed ones."""
+    arrays = read_tile(handle, index)
+    arrays["regime"][0, :2] = FAILED
+    arrays["reason"] = np.where(arrays["regime"] == FAILED, GAVE_UP, 0).astype(np.int8)
+    write_tile(handle, index, arrays)
+
+
+def test_a_tile_dropped_and_solved_by_hand_is_not_taken_for_its_old_self(finished: Path) -> None:
+    handle = open_handle(finished)
+    fail(handle, (1, 1))
+    put_together(handle)
+    drop_tile(handle, (1, 1))
+    run_job(Job((1, 1), Site(str(finished), handle.run_id, handle.solver_version)))
+    assert_true(read_status(handle), finished)
+
+
+# Kills: at each write of a tile that is written again, and of a compaction
+
+
+class Killed(BaseException):
+    pass
+
+
+def kill_at(monkeypatch: pytest.MonkeyPatch, step: int) -> list[str]:
+    """Let the process die at its step-th change of the store, which is not made; what it changes is listed."""
+    changes: list[str] = []
+
+    def counted(key: str) -> None:
+        if len(changes) >= step:
+            raise Killed
+        changes.append(key)
+
+    def put(place: LocalPlace, key: str, data: bytes) -> None:
+        counted(f"put {key}")
+        whole_put(place, key, data)
+
+    def removed(place: LocalPlace, key: str) -> None:
+        counted(f"remove {key}")
+        whole_remove(place, key)
+
+    async def set_(self: object, key: str, value: object) -> None:
+        counted(f"put {key}")
+        await whole_set(self, key, value)  # type: ignore[arg-type]
+
+    whole_put, whole_remove, whole_set = LocalPlace.put, LocalPlace.remove, zarr.storage.LocalStore.set
+    monkeypatch.setattr(LocalPlace, "put", put)
+    monkeypatch.setattr(LocalPlace, "remove", removed)
+    monkeypatch.setattr(zarr.storage.LocalStore, "set", set_)
+    return changes
+
+
+def killed_everywhere(handle: Atlas, act: Callable[[Atlas], None], holds: Callable[[Atlas], None]) -> list[str]:
+    """Do something in copies of a store, killed at each of its changes in turn; what it changes when it is not."""
+    for step in range(1000):
+        copied = open_handle(shutil.copytree(handle.path, handle.path.parent / f"killed-{step}.zarr"))
+        with pytest.MonkeyPatch.context() as patch:
+            changes = kill_at(patch, step)
+            try:
+                act(copied)
+                ended = True
+            except Killed:
+                ended = False
+        holds(copied)
+        shutil.rmtree(copied.path)
+        if ended:
+            return changes
+    raise AssertionError
+
+
+def test_records_are_right_whenever_a_run_is_killed_that_puts_them_together(whole: Atlas) -> None:
+    row = record_of(whole, (1, 1), read_tile(whole, (1, 1)))
+    put_together(whole)
+    for index in ((0, 0), (1, 1), (2, 1)):
+        write_tile(whole, index, results(whole, index, seed=1))
+
+    def true(handle: Atlas) -> None:
+        status = read_status(handle)
+        assert_true(status, handle.path)
+        assert not np.array_equal(Records(handle).rows[1, 1], row)
+
+    changes = killed_everywhere(whole, put_together, true)
+    assert changes[0] == f"put {RECORDS}/c.0.0.0"
+    assert sorted(changes[1:]) == [f"remove {record_key(index)}" for index in ((0, 0), (1, 1), (2, 1))]
+
+
+def test_records_are_right_whenever_a_worker_is_killed_that_writes_a_first_tile(whole: Atlas) -> None:
+    drop_tile(whole, (0, 1))
+
+    def write(handle: Atlas) -> None:
+        write_tile(handle, (0, 1), results(handle, (0, 1), seed=1))
+
+    changes = killed_everywhere(whole, write, lambda handle: assert_true(read_status(handle), handle.path))
+    assert changes[-2:] == [f"put {record_key((0, 1))}", "put regime/c/0/1"]
+
+
+def test_records_of_tiles_that_workers_may_still_write_are_not_removed(sound: Atlas) -> None:
+    due = np.zeros(sound.tiling.grid, dtype=bool)
+    due[0, 0] = due[1, 1] = True
+    run = RunRecords(sound, Records(sound), due)
+    for index in ((0, 0), (1, 1)):  # one receipt is lost
+        row = write_tile(sound, index, results(sound, index, seed=1))
+    run.add((1, 1), row.tolist())
+    run.compact(lambda: None)
+    assert single_records(sound) == [(0, 0)]
+    assert_true(read_status(sound), sound.path)
+
+
+def test_a_reader_that_comes_while_records_are_put_together_finds_them_all(
+    whole: Atlas, monkeypatch: pytest.MonkeyPatch, keys: list[str]
+) -> None:
+    listed = records.single_records
+
+    def slow(handle: Atlas) -> list[tuple[int, ...]]:
+        found = listed(handle)
+        monkeypatch.setattr(records, "single_records", listed)
+        put_together(handle)
+        return found
+
+    monkeypatch.setattr(records, "single_records", slow)
+    assert Records(whole).known.all()
+
+
+def test_a_run_reports_what_its_store_holds_after_each_receipt(finished: Path) -> None:
+    handle = open_handle(finished)
+    run = RunRecords(handle, Records(handle), np.ones(handle.tiling.grid, dtype=bool))
+    fail(handle, (1, 1))
+    run.add((1, 1), record_of(handle, (1, 1), read_tile(handle, (1, 1))).tolist())
+    assert run.counts is not None
+    assert (run.counts["tiles"], run.counts["regimes"]) == (9, counts_of(finished))
+    assert run.counts["reasons"] == read_status(handle).reasons
+    run.add((0, 0), ())
+    assert run.counts is None
+
+
+def test_plain_xarray_does_not_see_the_records(handle: Atlas) -> None:
+    assert not {"record", "records"} & {*xr.open_zarr(handle.path).variables}
+    assert {"record", "records"} <= {*xr.open_zarr(handle.path, group="tiles", consolidated=False).variables}

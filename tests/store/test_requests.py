@@ -1,0 +1,121 @@
+"""How many requests a server gets for each thing that is done with a store there, and which."""
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from distributed import Client
+
+import atlas
+from atlas.cli.main import main
+from atlas.store.location import ObjectPlace
+from atlas.store.making import create
+from atlas.store.sidecar import CLAIM, notes_of
+from atlas.store.store import open_handle
+from atlas.store.tiles import drop_tile
+from atlas.task.attempt import run_job
+from atlas.task.site import Site
+from atlas.task.task import Job
+from tests.loopback import ObjectStore, object_store
+from tests.planes import plane_of
+
+pytestmark = pytest.mark.slow
+URL = "s3://bucket/plane.zarr"
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[ObjectStore]:
+    with object_store() as server, pytest.MonkeyPatch.context() as patch:
+        for name, value in server.environment.items():
+            patch.setenv(name, value)
+        yield server
+
+
+@pytest.fixture(scope="module")
+def solved(served: ObjectStore, client: Client) -> ObjectStore:
+    """The server with the finished store of a plane."""
+    atlas.run(plane_of(), URL, client=client)
+    return served
+
+
+@pytest.fixture
+def server(solved: ObjectStore) -> ObjectStore:
+    solved.forget()
+    return solved
+
+
+def listings(server: ObjectStore) -> Counter[str]:
+    """How often each listing was asked for."""
+    return Counter(request.key.removeprefix("bucket/") for request in server.requests if request.kind == "list")
+
+
+def command(*words: Any) -> str:
+    ended = CliRunner().invoke(main, [*map(str, words)], catch_exceptions=False)
+    assert ended.exit_code == 0, ended.output
+    return ended.output
+
+
+def test_a_finished_atlas_is_opened_by_seven_requests(server: ObjectStore) -> None:
+    atlas.open(URL)
+    assert (sum(server.counts.values()), listings(server)) == (7, {})
+
+
+def test_the_status_of_a_finished_atlas_takes_at_most_nine_requests_and_one_listing(server: ObjectStore) -> None:
+    command("status", URL)
+    assert sum(server.counts.values()) <= 9
+    assert sum(listings(server).values()) <= 1
+
+
+def test_a_query_takes_at_most_twenty_requests_and_one_listing(server: ObjectStore) -> None:
+    command("query", URL)
+    assert sum(server.counts.values()) <= 20
+    assert sum(listings(server).values()) <= 1
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_run_that_resumes_lists_tiles_notes_and_records_once_and_new_records_at_its_end(
+    server: ObjectStore, client: Client, lost: int
+) -> None:
+    for _ in range(lost):
+        drop_tile(open_handle(URL), (0, 0))
+    server.forget()
+    assert atlas.run(plane_of(), URL, client=client).tiles_solved == lost
+    assert listings(server) == {"plane.zarr/regime/c/": 1, ".plane.zarr.run/": 1, "plane.zarr/tiles/record/": 1 + lost}
+
+
+def test_a_tile_is_written_without_the_metadata_of_each_array(server: ObjectStore, client: Client) -> None:
+    handle = open_handle(URL)
+    drop_tile(handle, (0, 0))
+    server.forget()
+    atlas.run(plane_of(), URL, client=client)
+    results = {f"bucket/plane.zarr/{each.name}/zarr.json" for each in handle.variables if each != handle.regime}
+    assert results.isdisjoint(request.key for request in server.requests)
+
+
+def test_the_objects_of_a_new_store_are_put_many_at_once(served: ObjectStore) -> None:
+    served.forget()
+    served.delay(0.05)
+    begin = time.perf_counter()
+    create(ObjectPlace("s3://bucket/new.zarr"), plane_of(), (2, 3))
+    seconds = time.perf_counter() - begin
+    served.delay(0.0)
+    assert seconds < 0.05 * served.counts["put"] / 2
+
+
+def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_note(served: ObjectStore) -> None:
+    """After the first tile of a process, which read the handle and opened the arrays."""
+    url = "s3://bucket/tiles.zarr"
+    handle = create(ObjectPlace(url), plane_of(), (2, 3))
+    notes_of(url).put(CLAIM, b'{"token": "ours"}', expected=None)
+    job = Job((0, 0), Site(url, handle.run_id, handle.solver_version, claim="ours"))
+    run_job(job)
+    served.forget()
+    run_job(replace(job, index=(1, 1)))
+    read = Counter(request.key.removeprefix("bucket/") for request in served.requests if request.kind == "get")
+    looks = 3 + sum(each.sparse for each in handle.variables)  # before: all results, the record, the regime
+    assert read == {".tiles.zarr.run/claim": looks, ".tiles.zarr.run/started-1-1": looks + 1}
+    assert sum(served.counts.values()) <= 42

@@ -1,0 +1,208 @@
+"""Metadata that are lost, damaged or wrong: named with their fault and the remedy, and written again by a repair.
+
+Truth: the store before the damage, byte for byte, or as xarray reads it.
+"""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import atlas
+from atlas.check.verify import verify
+from atlas.errors import ChunkError, InputError
+from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
+from atlas.query.resample import view
+from atlas.store.making import create
+from atlas.store.records import Records, put_together, write_compaction
+from atlas.store.spare import SPARE
+from atlas.store.store import open_handle
+from atlas.store.tiles import read_tile, write_tile
+from tests.planes import plane_of
+from tests.synthetic import spec_of
+from workers import solve_tile
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    handle = create(tmp_path_factory.mktemp("made") / "whole.zarr", plane_of((5, 7)), (5, 7))
+    cells = handle.spec.cell_params((slice(0, 5), slice(0, 7)))
+    write_tile(handle, (0, 0), solve_tile("two-mass", cells, handle.spec.settings))
+    put_together(handle)
+    assert verify(handle.path, sample=0).fine
+    return handle.path
+
+
+@pytest.fixture
+def whole(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "whole.zarr"))
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    found = json.loads(path.read_text())
+    change(found)
+    path.write_text(json.dumps(found))
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "the root is gone": (lambda at: (at / "zarr.json").unlink(), "zarr.json is missing"),
+    "the root is empty": (lambda at: (at / "zarr.json").write_text(""), "zarr.json is damaged (Expecting value"),
+    "the root is torn": (lambda at: (at / "zarr.json").write_text('{"attributes": {"for'), "zarr.json is damaged (Unt"),
+    "the root is another group's": (
+        lambda at: shutil.copy(at / "machines/zarr.json", at / "zarr.json"),
+        "zarr.json has attribute Conventions None, must be 'CF-1.11'",
+    ),
+    "another run": (
+        lambda at: changed(at / "zarr.json", lambda root: root["attributes"].update(run_id="0" * 32)),
+        f"zarr.json has attribute run_id '{'0' * 32}', must be ",
+    ),
+    "no copies": (
+        lambda at: changed(at / "zarr.json", lambda root: root.update(consolidated_metadata=None)),
+        "zarr.json has consolidated metadata that differ from those of ",
+    ),
+    "a copy of another type": (
+        lambda at: changed(
+            at / "zarr.json",
+            lambda root: root["consolidated_metadata"]["metadata"]["largest"].update(data_type="float44"),
+        ),
+        "zarr.json has consolidated metadata that differ from those of largest/zarr.json",
+    ),
+    "an array is gone": (lambda at: (at / "largest/zarr.json").unlink(), "largest/zarr.json is missing"),
+    "an array is torn": (lambda at: (at / "regime/zarr.json").write_text("{"), "regime/zarr.json is damaged (Exp"),
+    "another array's": (
+        lambda at: shutil.copy(at / "largest/zarr.json", at / "period/zarr.json"),
+        "period/zarr.json has data_type 'float64', must be 'int32'",
+    ),
+    "another shape": (
+        lambda at: changed(at / "regime/zarr.json", lambda array: array.update(shape=[8, 7])),
+        "regime/zarr.json has shape [8, 7], must be [5, 7]",
+    ),
+    "another type": (
+        lambda at: changed(at / "largest/zarr.json", lambda array: array.update(data_type="float44")),
+        "largest/zarr.json has data_type 'float44', must be 'float64'",
+    ),
+    "a coordinate of another type": (
+        lambda at: changed(at / "omega/zarr.json", lambda array: array.update(data_type="float44")),
+        "omega/zarr.json has data_type 'float44', must be 'float64'",
+    ),
+    "records": (lambda at: (at / "tiles/records/zarr.json").unlink(), "tiles/records/zarr.json is missing"),
+    "the spare is gone": (lambda at: (at / SPARE).unlink(), f"{SPARE} is missing or damaged"),
+    "the spare is another store's": (
+        lambda at: shutil.copy(create(at.with_name("other"), spec_of(7, 5), (5, 7)).path / SPARE, at / SPARE),
+        f"{SPARE} is missing or damaged",
+    ),
+    "the spare is torn": (lambda at: (at / SPARE).write_bytes(b"{"), f"{SPARE} is missing or damaged"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_written_again(
+    whole: Path, made: Path, damage: str
+) -> None:
+    do, said = DAMAGES[damage]
+    do(whole)
+    found = [str(fault) for fault in verify(whole, sample=0).faults]
+    assert any(each.startswith(said) for each in found), found
+    assert all(each.endswith(f": atlas verify --repair {whole} writes them again") for each in found)
+    key = said.partition(" ")[0]
+    assert f"{key} written again" in verify(whole, sample=0, repair=True).mended
+    assert verify(whole, sample=0).fine
+    with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
+        assert mended.identical(before)
+    keys = [
+        path.relative_to(made) for path in made.rglob("*") if path.is_file() and path.name not in ("zarr.json", "spare")
+    ]
+    assert all((whole / each).read_bytes() == (made / each).read_bytes() for each in keys)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{", b"[]", b'{"attributes": 7}'])
+def test_a_store_without_its_root_is_refused_with_the_remedy(whole: Path, content: bytes | None) -> None:
+    (whole / "zarr.json").unlink() if content is None else (whole / "zarr.json").write_bytes(content)
+    with pytest.raises(InputError, match=rf"zarr.json is (missing|damaged .*): atlas verify --repair {whole} writes"):
+        open_handle(whole)
+
+
+def test_a_type_that_nobody_knows_is_named_with_its_array_and_the_remedy(whole: Path) -> None:
+    for at, change in (
+        ("largest/zarr.json", lambda array: array.update(data_type="float44")),
+        ("zarr.json", lambda root: root["consolidated_metadata"]["metadata"]["largest"].update(data_type="float44")),
+    ):
+        changed(whole / at, change)
+    with pytest.raises(
+        InputError, match=r"zarr.json has consolidated .* those of largest/zarr.json: atlas verify --rep"
+    ):
+        atlas.open(whole)
+
+
+def test_a_chunk_of_another_size_is_named_with_the_remedy(whole: Path) -> None:
+    shutil.copy(whole / "sticks/c/0/0", whole / "largest/c/0/0")
+    said = r"largest/c/0/0 is damaged \(it unpacks to 35 bytes, must be 280\): atlas verify --repair"
+    with pytest.raises(ChunkError, match=said):
+        np.asarray(atlas.open(whole)["largest"])
+
+
+def big_endian(array: dict[str, Any]) -> None:
+    array["codecs"][0]["configuration"]["endian"] = "big"
+
+
+def test_cells_are_not_read_by_metadata_that_differ_from_their_copy(whole: Path) -> None:
+    changed(whole / "largest/zarr.json", big_endian)
+    handle = open_handle(whole)
+    for read in (lambda: read_tile(handle, (0, 0)), lambda: view(atlas.open(whole), ["largest"])):
+        with pytest.raises(ChunkError, match=r"largest/zarr.json differs from its copy in zarr.json: atlas ver"):
+            read()
+
+
+def test_cells_are_not_read_by_copies_of_metadata_that_differ_from_the_spare(whole: Path) -> None:
+    changed(whole / "zarr.json", lambda root: big_endian(root["consolidated_metadata"]["metadata"]["largest"]))
+    with pytest.raises(InputError, match=r"that differ from those of largest/zarr.json: atlas verify --repair"):
+        atlas.open(whole)
+
+
+def test_a_fixed_parameter_whose_chunk_is_lost_is_not_read_as_zero(whole: Path) -> None:
+    (whole / "R/c").unlink()
+    with pytest.raises(ChunkError, match=r"R/c is missing: atlas verify --repair"):
+        np.asarray(atlas.open(whole)["R"])
+
+
+FOLDERS = ("zarr.json", "largest/zarr.json", SPARE, "R/c", "omega/c/0", "largest/c/0/0", "tiles/records/c.0.0.0")
+
+
+@pytest.mark.parametrize("key", FOLDERS)
+def test_an_empty_folder_in_the_place_of_an_object_is_a_missing_object(whole: Path, made: Path, key: str) -> None:
+    (whole / key).unlink()
+    (whole / key).mkdir()
+    found = verify(whole, sample=0)
+    assert any(key.partition("/")[0] in str(fault) for fault in found.faults), found
+    assert f"remedy: atlas verify --repair {whole}" in str(found)
+    for index in verify(whole, sample=0, repair=True).repaired or ():
+        write_tile(open_handle(whole), index, read_tile(open_handle(made), index))
+    assert verify(whole, sample=0).fine
+    with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
+        assert mended.identical(before)
+
+
+def test_records_are_read_and_written_whatever_their_own_metadata_say(whole: Path, made: Path) -> None:
+    shutil.copy(whole / "omega/zarr.json", whole / "tiles/records/zarr.json")
+    handle = open_handle(whole)
+    rows = Records(handle).rows
+    assert np.array_equal(rows, Records(open_handle(made)).rows)
+    write_compaction(handle, rows, Records(handle).done)
+    key = "tiles/records/c.0.0.0"
+    assert (whole / key).read_bytes() == (made / key).read_bytes()
+
+
+def test_measures_outlive_the_loss_of_the_root(whole: Path) -> None:
+    handle = open_handle(whole)
+    write_measures(handle, Stored(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
+    before = atlas.open(whole).load()
+    assert "reactivity" in before
+    (whole / "zarr.json").unlink()
+    verify(whole, sample=0, repair=True)
+    assert verify(whole, sample=0).fine
+    assert atlas.open(whole).load().identical(before)

@@ -1,0 +1,232 @@
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+import atlas
+from atlas.errors import ChunkError, InputError, RunError
+from atlas.store import making, store
+from atlas.task.attempt import run_job
+from atlas.task.site import Site
+from atlas.task.task import Job
+from tests.planes import find, plane_of
+from tests.synthetic import set_attribute
+from workers.results import REGIMES, result_variables
+
+
+@pytest.fixture
+def handle(tmp_path: Path, plane: atlas.Spec) -> store.Atlas:
+    return making.create(tmp_path / "out.zarr", plane, (2, 3))
+
+
+def solve(handle: store.Atlas, index: tuple[int, ...]) -> None:
+    run_job(Job(index, Site(str(handle.path), handle.run_id, handle.solver_version)))
+
+
+def test_a_new_store_holds_every_variable_and_no_result(handle: store.Atlas, plane: atlas.Spec) -> None:
+    ds = xr.open_zarr(handle.path)
+    assert set(ds.data_vars) == {variable.name for variable in result_variables(plane.settings)}
+    assert (ds.regime.values == -1).all()
+    assert store.done_tiles(handle) == set()
+
+
+def test_plain_xarray_opens_a_half_done_store_without_a_warning(handle: store.Atlas) -> None:
+    solve(handle, (0, 1))
+    ds = xr.open_zarr(handle.path)  # warnings are errors here
+    done = ds.regime.values >= 0
+    assert done[0:2, 3:6].all()
+    assert done.sum() == 6
+    assert np.isnan(ds.state.values[~done]).all()
+
+
+def test_fixed_parameters_are_scalar_coordinates(handle: store.Atlas) -> None:
+    ds = xr.open_zarr(handle.path)
+    assert ds.R.item() == 0.8
+    assert {"R", "mu_k", "x1"} <= set(ds.regime.coords)
+    assert ds.indexes["omega"].size == 7
+
+
+def test_atlases_concatenate_along_a_fixed_parameter(tmp_path: Path) -> None:
+    parts = []
+    for R in (0.5, 0.8):
+        handle = making.create(tmp_path / f"{R}.zarr", plane_of(R=R), (5, 7))
+        parts.append(xr.open_zarr(handle.path))
+    whole = xr.concat(parts, dim="R", data_vars="all", coords="different", compat="equals", join="exact")
+    assert whole.regime.dims == ("R", "b", "omega")
+    assert whole.R.values.tolist() == [0.5, 0.8]
+
+
+def test_components_of_the_state_are_named(handle: store.Atlas) -> None:
+    assert xr.open_zarr(handle.path).component.values.tolist() == ["x1", "x2", "v1", "v2"]
+
+
+def test_regime_has_cf_flags_and_no_fill_value_attribute(handle: store.Atlas) -> None:
+    regime = xr.open_zarr(handle.path).regime
+    assert regime.attrs["flag_values"] == [entry.code for entry in REGIMES]
+    assert regime.attrs["flag_meanings"].split()[0] == "pending"
+    assert len(regime.attrs["flag_colors"].split()) == len(REGIMES)
+    assert "_FillValue" not in regime.attrs
+    assert zarr.open_group(handle.path, mode="r")["regime"].fill_value == -1
+
+
+def test_one_tile_is_one_chunk_of_every_array(handle: store.Atlas) -> None:
+    ds = xr.open_zarr(handle.path)
+    assert {ds[name].encoding["chunks"][:2] for name in ds.data_vars} == {(2, 3)}
+
+
+def test_an_atlas_exports_to_netcdf_attributes(handle: store.Atlas) -> None:
+    attrs = xr.open_zarr(handle.path).attrs
+    assert all(isinstance(value, str | int) for value in attrs.values())
+    assert json.loads(attrs["spec"])["system"] == "two-mass"
+
+
+def test_the_store_keeps_the_spec_exactly(handle: store.Atlas, plane: atlas.Spec) -> None:
+    assert handle.spec.digest == plane.digest == handle.digest
+
+
+def test_a_tile_is_done_when_its_regime_chunk_exists(handle: store.Atlas) -> None:
+    solve(handle, (1, 2))
+    assert store.done_tiles(handle) == {(1, 2)}
+    (handle.path / "regime" / "c" / "1" / "2").unlink()
+    assert store.done_tiles(handle) == set()
+
+
+def test_leftovers_of_a_killed_write_are_no_tile(handle: store.Atlas) -> None:
+    solve(handle, (1, 2))
+    (handle.path / "regime" / "c" / "1" / "0.4fbe.partial").write_bytes(b"half")
+    assert store.done_tiles(handle) == {(1, 2)}
+
+
+def test_a_finished_tile_has_a_chunk_in_every_array_but_of_reasons_that_it_has_none_of(
+    handle: store.Atlas, plane: atlas.Spec
+) -> None:
+    solve(handle, (0, 0))
+    for variable in result_variables(plane.settings):
+        tail = ["0"] * len(variable.extra)
+        exists = (handle.path.joinpath(variable.name, "c", "0", "0", *tail)).exists()
+        assert exists != (variable.name == "reason")
+
+
+def test_regime_is_written_last(handle: store.Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+    order = []
+    whole = zarr.Array.__setitem__
+    monkeypatch.setattr(
+        zarr.Array, "__setitem__", lambda a, key, value: (order.append(a.basename), whole(a, key, value))
+    )
+    solve(handle, (0, 0))
+    assert order[-1] == "regime"
+    assert len(order) == len(set(order)) > 10
+
+
+def test_writing_a_tile_twice_changes_no_byte(handle: store.Atlas) -> None:
+    solve(handle, (0, 0))
+    before = {path: path.read_bytes() for path in handle.path.rglob("*") if path.is_file()}
+    solve(handle, (0, 0))
+    assert {path: path.read_bytes() for path in handle.path.rglob("*") if path.is_file()} == before
+
+
+def test_a_torn_chunk_is_noticed_when_it_is_read(handle: store.Atlas) -> None:
+    solve(handle, (0, 0))
+    chunk = handle.path / "state" / "c" / "0" / "0" / "0"
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 2] ^= 1
+    chunk.write_bytes(data)
+    with pytest.raises(ValueError, match=r"[Cc]hecksum"):
+        _ = xr.open_zarr(handle.path).state.values
+
+
+def test_a_worker_with_another_store_at_the_path_fails_loudly(handle: store.Atlas) -> None:
+    with pytest.raises(RunError, match="is the path the same on all hosts"):
+        run_job(Job((0, 0), Site(str(handle.path), "another run", handle.solver_version)))
+
+
+def test_a_worker_with_another_solver_version_fails_loudly(handle: store.Atlas) -> None:
+    with pytest.raises(RunError, match="this worker has solver version"):
+        run_job(Job((0, 0), Site(str(handle.path), handle.run_id, handle.solver_version + 1)))
+
+
+def test_a_failed_creation_leaves_nothing(tmp_path: Path, plane: atlas.Spec, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.rename", full)
+    with pytest.raises(InputError, match="cannot be written: No space left on device"):
+        making.create(tmp_path / "out.zarr", plane, (2, 3))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_yet_is_no_store(tmp_path: Path, plane: atlas.Spec) -> None:
+    (tmp_path / "empty").mkdir()
+    assert find(tmp_path / "new.zarr", plane) is None
+    assert find(tmp_path / "empty", plane) is None
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
+def test_the_same_spec_may_go_on(handle: store.Atlas) -> None:
+    assert find(handle.path, plane_of(tile=(5, 5))) == handle
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (plane_of(R=0.5), "R = 0.8 in the store, 0.5 in the spec"),
+        (
+            atlas.Spec(
+                "two-mass",
+                axes={"b": {"start": 0.1, "stop": 0.5, "num": 5}, "omega": {"start": 2.0, "stop": 4.0, "num": 7}},
+                solve=plane_of().settings,
+            ),
+            r"axis order differs: \(omega, b\) in the store, \(b, omega\) in the spec",
+        ),
+        (atlas.Spec("two-mass", axes={"tau": [0.0]}), r"axes differ: .* max_periods = 500 in the store"),
+        (
+            atlas.Spec("two-mass", axes={"omega": [2.0, 3.0], "b": [0.1]}, solve=plane_of().settings),
+            r"axis omega 2..4 \(7 values\) in the store, omega 2..3 \(2 values\) in the spec; axis b",
+        ),
+    ],
+    ids=["parameter", "transposed", "axes and settings", "values"],
+)
+def test_another_spec_is_refused_by_every_difference(handle: store.Atlas, other: atlas.Spec, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        find(handle.path, other)
+
+
+def test_another_solver_version_is_refused(handle: store.Atlas, plane: atlas.Spec) -> None:
+    older = handle.solver_version - 1
+    set_attribute(handle.path, "solver_version", older)
+    with pytest.raises(InputError, match=f"made by solver version {older}, this is version {handle.solver_version}"):
+        find(handle.path, plane)
+
+
+def test_an_unknown_format_version_is_refused(handle: store.Atlas) -> None:
+    set_attribute(handle.path, "format_version", 99)
+    with pytest.raises(InputError, match="format version 99, this program reads version 1"):
+        atlas.open(handle.path)
+
+
+def test_what_is_not_ours_is_refused(tmp_path: Path, plane: atlas.Spec) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "thesis.tex").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    zarr.create_group(tmp_path / "foreign.zarr")
+    zarr.create_array(tmp_path / "array.zarr", shape=(2,), dtype="f8")
+    for name in ("folder", "file", "foreign.zarr", "array.zarr"):
+        with pytest.raises(InputError, match=f"{name}: not an atlas"):
+            find(tmp_path / name, plane)
+
+
+def test_opening_what_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such store"):
+        atlas.open(tmp_path / "none.zarr")
+
+
+def test_open_reads_nothing_before_it_is_used(handle: store.Atlas) -> None:
+    solve(handle, (0, 0))
+    ds = atlas.open(handle.path)
+    os.remove(handle.path / "state" / "c" / "0" / "0" / "0")
+    with pytest.raises(ChunkError, match="state/c/0/0/0 is missing"):
+        ds.state.load()

@@ -1,0 +1,193 @@
+"""Two attempts at one tile that live at the same time: their worker was given up, and was only cut off or asleep.
+
+Truth: the bytes of the store before and after.
+"""
+
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from atlas import Spec
+from atlas.errors import RunError
+from atlas.store.location import LocalPlace
+from atlas.store.making import create
+from atlas.store.schema import extra_sizes
+from atlas.store.sidecar import TileAttempt, notes_of, put_attempt
+from atlas.store.store import Atlas, chunk_key, done_tiles, open_handle
+from atlas.store.tiles import read_tile, write_tile
+from atlas.task import attempt
+from atlas.task.attempt import run_job
+from atlas.task.site import Site
+from atlas.task.task import Job
+from tests.planes import plane_of
+from workers import tile as solving
+from workers.results import empty_results
+
+
+@pytest.fixture
+def handle(tmp_path: Path) -> Atlas:
+    return create(tmp_path / "out.zarr", plane_of(), (2, 3))
+
+
+def job_of(handle: Atlas) -> Job:
+    return Job((1, 1), Site(str(handle.place), handle.run_id, handle.solver_version))
+
+
+class Sleeper:
+    """A first attempt at a tile, in a thread, that falls asleep where ``asleep`` is called."""
+
+    def __init__(self, job: Job) -> None:
+        self._sleeping, self._awake, self.error = threading.Event(), threading.Event(), ""
+        self._thread = threading.Thread(target=self._run, args=[job])
+
+    def start(self) -> None:
+        self._thread.start()
+        assert self._sleeping.wait(600)  # kernels may have to be compiled
+
+    def asleep(self) -> None:
+        if threading.current_thread() is self._thread and not self._sleeping.is_set():
+            self._sleeping.set()
+            assert self._awake.wait(600)
+
+    def wake(self) -> None:
+        self._awake.set()
+        self._thread.join()
+
+    def _run(self, job: Job) -> None:
+        try:
+            run_job(job)
+        except RunError as error:
+            self.error = str(error)
+
+
+def before_it_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = solving.solve_tile
+
+    def slow(*given: Any) -> Any:
+        found = whole(*given)
+        sleeper.asleep()
+        return found
+
+    monkeypatch.setattr(solving, "solve_tile", slow)
+
+
+def between_two_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = LocalPlace.put
+
+    def slow(place: LocalPlace, key: str, data: bytes) -> None:
+        whole(place, key, data)
+        if key.startswith("largest/c"):
+            sleeper.asleep()
+
+    monkeypatch.setattr(LocalPlace, "put", slow)
+
+
+SUPERSEDED = "another attempt at this tile has begun; nothing more is written"
+
+
+@pytest.mark.parametrize(("when", "error"), [(before_it_writes, ""), (between_two_writes, SUPERSEDED)])
+def test_an_attempt_that_sleeps_while_another_does_its_tile_writes_nothing_more(
+    handle: Atlas, monkeypatch: pytest.MonkeyPatch, when: Callable[[Sleeper, pytest.MonkeyPatch], None], error: str
+) -> None:
+    """The second ends before the first wakes, so that its note is gone; one that has not begun to write is content."""
+    job = job_of(handle)
+    sleeper = Sleeper(job)
+    when(sleeper, monkeypatch)
+    sleeper.start()
+
+    assert run_job(job).cells > 0
+    before = {key: handle.place.version(key) for key in handle.place.list_keys()}
+    sleeper.wake()
+    assert sleeper.error.endswith(error)
+    assert {key: handle.place.version(key) for key in handle.place.list_keys()} == before
+    assert done_tiles(handle) == {(1, 1)}
+    read_tile(handle, (1, 1))
+
+
+def test_the_note_of_a_second_attempt_is_left_by_the_first(handle: Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = job_of(handle)
+    sleeper = Sleeper(job)
+    before_it_writes(sleeper, monkeypatch)
+    sleeper.start()
+    notes = notes_of(handle.place)
+    assert notes.put(job.note, b'{"token": "second"}', expected=notes.read(job.note))
+    sleeper.wake()
+    assert sleeper.error.endswith(SUPERSEDED)
+    assert notes.read(job.note) == b'{"token": "second"}'
+    assert done_tiles(handle) == set()
+
+
+@pytest.mark.parametrize("side", [60, 128], ids=["chunks", "shards"])
+def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: int
+) -> None:
+    """As a first attempt that was cut off has left them: all but the regime, or all of them."""
+    axes = {name: {"start": 0.1, "stop": 0.5, "num": side} for name in ("omega", "b")}
+    handle = create(tmp_path / "large.zarr", Spec("two-mass", axes), (side, side))
+    arrays = empty_results(handle.spec.variables, (side, side), extra_sizes(handle.spec))
+    write_tile(handle, (0, 0), arrays)
+    handle.place.remove(chunk_key(handle.regime, (0, 0)))
+    removed: list[str] = []
+    monkeypatch.setattr(LocalPlace, "remove", lambda _, key: removed.append(key))
+    whole = LocalPlace.put
+
+    def put(place: LocalPlace, key: str, data: bytes) -> None:
+        assert place.exists(key) or key == chunk_key(handle.regime, (0, 0))
+        whole(place, key, data)
+
+    monkeypatch.setattr(LocalPlace, "put", put)
+    write_tile(handle, (0, 0), arrays)
+    assert not {*removed} - {chunk_key(each, (0, 0)) for each in handle.variables if each.sparse}
+    assert (0, 0) in done_tiles(open_handle(handle.path))
+
+
+def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """From now on attempts at tiles do not live to remove their notes; the runs of those that solved one."""
+    solved: list[str] = []
+    monkeypatch.setattr(attempt, "solve_and_write", lambda job, _: solved.append(job.site.claim))
+    monkeypatch.setattr(TileAttempt, "remove", lambda *_: None)
+    return solved
+
+
+def test_a_tile_whose_process_died_twice_is_not_tried_again_and_the_last_is_named(
+    handle: Atlas, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job, solved = job_of(handle), unfinished(monkeypatch)
+    for _ in range(2):
+        run_job(job)
+    for _ in range(2):
+        with pytest.raises(RunError, match=rf"has died 2 times, the last was .*, process {os.getpid()}$"):
+            run_job(job)
+    assert len(solved) == 2
+
+
+def test_attempts_of_another_run_do_not_count(handle: Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: a run that somebody ends in the middle of a tile is no sign that the tile is at fault."""
+    solved = unfinished(monkeypatch)
+    monkeypatch.setattr(Job, "handle", lambda job: handle)
+    for claim in ("first", "second", "third", "third"):
+        job = job_of(handle)
+        run_job(replace(job, site=replace(job.site, claim=claim)))
+    assert solved == ["first", "second", "third", "third"]
+
+
+def test_a_note_is_that_of_the_attempt_alone(handle: Atlas) -> None:
+    notes, name = notes_of(handle.place), "started-0-0"
+    first, second = put_attempt(notes, name, "run", 9), put_attempt(notes, name, "run", 9)
+    assert (first.number, second.number) == (1, 2)
+    first.remove(notes, name)
+    assert notes.read(name) is not None
+    second.remove(notes, name)
+    assert notes.read(name) is None
+
+
+@pytest.mark.parametrize("note", [b"", b"{", b"[]", b'{"run": "run", "number": "many"}'])
+def test_a_note_that_makes_no_sense_counts_as_none(handle: Atlas, note: bytes) -> None:
+    notes = notes_of(handle.place)
+    notes.put("started-0-0", note, expected=None)
+    assert put_attempt(notes, "started-0-0", "run", 1).number == 1

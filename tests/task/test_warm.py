@@ -1,0 +1,332 @@
+"""The kernels' compilation, by one process of a machine."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from atlas.cli.progress import LogReporter
+from atlas.service.progress import prepare_kernels
+from atlas.task import compile as warm
+from atlas.task.child import watched_together
+from scripts.compare_processors import PARTS
+from scripts.compare_processors import main as compare_processors
+from tests.faults import ROOT
+from tests.handmade import bouncing_ball, impact_pair
+from tests.workers.attractors.test_attractors import CHAOTIC_TWINS, TWINS
+from tests.workers.continuation.test_branches import ball_orbit, pair_orbit
+from workers import Settings, solve_tile
+from workers.attractors import cell, same
+from workers.attractors.basins import solve_basins
+from workers.attractors.same import orbits_reached
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
+from workers.continuation import admissible, branch, curve, legs, motion
+from workers.kernel import cache, cells, jit
+from workers.kernel.lanes import run
+from workers.orbit import newton
+from workers.orbit.map import iterate
+
+KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
+"""What Python calls, among others."""
+OF_ATTRACTORS = [
+    *KERNELS,
+    *(value for module in (cell, same) for value in vars(module).values() if isinstance(value, jit.Kernel)),
+]
+
+COUNTED = """
+import hashlib, json, sys
+import numpy as np
+from numba.core import event
+from atlas.task import compile as warm
+from workers import Settings, solve_tile
+class Counter(event.Listener):
+    done = 0
+    def on_start(self, event): pass
+    def on_end(self, event): self.done += 1
+counter = Counter()
+event.register("numba:compile", counter)
+warm.warm_up(*sys.argv[1:])
+omega, b = np.meshgrid(np.linspace(2.0, 4.0, 12), np.linspace(0.05, 0.5, 8))
+found = solve_tile("two-mass", {"omega": omega, "b": b}, Settings(exponents="spectrum", survival=1000))
+bits = b"".join(np.ascontiguousarray(found[name]).tobytes() for name in sorted(found))
+print(json.dumps([counter.done, hashlib.sha256(bits).hexdigest()]))
+"""
+WINDOW = {"A": (0.5, 4.0), "R": (0.3, 0.7)}
+
+COMPILING, LOADING = "compiling the kernels, about 45 s, once for this version", "loading the kernels"
+
+
+@pytest.fixture
+def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What has been compiled, into a folder that holds nothing at first."""
+    done: list[str] = []
+
+    def slowly(parts: tuple[str, ...], report: warm.Report | None) -> bool:
+        time.sleep(0.2)
+        done.extend(part or "cells" for part in parts)
+        return True
+
+    monkeypatch.setattr(cache, "CACHE", tmp_path)
+    monkeypatch.setattr(warm, "warm_up_in_child", slowly)
+    monkeypatch.setattr(warm, "processors", lambda: 1)
+    monkeypatch.setattr(warm, "TICK", 0.01)
+    return done
+
+
+def test_of_many_that_need_the_kernels_one_compiles_them(compiled: list[str]) -> None:
+    asking = [threading.Thread(target=warm.compile_once) for _ in range(8)]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join()
+    assert compiled == ["cells"]
+
+
+def test_a_kernel_costs_nothing_until_it_is_called() -> None:
+    """Numba looks at the sources and at the disk for each function that it is to compile, or to load."""
+
+    @jit.kernel
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    assert not {"alone", "part"} & vars(half).keys()
+    assert half(3.0) == 1.5
+    assert "alone" in vars(half) and "part" not in vars(half)
+
+
+@pytest.mark.parametrize("name", ["bouncing-ball", "impact-damper", "chain-3", "chain-8"])
+def test_no_system_has_kernels_of_its_own(name: str) -> None:
+    """Of one, two and more coordinates, with rigid modes and loads: none compiles what others have compiled."""
+    warm.warm_up()
+    before = {kernel: len(kernel.alone.signatures) for kernel in KERNELS}
+    solve_tile(name, {}, Settings(exponents="spectrum", survival=0, max_periods=500))
+    assert {kernel: len(kernel.alone.signatures) for kernel in KERNELS} == before
+
+
+def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(parts: tuple[str, ...], report: warm.Report | None) -> bool:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(warm, "warm_up_in_child", stopped)
+        warm.compile_once()
+    assert warm.warming() == COMPILING
+    warm.compile_once()
+    assert compiled == ["cells"]
+
+
+def test_what_attractors_and_orbits_take_is_compiled_where_it_is_asked_for_and_once(compiled: list[str]) -> None:
+    for more in ((), (warm.ATTRACTORS,), (warm.ORBITS, warm.ATTRACTORS), (warm.ORBITS,)):
+        warm.compile_once(*more)
+    assert compiled == ["cells", "attractors", "orbits"]
+    assert warm.warming(warm.ATTRACTORS, warm.ORBITS) == LOADING
+
+
+def test_no_attractor_has_kernels_of_its_own() -> None:
+    """Twins, chaos and its twin, basins: none compiles what was not compiled beforehand."""
+    warm.warm_up(warm.ATTRACTORS)
+    before = {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS}
+    brief = Settings(max_periods=4000, survival=8000, tolerance=0.05)
+    for twins in (TWINS, CHAOTIC_TWINS):
+        solve_attractors("two-mass", twins, brief, Starts(8))
+    solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, Starts(2))
+    assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
+    assert all(before[kernel] for kernel in (orbits_reached, iterate))
+
+
+def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
+    assert warm.warming() == COMPILING
+    warm.compile_once()
+    assert warm.warming() == LOADING
+
+
+def test_with_two_processors_the_user_reads_of_a_shorter_compilation(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "processors", lambda: 2)
+    spared = warm.SPARED[warm.CELLS]
+    assert warm.warming() == COMPILING.replace("45", str(45 - spared))
+
+
+def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache, "CACHE", None)
+    warm.compile_once()
+    assert compiled == []
+
+
+def test_the_child_compiles_what_it_is_given() -> None:
+    """Run for real, the kernels being there: whatever it cannot do ends it with an error."""
+    assert warm.warm_up_in_child((warm.CELLS,))
+
+
+COUNTING = "import json, sys; [print(n, flush=True) for n in range(1, 1 + len(json.loads(sys.argv[1])))]"
+"""A child that counts up to the number of the pieces that it is given, one a line."""
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[list[str]]]:
+    """The pieces that children which count instead of compiling were given, stage by stage."""
+    stages: list[list[list[str]]] = []
+
+    def counting(code: str, arguments: list[str], told: Callable[[int, str], None]) -> list[int]:
+        stages.append([json.loads(each) for each in arguments])
+        return watched_together(COUNTING, arguments, told)
+
+    monkeypatch.setattr(warm, "watched_together", counting)
+    return stages
+
+
+def test_who_waits_for_a_compilation_hears_of_it_every_tick(
+    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "processors", lambda: 1)
+    heard: list[warm.Compilation] = []
+    assert warm.warm_up_in_child((warm.CELLS, warm.ATTRACTORS, warm.ORBITS), heard.append)
+    assert asked == [[[warm.CELLS, warm.ATTRACTORS, warm.ORBITS]]]
+    of = sum(warm.FUNCTIONS[part] for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS))
+    assert [(each.done, each.of) for each in heard] == [(1, of), (2, of), (3, of)]
+
+
+@pytest.mark.parametrize("cells", [warm.CELLS, warm.MODES])
+def test_with_two_processors_the_largest_kernels_are_compiled_side_by_side(
+    cells: str, asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "processors", lambda: 2)
+    heard: list[warm.Compilation] = []
+    assert warm.warm_up_in_child((cells, warm.ORBITS), heard.append)
+    assert asked == [[[warm.APART]], [[warm.BATCH, cells], [warm.SETTLE, cells]], [[cells, warm.ORBITS]]]
+    assert [each.done for each in heard] == list(range(1, 8))
+
+
+def test_what_does_not_take_the_kernels_of_cells_is_compiled_by_one_process(
+    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "processors", lambda: 2)
+    assert warm.warm_up_in_child((warm.ORBITS,))
+    assert asked == [[[warm.ORBITS]]]
+
+
+def test_children_side_by_side_end_when_one_who_hears_of_them_gives_up() -> None:
+    """Each would count for an hour."""
+    code = "import time\nfor k in range(36000): print(k, flush=True); time.sleep(0.1)"
+
+    def give_up(place: int, line: str) -> None:
+        raise KeyboardInterrupt
+
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        watched_together(code, ["", ""], give_up)
+    assert time.monotonic() - begin < 60.0
+
+
+def test_pieces_are_the_kernels_that_cells_take() -> None:
+    for piece in (warm.APART, warm.BATCH, warm.SETTLE):
+        warm.compile_piece(piece)
+    before = {kernel: list(kernel.alone.signatures) for kernel in (run.run_batch, newton.settle_each)}
+    assert all(len(signatures) >= 1 for signatures in before.values())
+    warm.warm_up()
+    assert {kernel: list(kernel.alone.signatures) for kernel in before} == before
+
+
+def test_who_waits_for_another_process_hears_of_it_too(compiled: list[str]) -> None:
+    heard: list[warm.Compilation] = []
+    first = threading.Thread(target=warm.compile_once)
+    first.start()
+    time.sleep(0.05)
+    warm.compile_once(report=heard.append)
+    first.join()
+    assert compiled == ["cells"]
+    assert heard and {(each.done, each.of) for each in heard} == {(0, 0)}
+
+
+def test_a_log_shows_how_far_a_compilation_is_and_how_long_it_has_taken(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reports(parts: tuple[str, ...], report: warm.Report) -> bool:
+        for done in (43, 86):
+            report(warm.Compilation(done, 215, done / 4.3))
+        return True
+
+    monkeypatch.setattr(warm, "warm_up_in_child", reports)
+    log = io.StringIO()
+    with LogReporter(log, interval=0.0) as show:
+        prepare_kernels(show)
+    assert log.getvalue().splitlines() == [COMPILING, f"{COMPILING}: 20 % after 10 s", f"{COMPILING}: 40 % after 20 s"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for compiled kernels, empty at first."""
+    return tmp_path_factory.mktemp("kernels")
+
+
+@pytest.fixture(scope="module")
+def compiled_in_turn(folder: Path) -> dict[str, tuple[int, str]]:
+    """Functions that each part compiles after those before it, from an empty folder on; the bits of cells then.
+
+    Compiled for another kind of processor than this one.
+    """
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)} | PARTS["kernels"]
+    found = {}
+    for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES):
+        command = [sys.executable, "-c", COUNTED, part]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        found[part] = tuple(json.loads(done.stdout))
+        environment |= {"NUMBA_OPT": "0"}  # all but the first are only counted: that takes half the time
+    assert any(folder.rglob("*.nbc"))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES])
+def test_the_number_of_functions_of_a_part_is_about_that_which_is_compiled(
+    part: str, compiled_in_turn: dict[str, tuple[int, str]]
+) -> None:
+    assert compiled_in_turn[part][0] == pytest.approx(warm.FUNCTIONS[part], rel=0.25)
+
+
+@pytest.mark.slow
+def test_a_process_that_compiles_the_kernels_gets_the_bits_of_those_that_load_them(
+    compiled_in_turn: dict[str, tuple[int, str]],
+) -> None:
+    assert len({bits for _, bits in compiled_in_turn.values()}) == 1
+
+
+@pytest.mark.slow
+def test_kernels_compiled_for_another_kind_of_processor_give_the_same_bits(
+    compiled_in_turn: dict[str, tuple[int, str]],
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(PARTS["kernels"], "NUMBA_CACHE_DIR", str(folder))
+    compare_processors(["--part", "kernels", "--light", "--json"])
+    found = json.loads(capsys.readouterr().out)["kernels"]
+    assert found["cells"] == 35
+    assert found["class_differs"] == found["digits_differ"] == 0
+
+
+@pytest.mark.slow
+def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
+    """Of a ball, whose orbit folds and doubles, and of a pair, whose orbit breaks symmetry: most events."""
+    warm.warm_up(warm.ORBITS)
+    modules = (legs, motion, admissible)
+    kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
+    before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
+    run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))
+    curve(bouncing_ball(("A", "R")), run.events[0], np.array([float(run.events[0].point.values[0]), 0.5]), WINDOW)
+    branch(impact_pair(("alpha",), R=0.5), pair_orbit(0.2, 0.5), 0.2, (0.05, 1.0))
+    assert {kernel: list(kernel.alone.signatures) for kernel in kernels} == before

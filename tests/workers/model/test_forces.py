@@ -1,0 +1,488 @@
+"""Claims about forces: sine and cosine parts, many orders, commensurate frequencies, waveforms."""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from atlas import Spec, branch
+from atlas.cell.orbit import samples_of
+from atlas.query.grazing import grazing_ratio
+from atlas.query.queries import per_unit_time
+from atlas.robustness.norm import weights_of
+from atlas.spec.equation import equation_of
+from tests.oracle import Machine, simulate
+from tests.oracle.machines import random_machine
+from tests.oracle.pieces import Force
+from tests.oracle.pieces import Machine as Pieces
+from tests.oracle.pieces.draw import random_machine as pieces_at_random
+from tests.workers.cell.test_family import assert_jacobians_agree, solver_jacobian, solver_sections
+from tests.workers.kernel.test_hybrid_random import SENSITIVE, assert_few_stop, compare
+from workers import Settings, System, solve_tile
+from workers.attractors.starts import REACH, Starts, boxes
+from workers.model.entries import DefinitionError
+from workers.model.reading_force import HARMONICS, HIGHEST
+from workers.model.waveform import WAVEFORMS, Waveform
+from workers.results import PERIODIC
+
+OWN: dict[str, Any] = {
+    "name": "own", "coordinates": ["x"], "mass": [["m"]], "damping": [["c"]], "stiffness": [["k"]], "gap": [1.0],
+    "upper": "b", "restitution": 0.7,
+    "parameters": {"m": 1.3, "c": 0.3, "k": 2.0, "b": 100.0, "A": 0.8, "B": 0.5},
+}  # fmt: skip
+TABLE = [[0.1, 0.2], [0.35, 1.0], [0.55, -0.3], [0.8, -0.7]]
+
+
+def machine(**entries: Any) -> System:
+    return System.from_mapping(OWN | entries)
+
+
+def solved(system: System, **values: Any) -> dict[str, Any]:
+    return dict(solve_tile(system, values, Settings(exponents="spectrum", section_samples=4)))
+
+
+def force_at(system: System, angles: np.ndarray, **values: float) -> np.ndarray:
+    """The force and the load on the first coordinate at these values of omega t + tau."""
+    known = {p.name: np.array([values.get(p.name, p.default)]) for p in system.parameters}
+    many = system.definition.hybrid(known)
+    orders = np.arange(1, many.force_sin.shape[2] + 1) / system.definition.turns
+    turned = np.multiply.outer(angles, orders)
+    parts = np.sin(turned) @ many.force_sin[0, 0, :, 0] + np.cos(turned) @ many.force_cos[0, 0, :, 0]
+    return np.asarray(parts + many.load[0, 0, 0])
+
+
+# Sine and cosine parts
+
+
+def test_a_base_that_shakes_spring_and_damper_moves_the_mass_by_the_closed_form() -> None:
+    """m x'' + c (x' - y') + k (x - y) = 0 with y = A sin(omega t): |x| / A = |k + i c w| / |k - m w^2 + i c w|."""
+    base = machine(force=["k * A"], cosine=["c * omega * A"])
+    omega = np.array([0.3, 1.1, 1.24, 4.0])
+    found = solved(base, omega=omega)["peak_to_peak"]
+    stiff = 2.0 + 0.3j * omega
+    assert found == pytest.approx(2 * 0.8 * np.abs(stiff / (stiff - 1.3 * omega**2)), rel=1e-12)
+
+
+def test_the_packaged_example_grazes_its_stop_at_the_transmissibility() -> None:
+    system = Spec.from_toml("shaken-base").record
+    omega = np.array([0.3, 0.9, 1.6, 3.0])
+    ratio = grazing_ratio(
+        system, {p.name: p.default for p in system.parameters}, ("omega", omega), ("b", np.array([1.0]))
+    )[0]
+    stiff = 1.0 + 0.2j * omega
+    assert np.exp(ratio) == pytest.approx(np.abs(stiff / (stiff - omega**2)), rel=1e-12)
+
+
+def test_a_phase_turns_sine_and_cosine_together() -> None:
+    system = machine(harmonics=[{"order": 2, "force": ["A"], "cosine": ["B"], "phase": [0.4]}])
+    angles = np.linspace(-3.0, 9.0, 40)
+    expected = 0.8 * np.sin(2 * angles + 0.4) + 0.5 * np.cos(2 * angles + 0.4)
+    assert force_at(system, angles) == pytest.approx(expected, abs=1e-14)
+
+
+def test_parts_of_one_order_add_up() -> None:
+    """Spring and damper of a shaken base as one part with a cosine, and as two with a phase of their own."""
+    one = machine(force=["k * A"], cosine=["c * omega * A"])
+    two = machine(force=["k * A"], harmonics=[{"order": 1, "force": ["c * omega * A"], "phase": ["pi / 2"]}])
+    angles = np.linspace(0.0, 6.0, 20)
+    assert force_at(two, angles) == pytest.approx(force_at(one, angles), abs=1e-15)
+
+
+def test_a_phase_of_the_period_changes_sine_and_cosine_of_the_force() -> None:
+    phases = [{"start": 0.0}, {"start": 0.5, "cosine": [2.0]}, {"start": 0.7, "force": [3.0], "cosine": [0.0]}]
+    system = machine(force=["A"], cosine=["B"], phases=phases, harmonics=[{"order": 3, "force": [0.1]}])
+    many = system.definition.hybrid({p.name: np.array([p.default]) for p in system.parameters})
+    assert many.force_sin[0, :, :, 0].tolist() == [[0.8, 0.0, 0.1], [0.8, 0.0, 0.1], [3.0, 0.0, 0.1]]
+    assert many.force_cos[0, :, :, 0].tolist() == [[0.5, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+
+
+def test_the_equation_has_both_parts_and_orders_that_are_ratios() -> None:
+    system = machine(force=["A"], cosine=["-B"], harmonics=[{"order": "3/2", "cosine": [1.0], "phase": ["pi / 3"]}])
+    right = "A * sin(omega t + tau) - B * cos(omega t + tau) + cos(3/2 (omega t + tau) + pi / 3)"
+    lines = [f"m * x'' + c * x' + k * x = {right}", "forcing period 4 pi / omega"]
+    assert equation_of(system).splitlines()[:2] == lines
+
+
+# Commensurate frequencies
+
+RATIO: dict[str, Any] = {
+    "b": 0.9, "tau": 0.7, "A": 0.8, "omega": np.array([1.0, 1.37, 1.9, 2.5]),
+}  # fmt: skip
+
+
+def two_frequencies(ratio: str, phase: float = 0.3) -> System:
+    return machine(force=["A"], harmonics=[{"order": ratio, "force": ["B"], "phase": [phase]}])
+
+
+def test_a_ratio_makes_the_machine_of_whole_orders_of_the_lower_frequency() -> None:
+    """Orders 1 and 3/2 of omega are 2 and 3 of omega / 2: the same machine, to the bit."""
+    whole = machine(harmonics=[{"order": 2, "force": ["A"]}, {"order": 3, "force": ["B"], "phase": [0.3]}])
+    given, halved = RATIO, RATIO | {"omega": RATIO["omega"] / 2, "tau": 0.35}
+    one, other = solved(two_frequencies("3/2"), **given), solved(whole, **halved)
+    assert np.any(one["impacts_per_period"] > 0)
+    for name, found in one.items():
+        assert np.array_equal(found, other[name], equal_nan=found.dtype.kind == "f"), name
+
+
+def test_the_phase_of_an_impact_is_that_of_omega_where_the_force_repeats_later() -> None:
+    whole = machine(harmonics=[{"order": 2, "force": ["A"]}, {"order": 3, "force": ["B"], "phase": [0.3]}])
+    settings = Settings(observe="impact_phase", observe_values=16)
+    one = solve_tile(two_frequencies("3/2"), RATIO, settings)
+    other = solve_tile(whole, RATIO | {"omega": RATIO["omega"] / 2, "tau": 0.35}, settings)
+    assert np.any(one["impact_phase_number"] > 0)
+    turned = np.mod(2.0 * other["impact_phase"], 2 * math.pi)
+    assert one["impact_phase"] == pytest.approx(turned, abs=1e-12, nan_ok=True)
+
+
+def test_a_ratio_in_lower_terms_is_the_same_machine() -> None:
+    assert two_frequencies("6/4") == two_frequencies("3/2")
+    assert two_frequencies("4/2").table()["harmonics"][1]["order"] == 2
+    assert two_frequencies("3/2").table()["harmonics"][1]["order"] == "3/2"
+
+
+@pytest.mark.parametrize("ratio", ["3/2", "4/3", "9/8", "1/5", "29/30"])
+def test_the_force_repeats_after_the_turns_of_its_definition_and_not_before(ratio: str) -> None:
+    system = two_frequencies(ratio)
+    angles, turn = np.linspace(0.0, 1.0, 7), 2 * math.pi
+    turns = system.definition.turns
+    assert turns == int(ratio.split("/")[1])
+    assert force_at(system, angles + turns * turn) == pytest.approx(force_at(system, angles), abs=1e-12)
+    for fewer in range(1, turns):
+        assert np.abs(force_at(system, angles + fewer * turn) - force_at(system, angles)).max() > 1e-3
+
+
+def test_tau_shifts_the_whole_force_in_time() -> None:
+    """All sections move, and no attractor: also by more than one period 2 pi / omega."""
+    system, settings = two_frequencies("3/2"), Settings(exponents="spectrum")
+    values = {key: RATIO[key] for key in ("b", "A", "omega")}
+    one, later = (solve_tile(system, values | {"tau": tau}, settings) for tau in (0.0, 0.7 + 2 * math.pi))
+    closed = (one["regime"] == PERIODIC) & (later["regime"] == PERIODIC) & (one["period"] == 1) & (later["period"] == 1)
+    assert closed.sum() >= 2
+    assert later["largest"][closed] == pytest.approx(one["largest"][closed], abs=1e-9)
+
+
+def test_exponents_per_unit_time_know_the_longer_period() -> None:
+    """The sum of all exponents per unit time of a motion without impacts is -c / m, whatever the period."""
+    system = two_frequencies("3/2")
+    spectrum = solved(system, omega=1.4)["spectrum"]
+    ds = xr.Dataset(
+        {"spectrum": ("exponent", spectrum)},
+        coords={"omega": 1.4},
+        attrs={"spec": json.dumps(system.resolved())},
+    )
+    assert per_unit_time(ds)["spectrum"].values.sum() == pytest.approx(-0.3 / 1.3, rel=1e-12)
+
+
+def test_units_of_velocity_are_those_of_omega_and_not_of_the_longer_period() -> None:
+    """Of initial states, which reach omega times as far as half of a wide gap, and of the norm of deviations."""
+    system = System.from_mapping(two_frequencies("3/2").table() | {"lower": "-b"})
+    values = {p.name: np.array([p.default]) for p in system.parameters} | {"omega": np.array([1.4])}
+    oscillators, _ = system.build_many(values)
+    low, high = boxes(Starts(), oscillators, system)
+    assert high[0].tolist() == pytest.approx([100.0, REACH * 1.4 * 100.0])
+    assert low == pytest.approx(-high)
+    assert weights_of({}, system, float(oscillators.period[0])) == pytest.approx([1.0, 1 / 1.4])
+
+
+@pytest.mark.slow
+def test_events_of_a_branch_of_a_ratio_are_those_of_whole_orders() -> None:
+    whole = machine(harmonics=[{"order": 2, "force": ["A"]}, {"order": 3, "force": ["B"], "phase": [0.3]}])
+    events = []
+    for system, scale in ((two_frequencies("3/2"), 1.0), (whole, 0.5)):
+        found = branch(
+            {"omega": 1.5 * scale, "b": 0.5}, along="omega", window=(scale, 2.2 * scale), system=system,
+            settings=Settings(max_periods=3000, survival=0),
+        ).events  # fmt: skip
+        events.append((found["kind"].tolist(), (found["omega"] / scale).to_numpy()))
+    assert set(events[0][0]) == {"impact_lost", "fold"}
+    assert events[0][0] == events[1][0]
+    assert events[0][1] == pytest.approx(events[1][1], rel=1e-9)
+
+
+def test_a_machine_is_symmetric_where_all_orders_are_odd_multiples_of_the_lowest() -> None:
+    symmetric = {ratio: bool(built(ratio).symmetric) for ratio in ("1/3", "5/3", "3/2", "2", "3")}
+    assert symmetric == {"1/3": True, "5/3": True, "3/2": False, "2": False, "3": True}
+
+
+def built(ratio: str) -> Any:
+    system = two_frequencies(ratio)
+    both = System.from_mapping(system.table() | {"lower": "-b"})
+    return both.build({p.name: p.default for p in both.parameters})
+
+
+def test_a_path_has_points_for_the_fastest_harmonic() -> None:
+    assert samples_of(machine(force=["A"])) == 400
+    assert samples_of(two_frequencies("32")) == 50 * 32
+
+
+# Many orders
+
+
+def with_orders(drawn: Machine, rng: np.random.Generator) -> Machine:
+    """A machine with up to HARMONICS orders up to HIGHEST, the response to each of about the same size or less."""
+    n, orders = len(drawn.gap_row), rng.choice(HIGHEST, int(rng.integers(1, HARMONICS + 1)), replace=False) + 1
+    force = np.zeros((2, int(orders.max()), n))
+    force[:, orders - 1] = rng.normal(size=(2, len(orders), n)) * rng.uniform(1.0, orders)[:, None]
+    slow = float(rng.choice([1.0, 0.3]))
+    return replace(drawn, force_sin=force[0], force_cos=force[1], omega=float(drawn.omega) * slow)
+
+
+def drawn(seed: int) -> Machine:
+    rng = np.random.default_rng([51, seed])
+    return with_orders(random_machine(rng, int(rng.choice([1, 2, 3])), damping="general", rigid=False), rng)
+
+
+def periods_as_simulated(seed: int, periods: int) -> int:
+    """Over how many periods section states, impacts and rests are those of the oracle, until errors grow too far.
+
+    The phase of the force is rounded at each impact, and the highest harmonic turns by its order times as much. What a
+    rest neglects is of third order in the end of its chatter, see test_family.
+    """
+    machine = drawn(seed)
+    true, found = simulate(machine, periods, digits=30), solver_sections(machine, np.asarray(machine.start), periods)
+    rounding, stuck, T = 1e-12 * max(1.0, len(machine.force_sin) / 4), 0.0, 2 * math.pi / machine.omega
+    partial: list[np.ndarray] = []
+    for k in range(periods):
+        partial = [found.jacobians[k] @ earlier for earlier in [*partial, np.eye(len(machine.start))]]
+        growth = max(1.0, *(float(np.linalg.norm(J, 2)) for J in partial))
+        if growth > SENSITIVE:
+            return k
+        exact = np.array([float(value) for value in true.sections[k + 1]])
+        stays = [stay for stay in true.stuck if float(stay.start) < (k + 1) * T]
+        bound = (1e-10 if stays else rounding) * growth * max(1.0, float(np.abs(exact).max()))
+        assert found.states[k] == pytest.approx(exact, abs=bound), seed
+        stuck += found.stuck[k]
+        rested = sum(min(float(stay.end), (k + 1) * T) - float(stay.start) for stay in stays)
+        assert stuck == pytest.approx(rested, rel=5e-3), seed
+        if not stays:
+            sides = [impact.side for impact in true.impacts if float(impact.t) < (k + 1) * T]
+            assert (sum(found.upper[: k + 1]), sum(found.lower[: k + 1])) == (sides.count(1), sides.count(-1)), seed
+    return periods
+
+
+def test_machines_of_high_orders_move_as_simulated() -> None:
+    assert sum(periods_as_simulated(seed, 2) for seed in range(4)) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(8))
+def test_many_machines_of_high_orders_move_as_simulated(block: int) -> None:
+    assert sum(periods_as_simulated(seed, 4) for seed in range(4 + 25 * block, 29 + 25 * block)) > 40
+
+
+@pytest.mark.slow
+def test_jacobians_of_machines_of_high_orders_are_those_of_simulated_orbits() -> None:
+    """Where they are not so large that the rounding of a state changes their digits."""
+    machines = [drawn(seed) for seed in range(16)]
+    found = [each for each in machines if np.abs(solver_jacobian(each, np.asarray(each.start))).max() < 1e3]
+    assert len(found) >= 5
+    for each in found:
+        assert_jacobians_agree(each)
+
+
+def of_many_modes(seed: int) -> Pieces:
+    """A machine with soft and rigid contacts, friction and phases, with forces of high orders."""
+    rng = np.random.default_rng([53, seed])
+    made = pieces_at_random(seed, switched_elements=seed % 2 == 1)
+    orders = sorted(rng.choice(HIGHEST, int(rng.integers(1, HARMONICS + 1)), replace=False).tolist())
+    parts = rng.normal(size=(len(orders), 2, made.n)) * rng.uniform(0.2, 0.6)
+    forces = (Force(k + 1, *(part * (k + 1) * made.omega).tolist()) for k, part in zip(orders, parts, strict=True))
+    return replace(made, forces=tuple(forces))
+
+
+def test_machines_of_many_modes_and_high_orders_go_where_the_oracle_takes_them() -> None:
+    assert_few_stop([compare(seed, 1, of_many_modes) for seed in range(6)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(8))
+def test_many_machines_of_many_modes_and_high_orders_go_where_the_oracle_takes_them(block: int) -> None:
+    assert_few_stop([compare(seed, 2, of_many_modes) for seed in range(10 + 25 * block, 35 + 25 * block)])
+
+
+def test_an_order_of_no_amplitude_changes_no_bit_whatever_cells_lie_beside_it() -> None:
+    """Lanes leave an order out that none of them has."""
+    high = machine(force=["A"], harmonics=[{"order": 17, "force": ["B"]}])
+    values = {"omega": np.array([1.5, 1.5, 1.9]), "B": np.array([0.0, 3.0, 0.0]), "b": 0.3}
+    many = solved(high, **values)
+    for r in (0, 2):
+        alone = solved(high, omega=values["omega"][r : r + 1], B=0.0, b=0.3)
+        plain = solved(machine(force=["A"]), omega=values["omega"][r : r + 1], b=0.3)
+        for name, found in many.items():
+            assert np.array_equal(found[r], alone[name][0], equal_nan=found.dtype.kind == "f"), name
+            assert found[r] == pytest.approx(plain[name][0], nan_ok=True, rel=1e-12, abs=1e-12), name
+
+
+# Waveforms
+
+
+@pytest.mark.parametrize(("points", "within"), [("triangle", 0.2), ("triangle", 0.026), (TABLE, 0.2), (TABLE, 0.06)])
+def test_the_force_of_a_waveform_is_its_table_to_the_bound(points: Any, within: float) -> None:
+    system = machine(harmonics=[{"waveform": points, "force": ["A"], "within": within}], load=["B"])
+    shares = np.linspace(0.0, 1.0, 20001)
+    table = np.array(WAVEFORMS.get(points, points) if isinstance(points, str) else points)
+    exact = np.interp(shares, *table.T, period=1.0)
+    errors = np.abs(force_at(system, 2 * math.pi * shares) - 0.5 - 0.8 * exact)
+    assert errors.max() <= within * 0.8 * np.abs(table[:, 1]).max()
+    assert len(system.definition.harmonics) <= HARMONICS
+
+
+def random_points(seed: int) -> np.ndarray:
+    rng = np.random.default_rng([52, seed])
+    count = int(rng.integers(2, 40))
+    return np.column_stack([np.sort(rng.random(count)), rng.normal(size=count)])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_bound_of_a_waveform_holds_and_is_reached(seed: int) -> None:
+    points = random_points(seed)
+    wave = Waveform(points)
+    found, error = wave.fewest(1e-9, range(1, HIGHEST + 1), HARMONICS)
+    shares = np.union1d(np.random.default_rng(seed).random(100_000), points[:, 0])
+    force = wave.mean + sum(
+        (s * np.sin(2 * math.pi * k * shares) + c * np.cos(2 * math.pi * k * shares) for k, (s, c) in found.items()),
+        np.zeros(shares.size),
+    )
+    largest = np.abs(force - np.interp(shares, *points.T, period=1.0)).max() / np.abs(points[:, 1]).max()
+    assert largest <= error <= largest * (1 + 1e-3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_harmonics_of_a_waveform_are_its_fourier_coefficients(seed: int) -> None:
+    """The integral of each segment in closed form, by parts, in place of the bends of the slope."""
+    points = random_points(seed)
+    x, w = points.T
+    ends, values = np.append(x, x[0] + 1.0), np.append(w, w[0])
+    for k in (1, 2, 7):
+        q = 2 * math.pi * k
+        slopes = np.diff(values) / np.diff(ends)
+        sine = np.diff(-values * np.cos(q * ends) / q).sum() + (slopes * np.diff(np.sin(q * ends))).sum() / q**2
+        cosine = np.diff(values * np.sin(q * ends) / q).sum() + (slopes * np.diff(np.cos(q * ends))).sum() / q**2
+        size = np.abs(w).max()
+        assert Waveform(points).harmonic(k) == pytest.approx((2 * sine, 2 * cosine), rel=1e-8, abs=1e-11 * size)
+
+
+def test_a_triangle_has_the_harmonics_of_its_series() -> None:
+    system = machine(harmonics=[{"waveform": "triangle", "force": [1.0], "within": 0.03}])
+    found = [(int(each.order), each.force[0].constant, each.cosine) for each in system.definition.harmonics]
+    orders = range(1, 2 * len(found), 2)
+    assert [order for order, _, _ in found] == list(orders)
+    signs = [(-1) ** (k // 2) * 8 / (math.pi * k) ** 2 for k in orders]
+    assert [size for _, size, _ in found] == pytest.approx(signs, rel=1e-11)
+    assert not any(cosine for _, _, cosine in found)
+    tail = 1.0 - sum(8 / (math.pi * k) ** 2 for k in orders)  # the error is largest at the corners
+    assert Waveform(WAVEFORMS["triangle"]).fewest(0.03, range(1, 33), 8)[1] == pytest.approx(tail, rel=1e-4)
+
+
+def test_a_waveform_has_an_order_a_phase_and_a_mean_that_phases_keep() -> None:
+    wave = {"order": "1/2", "waveform": TABLE, "force": ["A"], "phase": [0.9], "within": 0.3}
+    phases = [{"start": 0.0}, {"start": 0.5, "load": ["B"]}]
+    system = machine(harmonics=[wave], load=[0.1], phases=phases)
+    mean = 0.8 * Waveform(TABLE).mean
+    many = system.definition.hybrid({p.name: np.array([p.default]) for p in system.parameters})
+    assert many.load[0, :, 0] == pytest.approx([0.1 + mean, 0.5 + mean], rel=1e-12)
+    angles = np.linspace(0.0, 4 * math.pi, 9001)
+    exact = np.interp((angles / 2 + 0.9) / (2 * math.pi), *np.array(TABLE).T, period=1.0)
+    assert np.abs(force_at(system, angles) - 0.1 - 0.8 * exact).max() <= 0.3 * 0.8
+
+
+def test_a_waveform_and_a_harmonic_of_its_order_add_up() -> None:
+    wave = {"waveform": "triangle", "force": ["A"], "within": 0.1}
+    both, one = machine(force=["B"], harmonics=[wave]), machine(harmonics=[wave])
+    angles = np.linspace(0.0, 6.0, 30)
+    assert force_at(both, angles) == pytest.approx(force_at(one, angles) + 0.5 * np.sin(angles), abs=1e-14)
+
+
+def test_a_stored_definition_of_a_waveform_is_the_same_machine() -> None:
+    system = machine(harmonics=[{"waveform": TABLE, "force": ["A"], "within": 0.2}, {"order": "1/3", "cosine": ["B"]}])
+    assert System.from_mapping(system.table()) == system
+
+
+def test_the_square_wave_that_the_error_advises_is_one() -> None:
+    """Phases with loads, against the sum of the series of its response."""
+    own = {key: OWN[key] for key in ("name", "coordinates", "parameters")}
+    square = System.from_mapping(
+        own | {"mass": [[1.0]], "stiffness": [[4.0]], "damping": [[0.5]], "load": [0.0], "contacts": [
+            {"name": "stop", "gap": [1.0], "upper": 50.0, "restitution": 0.5}],
+            "phases": [{"start": 0.0, "load": [1.0]}, {"start": 0.5, "load": [-1.0]}],
+            "measures": {"x": {"displacement": [1.0], "report": ["peak", "rms"]}}}
+    )  # fmt: skip
+    omega = 0.9
+    k = np.arange(1, 400_001, 2.0)
+    amplitudes = 4 / (math.pi * k) / np.abs(4.0 - (k * omega) ** 2 + 0.5j * k * omega)
+    found = solve_tile(square, {"omega": omega})
+    assert found["x_rms"] == pytest.approx(math.sqrt((amplitudes**2).sum() / 2), rel=1e-9)
+
+
+LINES: list[tuple[dict[str, Any], str]] = [
+    ({"harmonics": [{"order": 33, "force": [1]}]}, "system.harmonics[0].order: found 33, must be at most 32"),
+    (
+        {"force": [1], "harmonics": [{"order": "23/22", "force": [1]}, {"order": "3/2", "force": [1]}]},
+        "system.harmonics[1].order: found 33 times omega / 22, the frequency at which the force repeats, must be",
+    ),
+    ({"harmonics": [{"order": 1.5, "force": [1]}]}, "found 1.5, must be a whole number, 1 to 32, or a ratio of two"),
+    ({"harmonics": [{"order": "2/0", "force": [1]}]}, "found '2/0', must be a whole number"),
+    ({"harmonics": [{"order": 0, "force": [1]}]}, "found 0, must be a whole number"),
+    ({"harmonics": [{"order": True, "force": [1]}]}, "found True, must be a whole number"),
+    (
+        {"harmonics": [{"order": k, "force": [1]} for k in range(1, 12)]},
+        "system.harmonics: found 11 orders, must be at most 8; leave out 3",
+    ),
+    ({"harmonics": [{"order": 2}]}, "system.harmonics[0]: force missing"),
+    ({"phase": [1]}, "system.phase: there is no force that it could be of"),
+    ({"harmonics": [{"waveform": "triangle", "force": [1]}]}, "system.harmonics[0]: within missing; give the largest"),
+    (
+        {"harmonics": [{"waveform": "triangle", "force": [1], "within": 0.01}]},
+        "found 0.01; the 8 harmonics that there is room for, up to 32 times its frequency, come within 0.026; give",
+    ),
+    (
+        {"harmonics": [{"waveform": "triangle", "force": [1], "within": 0.01, "order": 20}]},
+        "found 0.01; the 8 harmonics that there is room for, up to 1 times its frequency, come within 0.19; give",
+    ),
+    ({"harmonics": [{"waveform": "triangle", "force": [1], "within": 1}]}, "found 1, must be above 0 and below 1"),
+    ({"harmonics": [{"waveform": "square", "force": [1], "within": 0.1}]}, "'square', which jumps: at a jump"),
+    ({"harmonics": [{"waveform": "sine", "force": [1], "within": 0.1}]}, "must be 'triangle', or a list of pairs"),
+    ({"harmonics": [{"waveform": [[0, 1]], "force": [1], "within": 0.1}]}, "found 1 points, must be 2 to 1000"),
+    (
+        {"harmonics": [{"waveform": [[0, 1], [0.5, 2], [0.5, 3]], "force": [1], "within": 0.1}]},
+        "system.harmonics[0].waveform[2]: found the share 0.5 twice, must rise; at a jump harmonics err by half of it",
+    ),
+    (
+        {"harmonics": [{"waveform": [[0, 1], [0.5, 2], [0.4, 3]], "force": [1], "within": 0.1}]},
+        "waveform[2]: found the share 0.4, must rise from 0 and stay below 1",
+    ),
+    ({"harmonics": [{"waveform": [[0, 1], [1, 2]], "force": [1], "within": 0.1}]}, "found the share 1, must rise"),
+    ({"harmonics": [{"waveform": [[0, 1], [0.5, 1]], "force": [1], "within": 0.1}]}, "one value only, 1; a constant"),
+    ({"harmonics": [{"waveform": [[0, "a"], [0.5, 1]], "force": [1], "within": 0.1}]}, "found 'a', must be a number"),
+    ({"harmonics": [{"within": 0.1, "force": [1]}]}, "system.harmonics[0].waveform: found None, must be 'triangle'"),
+    (
+        {"harmonics": [{"waveform": "triangle", "force": [1], "cosine": [1], "within": 0.1}]},
+        "unknown key in system.harmonics[0] 'cosine'",
+    ),
+    (
+        {"harmonics": [{"waveform": "triangle", "force": ["+".join(["A"] * 250)], "within": 0.1}]},
+        "characters, must be at most 500; give its force a name of let",
+    ),
+    (
+        {"harmonics": [{"waveform": "triangle", "force": ["A"], "within": 0.1}],
+         "phases": [{"start": 0, "force": ["B"]}]},
+        "system.phases[0].force: a phase changes no waveform; give system.force for it to change",
+    ),
+]  # fmt: skip
+
+
+def names(lines: Iterable[tuple[dict[str, Any], str]]) -> list[str]:
+    return [message[:50] for _, message in lines]
+
+
+@pytest.mark.parametrize(("entries", "message"), LINES, ids=names(LINES))
+def test_a_force_that_is_wrong_gets_its_line(entries: dict[str, Any], message: str) -> None:
+    with pytest.raises(DefinitionError) as caught:
+        machine(**entries)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
