@@ -34,8 +34,8 @@ SECONDS = {
 }  # fmt: skip
 """What each part takes, roughly: processors differ by a factor of two."""
 FUNCTIONS = {
-    CELLS: 227, ATTRACTORS: 36, ORBITS: 143, MEASURES: 116, OBSERVED: 125,
-    MODES: 322, MODES_ATTRACTORS: 40, MODES_ORBITS: 40,
+    CELLS: 257, ATTRACTORS: 36, ORBITS: 143, MEASURES: 116, OBSERVED: 125,
+    MODES: 338, MODES_ATTRACTORS: 40, MODES_ORBITS: 40,
 }  # fmt: skip
 """How many functions each part compiles in a process that has compiled nothing else."""
 
@@ -203,25 +203,31 @@ def main() -> None:
 
 def compile_piece(piece: str, part: str = CELLS) -> None:
     """Compile a piece of the kernels that solve cells of this part, CELLS or MODES, without solving any."""
-    from workers.cell.stretch import batch_of, run
+    from workers.cell.stretch import run
     from workers.kernel.apart import load
-    from workers.kernel.motion import motions_at
     from workers.orbit.newton import no_orbits, settle_each
 
     load()
     if piece == APART:
         return
-    record = System.from_mapping(WITH_MODES) if part == MODES else find_system(DEFAULT)
-    oscillators, _ = record.build_many({p.name: np.array([p.default]) for p in record.parameters})
-    n, none = oscillators.gap_row.shape[1], np.zeros(0, dtype=np.int64)
-    batch = batch_of(oscillators, motions_at(np.zeros((1, n, 2))), 1)
+    batch, none = _a_batch(System.from_mapping(WITH_MODES) if part == MODES else find_system(DEFAULT))
     if piece == BATCH:
         run(batch, np.zeros(1, dtype=np.int64))  # of no periods
     else:
-        periods, near = batch.periods, np.zeros(1)
+        n, periods, near = batch.oscillators.gap_row.shape[1], batch.periods, np.zeros(1)
         settle_each(
-            oscillators, batch.motions, batch.sections, periods, near, 1, periods, none, no_orbits(1, n), periods
+            batch.oscillators, batch.motions, batch.sections, periods, near, 1, periods, none, no_orbits(1, n), periods
         )
+
+
+def _a_batch(record: System) -> tuple[Any, Any]:
+    """A batch of the default cell of a system, of no periods, and rows of no cells."""
+    from workers.cell.stretch import batch_of
+    from workers.kernel.motion import motions_at
+
+    oscillators, _ = record.build_many({p.name: np.array([p.default]) for p in record.parameters})
+    n = oscillators.gap_row.shape[1]
+    return batch_of(oscillators, motions_at(np.zeros((1, n, 2))), 1), np.zeros(0, dtype=np.int64)
 
 
 def warm_up(*parts: str) -> None:
@@ -239,6 +245,7 @@ def warm_up(*parts: str) -> None:
         _warm_up_modes(parts)
         return
     solve_tile(DEFAULT, {}, Settings(max_periods=1))
+    _end_no_cells(find_system(DEFAULT))
     if ATTRACTORS in parts:
         from workers.attractors.starts import Starts
         from workers.attractors.waves import solve_attractors
@@ -262,10 +269,31 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
 
     system = System.from_mapping(WITH_MODES)
     solve_tile(system, {}, Settings(max_periods=1))
+    _end_no_cells(system)
     if MODES_ATTRACTORS in parts:
         solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
     if MODES_ORBITS in parts:
         _follow_an_orbit(system, {})
+
+
+def _end_no_cells(record: System) -> None:
+    """The kernels that the default cell does not come to: those of rest, of flight without a contact, of growth."""
+    from workers.kernel.lanes.run import run_alone
+    from workers.orbit.escape import escaping, escaping_in_modes
+    from workers.orbit.linear import contact_free, linear_orbits
+    from workers.orbit.newton import no_orbits
+    from workers.orbit.rest import rest_to_rest
+
+    batch, none = _a_batch(record)
+    oscillators, motions = batch.oscillators, batch.motions
+    rest_to_rest(oscillators, motions, none, batch.sections, none)
+    if record.has_modes:
+        escaping_in_modes(oscillators, motions, none)
+        contact_free(oscillators, motions, none)
+        linear_orbits(oscillators, motions, none, no_orbits(1, oscillators.gap_row.shape[1]), none)
+    else:
+        run_alone(batch, none)
+        escaping(oscillators, motions, none)
 
 
 def _observe_a_period() -> None:
