@@ -18,7 +18,7 @@ from atlas.service.hiring import check_report
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
-from atlas.service.plan import make_plan, refuse_shortage
+from atlas.service.plan import Plan, make_plan, refuse_shortage
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
@@ -30,7 +30,7 @@ from atlas.store.origin import Origin
 from atlas.store.records import Records, RunRecords
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
 from atlas.store.store import Atlas, done_tiles, find, open_handle
-from atlas.store.tiling import Index, Tiling
+from atlas.store.tiling import Index
 from atlas.task.attempt import do_job, run_job
 from atlas.task.basins import labelling_bytes
 from atlas.task.solving import kernels_of
@@ -100,9 +100,9 @@ def complete(
         _check(spec, place, handle, options, origin, run_id)
         client = joined(client, options, stack)
         workers = worker_count(client, options)
-        tile = _tile(spec, place, workers) if handle is None else handle.tile
+        plan = _plan(spec, place, handle, workers)
         if options.tile is not None:
-            _check_index(options.tile, Tiling(spec.shape, tile).grid)
+            _check_index(options.tile, plan.tiling.grid)
         claim = stack.enter_context(claimed_place(place, options))
         place = claim.guard(waiting(place, options.patience))
         before = handle  # before the claim another run may have made the store, or another one in its place
@@ -111,10 +111,12 @@ def complete(
             _check(spec, place, handle, options, origin, run_id)
         if handle is None:
             options.report(Progress("making the store"))
-            handle = create(place, spec, _tile(spec, place, workers), origin, run_id)
+            handle = create(place, spec, plan.tiling.tile, origin, run_id)
+        elif handle.tile != plan.tiling.tile:
+            plan = _plan(spec, place, handle, workers)
         kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
         crew = Crew(handle, do_job, kernels, options, claim, stack, workers, client, memory)
-        run = _Run(handle, crew)
+        run = _Run(handle, crew, plan)
         if options.tile is not None:
             run.do_alone(options.tile)
             return run.totals.summary(str(place))
@@ -145,20 +147,21 @@ def _check_index(index: Index, grid: Index) -> None:
         raise InputError(f"tile: found {found}, must be the index of a tile: {most}")
 
 
-def _tile(spec: Spec, place: Place, workers: int) -> tuple[int, ...]:
-    """The shape of the tiles of a new store; InputError if the store cannot be made, or its disk cannot hold it."""
+def _plan(spec: Spec, place: Place, handle: Atlas | None, workers: int) -> Plan:
+    """The plan of a run; InputError if a new store cannot be made, or its disk cannot hold it."""
+    if handle is not None:
+        return make_plan(spec, workers, handle.tile)
     plan = make_plan(spec, workers)
     if place.local is not None:
         refuse_shortage(plan, place.local)
-    return plan.tiling.tile
+    return plan
 
 
 class _Run:
     """A run whose store is claimed: the tiles due, handing them out, and the end."""
 
-    def __init__(self, handle: Atlas, crew: Crew[Job, Receipt | Made]) -> None:
+    def __init__(self, handle: Atlas, crew: Crew[Job, Receipt | Made], plan: Plan) -> None:
         self.handle, self.crew, self.doing = handle, crew, "solving"
-        plan = make_plan(handle.spec, crew.threads, handle.tile)
         self.stored = Records(handle, done_tiles(handle))
         self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
         retried = handle.origin is not None and handle.origin.retry is not None
