@@ -4,7 +4,7 @@ import numpy as np
 
 from workers.kernel.crossing import next_crossing
 from workers.kernel.hybrid.neutral import count_progress
-from workers.kernel.hybrid.state import product
+from workers.kernel.hybrid.state import product, product_of_blocks
 from workers.kernel.hybrid.trip import CLOCK, PLACE, begin_leg, begin_trip, end_leg, trips_for
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, only_row, row_in
@@ -93,11 +93,11 @@ def take_up(to_physical, motion, trip, more):
     """
     size, V = len(trip.z), motion.V
     for i in range(size):
-        trip.z[i] = product(to_physical[i], motion.h.reshape(size), 0)
+        trip.z[i] = product_of_blocks(to_physical[i], motion.h)
         if more > 0:
             trip.W[0, i] = to_physical[i, size - 1]
         for e in range(len(V)):
-            trip.W[more + e, i] = product(to_physical[i], V[e].reshape(size), 0)
+            trip.W[more + e, i] = product_of_blocks(to_physical[i], V[e])
     if len(trip.growth) > 0:
         trip.growth[0] = 0.0
         for e in range(len(motion.growth)):
@@ -113,8 +113,7 @@ def take_up(to_physical, motion, trip, more):
 @kernel
 def put_down(to_blocks, omega, motion, trip, more, resets):
     """Take a motion to the end of its trip; ``resets`` says that a coordinate drifts which is to be 0 there."""
-    size, V = len(trip.z), motion.V
-    h = np.empty((size // 2, 2))
+    size, V, h = len(trip.z), motion.V, trip.h
     for i in range(size):
         h[i // 2, i % 2] = product(to_blocks[i], trip.z, 0)
         for e in range(len(V)):

@@ -201,6 +201,16 @@ def product(row, z, first):
     return total
 
 
+@inlined
+def product_of_blocks(row, h):
+    """row . h, of blocks h (n, 2), as product has it."""
+    total = 0.0
+    for j in range(len(h)):
+        total += row[2 * j] * h[j, 0]
+        total += row[2 * j + 1] * h[j, 1]
+    return total
+
+
 @kernel
 def size_of(row, z, first):
     """The sum of the moduli that add up to row . z[first:]."""
