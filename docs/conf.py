@@ -26,6 +26,7 @@ version = release = installed("impact-atlas")
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "cells", "docstrings", "formulas"]
 exclude_patterns = ["_ext"]
+templates_path = ["_templates"]
 highlight_language = "text"
 nitpicky = False
 suppress_warnings = [
@@ -57,11 +58,12 @@ html_title = "impact-atlas"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_math_renderer = "drawn"
-html_sidebars = {"gallery": [], "index": []}
+html_sidebars = {"**": ["contents"], "gallery": [], "index": []}
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
     "navbar_align": "left",
+    "navbar_center": [],  # the sidebar has the contents
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "show_prev_next": True,
