@@ -1,6 +1,7 @@
 """Claims about README.md and the pages in docs: what they name exists, what they show can be typed."""
 
 import ast
+import importlib.util
 import re
 import shlex
 import tomllib
@@ -20,6 +21,11 @@ from workers.results import REASONS, REGIMES, result_variables
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 INDEX = ROOT / "docs/index.md"
 LANGUAGES = ("sh", "toml", "python")
+
+_SPEC = importlib.util.spec_from_file_location("modules", ROOT / "docs/_ext/modules.py")
+assert _SPEC is not None and _SPEC.loader is not None
+modules = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(modules)
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
@@ -119,6 +125,10 @@ def entries(page: Path) -> set[Path]:
     return {(page.parent / f"{entry}.md").resolve() for entry in listed}
 
 
+def test_there_are_at_most_32_pages() -> None:
+    assert len([page for page in PAGES if (ROOT / "docs") in page.parents]) <= 32
+
+
 def test_the_contents_of_the_index_have_every_other_page_of_docs() -> None:
     assert entries(INDEX) | {INDEX} == {page for page in PAGES if (ROOT / "docs") in page.parents}
 
@@ -141,20 +151,16 @@ def test_files_of_the_repository_that_a_page_names_exist(page: Path) -> None:
     assert not [name for name in named if not list(ROOT.glob(name.rstrip("./")))]
 
 
-def test_where_to_change_what_names_the_files_of_each_package_and_no_others() -> None:
-    """Pictures aside, which have one file per kind."""
-    text = (ROOT / "docs/changing.md").read_text()
-    sections = re.findall(r"^### `([\w/]+)/`:.*\n((?:(?!#).*\n)*)", text, re.MULTILINE)
-    named = {f"{folder}/{name}" for folder, below in sections for name in re.findall(r"`(\w+\.py)`", below)}
-    files = {
-        path.relative_to(ROOT).as_posix()
-        for package in ("atlas", "workers")
-        for path in (ROOT / package).rglob("*.py")
-        if path.name != "__init__.py"
-    }
-    pictures = {path for path in files if path.startswith("atlas/render/")}
-    assert sorted(named - files) == []
-    assert sorted(files - pictures - named) == []
+def test_the_page_of_modules_lists_each_with_a_sentence() -> None:
+    """The build of the site fills the places of the page from the docstrings."""
+    places = re.findall(r"^<!-- modules: (\w+) -->$", (ROOT / "docs/changing.md").read_text(), re.MULTILINE)
+    assert {"atlas", "workers"} <= {*places}
+    for folder in places:
+        listed = re.findall(r"^#### `([\w/]+)/`\n((?:(?!####).*\n)*)", modules.tables(folder), re.MULTILINE)
+        rows = [(package, re.findall(r"^\| `(\S+)` \| \S", text, re.MULTILINE)) for package, text in listed]
+        named = {f"{package}/{name}" for package, names in rows for name in names}
+        files = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py")}
+        assert named == {name for name in files if not name.endswith("/__init__.py")}
 
 
 def test_every_variable_regime_and_reason_is_explained() -> None:
@@ -168,7 +174,7 @@ def test_every_variable_regime_and_reason_is_explained() -> None:
 
 
 def test_the_page_on_versions_and_the_changelog_end_with_the_present_ones() -> None:
-    text = (ROOT / "docs/versions.md").read_text()
+    text = (ROOT / "docs/stability.md").read_text()
     tables = re.findall(r"^\| (solver|format) version \|.*\n\|[-|]+\n((?:\|.*\n)+)", text, re.MULTILINE)
     last = {name: int(re.findall(r"^\| .*?(\d+) \|", rows, re.MULTILINE)[-1]) for name, rows in tables}
     assert last == {"solver": SOLVER_VERSION, "format": FORMAT_VERSION}
@@ -179,7 +185,8 @@ def test_the_page_on_versions_and_the_changelog_end_with_the_present_ones() -> N
 
 def test_pages_compare_periods_with_heyoka_by_the_table_on_accuracy() -> None:
     text = (ROOT / "docs/accuracy.md").read_text()
-    rows = [line.split("|")[4:7] for line in text.splitlines() if re.match(r"\| [345] \| [014] \|", line)]
+    table = text.partition("<!-- measured: kernel -->")[2].partition("<!-- end -->")[0]
+    rows = [line.split("|")[4:7] for line in table.splitlines() if re.match(r"\| [345] \| [014] \|", line)]
     batch = [float(ratio) for _, _, ratio in rows]
     single = [float(heyoka) / float(alone) for alone, heyoka, _ in rows]
     assert f"In a batch the solver is {min(batch):.0f} to {max(batch):.0f} times as fast as heyoka" in text

@@ -30,7 +30,7 @@ def test_the_citation_is_of_this_version_and_license() -> None:
 
 
 def test_the_page_on_citing_names_the_version() -> None:
-    assert f"version = {{{PROJECT['project']['version']}}}" in (ROOT / "docs/citing.md").read_text()
+    assert f"version = {{{PROJECT['project']['version']}}}" in (ROOT / "docs/paper.md").read_text()
 
 
 def test_every_python_from_the_oldest_that_is_allowed_on_is_classified() -> None:

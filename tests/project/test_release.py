@@ -238,7 +238,7 @@ def test_an_atlas_is_cited_with_the_versions_that_computed_it_and_the_paper_of_t
 
 
 def test_the_page_on_citing_has_the_entry_of_the_method() -> None:
-    page = " ".join((ROOT / "docs/citing.md").read_text(encoding="utf-8").split())
+    page = " ".join((ROOT / "docs/paper.md").read_text(encoding="utf-8").split())
     assert " ".join(bibtex(find_system("two-mass"), "1", 1).partition("@article")[2].split()) in page
 
 
