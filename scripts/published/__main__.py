@@ -15,7 +15,7 @@ from typing import Any
 
 from scripts.published.entries import ENTRIES
 from scripts.published.entry import EXACT
-from scripts.published.page import page_of, verdict
+from scripts.published.page import agreement, page_of
 from workers import SOLVER_VERSION
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -29,7 +29,7 @@ def run(names: Sequence[str]) -> dict[str, Any]:
     for name in names:
         began = time.perf_counter()
         found[name] = BY_NAME[name].run()
-        print(f"{name}: {verdict(found[name]).replace('*', '')} ({time.perf_counter() - began:.1f} s)", flush=True)
+        print(f"{name}: {agreement(found[name])} agree ({time.perf_counter() - began:.1f} s)", flush=True)
         for each in found[name]["statements"]:
             if not each["agrees"]:
                 print(f"    {each['text']}: reference {each['reference']}, ours {each['ours']}", flush=True)
