@@ -78,7 +78,7 @@ def system_of(ds: "xr.Dataset") -> System:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError):
-        raise InputError("this dataset does not say what it was computed of: it lacks the spec of its atlas") from None
+        raise InputError("this dataset lacks the spec of its atlas") from None
 
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:

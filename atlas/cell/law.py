@@ -64,7 +64,7 @@ def check_law(spec: Spec, cells: int = CELLS) -> LawCheck:
     fine = replace(spec.record, definition=_finer(spec.record.definition))
     segments = _segments(spec.record, fine)
     if not segments:
-        raise InputError(f"{spec.system}: no law is an expression; a law that is a table is exact as it stands")
+        raise InputError(f"{spec.system}: no law is an expression; a law given as a table is exact")
     for where, (_, count) in segments.items():
         if count > SEGMENTS:
             raise InputError(

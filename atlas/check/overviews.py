@@ -148,7 +148,7 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
             wrong = int(np.count_nonzero(~_same(values, made[variable.name])))
             if wrong:
                 key = level_key(level, variable, index)
-                faults.append(f"{key} is not what the cells below it give: {plural(wrong, 'number')}")
+                faults.append(f"{key} differs from the cells below it: {plural(wrong, 'number')}")
     return _CheckedChunk(index, len(stored), tuple(faults), sound=not faults and not over_unsound)
 
 

@@ -75,7 +75,7 @@ def _dropped(found: Findings) -> Report:
         drop_zoom(handle, found.zoom)
         mended += [f"{ZOOM}/{ROOT} written again"] * (() in found.zoom)
     if folders := {*found.zoom} - {()}:
-        mended.append(f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves again what it shows")
+        mended.append(f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves them again")
     dropped = 0 if found.overviews is None else len(found.overviews.unsound)
     return replace(report, repaired=found.tiles, dropped=dropped, removed=found.foreign, mended=tuple(mended))
 

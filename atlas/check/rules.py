@@ -214,7 +214,7 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     yield "survived is 0 in a chaotic or aperiodic cell", watched & (survived == 0)
     yield "survived is not 0 outside chaos", ~watched & (regime != LOCKING) & (survived != 0)
     if "periods_used" in arrays and LABEL.name not in arrays:  # there it is the table's
-        yield "survived is longer than what was simulated", survived > arrays["periods_used"]
+        yield "survived exceeds the simulated periods", survived > arrays["periods_used"]
     if spec.settings.method == "fixed":
         yield "survived is not the periods averaged", watched & (survived != spec.settings.periods)
 
@@ -237,7 +237,7 @@ def _impact_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 def _rest_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     share = arrays["stuck_fraction"]
     yield "stuck_fraction is outside 0 to 1", (share < 0) | (share > 1 + 1e-9)
-    yield "stuck_fraction does not go with sticks", (share > 0) != arrays["sticks"]
+    yield "stuck_fraction contradicts sticks", (share > 0) != arrays["sticks"]
 
 
 def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:

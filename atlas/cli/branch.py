@@ -60,7 +60,7 @@ TABLES = ("csv", "json")
     required=True,
     metavar="NAME",
     shell_complete=of_names(completion.names_along),
-    help="The parameter that the orbit is followed in.",
+    help="The parameter along which to follow the orbit.",
 )
 @click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Its lower end.")
 @click.option("--to", "high", type=float, required=True, metavar="VALUE", help="Its upper end.")

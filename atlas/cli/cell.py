@@ -61,7 +61,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
     from atlas.cell.point import point as solve_point
 
     if starts != Starts.count and not every:
-        raise InputError("--starts goes with --attractors: without it one initial state is solved")
+        raise InputError("--starts needs --attractors: without it one initial state is solved")
     record, pairs, settings = asked_cell(given, system, solve)
     with solving(record, *((ATTRACTORS,) if every else ()), settings=settings):
         if every:
@@ -133,7 +133,7 @@ def systems(name: str | None, as_json: bool) -> None:
         return
     print_table("", ["system", ""], [(record.name, record.title) for record in records])
     click.echo(f"\nexamples: {', '.join(example_names())}")
-    click.echo("more of one: atlas systems NAME")
+    click.echo("details: atlas systems NAME")
 
 
 @click.command(epilog=examples("atlas example omega-b > plane.toml"))
@@ -146,7 +146,7 @@ def example(name: str | None) -> None:
     # What an example is stands in its first comment, up to the colon.
     firsts = {each: " ".join(example_text(each).split("\n\n")[0].replace("#", " ").split()) for each in example_names()}
     print_table("", ["example", ""], [(each, first.partition(":")[0]) for each, first in firsts.items()])
-    click.echo("\none of them: atlas example NAME")
+    click.echo("\nprint one: atlas example NAME")
 
 
 @click.command(epilog=examples("atlas schema > atlas.schema.json"))

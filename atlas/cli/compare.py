@@ -46,7 +46,7 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
     if out is not None:
         check_path(out)
     elif given:
-        raise InputError(f"--{given[0].replace('_', '-')} goes with -o, the picture")
+        raise InputError(f"--{given[0].replace('_', '-')} needs -o, the picture")
     with input_errors():
         compared = Comparison.of(leading(open_atlas(store)), leading(open_atlas(other)), bounds)
         message = compared.as_dict()

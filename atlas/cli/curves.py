@@ -73,7 +73,7 @@ def find_curves(
             options = RunOptions(workers, scheduler, dashboard=dashboard, on_progress=show, timing=timing_of(ctx))
             summary = curves.find_curves(store, CurveSettings(**budget), options=options)
     except KeyboardInterrupt:
-        say("interrupted: what is found is kept; the same command resumes")
+        say("interrupted: finished parts are kept; the same command resumes")
         ctx.exit(INTERRUPTED)
     if out is not None:
         export(summary.found, out)

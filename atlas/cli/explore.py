@@ -95,7 +95,7 @@ def explore(
         )
         return
     if window:
-        raise InputError("--window goes with -o, and none is given; the page in the browser zooms")
+        raise InputError("--window needs -o; the page in the browser zooms")
     from atlas.explore.session import explore as start
     from atlas.explore.subject import TOLERANCE
 

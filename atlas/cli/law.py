@@ -17,7 +17,7 @@ SHOWN = 20
 @click.option("--cells", type=click.IntRange(2, 200), default=CELLS, show_default=True, help="Cells along each axis.")
 @json_option
 def check(spec: str, cells: int, as_json: bool) -> None:
-    """Tell whether the segments of SPEC's laws matter: solve a coarse plane with twice as many."""
+    """Check whether the segments of SPEC's laws matter: solve a coarse plane with twice as many."""
     read = Spec.from_toml(spec)
     with solving(read.record):
         found = check_law(read, cells)

@@ -25,12 +25,12 @@ _COMMANDS: _Table = {
         "systems": ("cell.systems", "List the machines that can be solved, or describe one."),
     },
     "Compute": {
-        "plan": ("run.plan", "Tell what SPEC will cost: cells, bytes, time."),
-        "check-law": ("law.check", "Tell whether the segments of a law matter."),
+        "plan": ("run.plan", "Estimate the cost of SPEC: cells, bytes, time."),
+        "check-law": ("law.check", "Check whether the segments of a law matter."),
         "run": ("run.run", "Compute SPEC into a store, or resume that."),
         "extend": ("run.extend", "Make a larger or finer atlas of STORE."),
         "retry": ("run.retry", "Solve cells of STORE again, with more periods."),
-        "status": ("store.status", "Tell how far STORE is, and who is at work on it."),
+        "status": ("store.status", "Show the progress of STORE, and who works on it."),
         "cancel": ("run.cancel", "Stop the run that is at work on STORE."),
     },
     "Look": {
@@ -53,7 +53,7 @@ _COMMANDS: _Table = {
         "verify": ("store.verify", "Read all of STORE and check it, or repair it."),
         "pack": ("store.pack", "Pack STORE into one zip file."),
         "export": ("query.export", "Write cells to a CSV or netCDF file."),
-        "cite": ("store.cite", "Print BibTeX of what to cite for STORE."),
+        "cite": ("store.cite", "Print BibTeX entries to cite for STORE."),
     },
 }
 _FIND: _Table = {

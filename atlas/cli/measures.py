@@ -69,7 +69,7 @@ def measure_attractors(
     check_workers(scheduler, workers)
     weights, units = read_pairs("--norm", norm, read_number), read_pairs("--scale", scale, read_number)
     if units and not margin:
-        raise InputError("--scale goes with --margin: it is the unit of that")
+        raise InputError("--scale needs --margin: it sets its unit")
     try:
         with interruptible(), reporter(sys.stderr) as show:
             options = RunOptions(workers, scheduler, dashboard=dashboard, on_progress=show, timing=timing_of(ctx))
@@ -77,6 +77,6 @@ def measure_attractors(
                 store, shocks=shocks, margin=margin, norm=weights, scale=units or None, options=options
             )
     except KeyboardInterrupt:
-        say("interrupted: what is found is kept; the same command resumes")
+        say("interrupted: finished parts are kept; the same command resumes")
         ctx.exit(INTERRUPTED)
     click.echo(to_json(summary.as_dict()) if as_json else str(summary))

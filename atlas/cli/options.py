@@ -44,14 +44,14 @@ scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask s
 dashboard_option = click.option(
     "--dashboard/--no-dashboard",
     default=True,
-    help="Whether Dask shows in the browser what the workers of this machine do; needs Bokeh.",
+    help="Serve Dask's dashboard of the local workers; needs Bokeh.",
 )
 window_option = click.option(
     "--window",
     metavar="NAME=LOW:HIGH",
     multiple=True,
     shell_complete=of_names(completion.axes),
-    help="Only this part of an axis; may be given for each.",
+    help="Only this part of an axis; repeatable.",
 )
 select_option = click.option(
     "--select",
@@ -111,7 +111,7 @@ storage_option = click.option(
     expose_value=False,
     is_eager=True,
     callback=_reach,
-    help="How a URL is reached, beyond the environment, such as endpoint=URL or anon=true; may be given again.",
+    help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
 )
 
 

@@ -58,7 +58,7 @@ from atlas.service.options import RunOptions
     "--kind",
     metavar="KIND",
     shell_complete=of_names(completion.kinds),
-    help="One of those below; default: by the axes.",
+    help="A kind from the list below; default: by the axes.",
 )
 @click.option(
     "--variable",
@@ -76,7 +76,7 @@ from atlas.service.options import RunOptions
     "--overlay",
     type=click.Choice(OVERLAYS),
     multiple=True,
-    help="Lines over a map or a sweep; may be given again.",
+    help="Lines over a map or a sweep; repeatable.",
 )
 @click.option(
     "--curves",
@@ -117,7 +117,7 @@ def plot(
     single = {"overlay": overlay, "curves": curves, "no-names": not names, "against": against, "log": log}
     given = [name for name, value in {**single, "variable": variable, "observe": observe}.items() if value]
     if len(stores) > 1 and given:
-        raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
+        raise InputError(f"--{given[0]} takes one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
         atlases = [opened(store, at) for store in stores]
         other = None if against is None else opened(against, at)

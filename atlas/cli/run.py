@@ -136,8 +136,8 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--performance-report", "report", metavar="FILE", help="Write Dask's report of how the workers spent their time."
 )
-@click.option("--tile", metavar="I,J", help="Do this tile alone in this process, and show what it raises.")
-@click.option("--log", metavar="FILE", help="Write what is decided, and tracebacks of tiles that fail, into a file.")
+@click.option("--tile", metavar="I,J", help="Solve this tile alone in this process, with its traceback.")
+@click.option("--log", metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
 @_submit_option
 @click.pass_context
 def run(
@@ -359,7 +359,7 @@ def _report(ctx: click.Context, summary: Summary) -> None:
     """Print how a run ended, and exit with 1 where a tile failed."""
     click.echo(str(summary))
     for worker, reason in summary.refused.items():
-        say(f"worker {worker} got no more tiles: {reason}")
+        say(f"worker {worker} was excluded: {reason}")
     for failure in summary.failures:
         say(str(failure))
     if summary.failures:

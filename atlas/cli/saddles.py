@@ -62,7 +62,7 @@ def saddles(
     weights = checked_weights(read_pairs("--norm", norm, read_number), record)
     ends = read_pairs("--box", box, read_bounds)
     if out is None and ends:
-        raise InputError("--box goes with --out: manifolds are grown in it")
+        raise InputError("--box needs --out: it bounds the manifolds")
     if out is not None and out.suffix.lower() != ".csv":
         raise InputError(f"{out.name}: found {out.suffix!r}, must end in .csv")
     with solving(record, ATTRACTORS):

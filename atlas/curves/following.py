@@ -96,7 +96,7 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
     nearest = min(points, key=lambda point: abs(float(point.values[0]) - float(there[axis])))
     values = here.copy()
     values[axis] = nearest.values[0]
-    return Looked([], "the orbit of a cell goes on beyond", orbits.becomes(nearest.orbit, values, beyond))
+    return Looked([], "the orbit of a cell continues beyond", orbits.becomes(nearest.orbit, values, beyond))
 
 
 def events_towards(

@@ -157,7 +157,7 @@ class Pyramid:
                 break
             time.sleep(_PAUSE)
         else:
-            raise RunError(f"{self.handle.place}: overview {level}, chunk {index}: not all that lies below it is done")
+            raise RunError(f"{self.handle.place}: overview {level}, chunk {index}: cells below it are missing")
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
     def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:

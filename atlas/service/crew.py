@@ -88,7 +88,9 @@ class Crew(Generic[J, R]):
 
         for outcome in self.outcomes(jobs, tick) if jobs else ():
             if isinstance(outcome, TileFailure):
-                raise RunError(f"a task failed: {outcome.message}; what is found is kept, and the same command resumes")
+                raise RunError(
+                    f"a task failed: {outcome.message}; finished parts are kept, and the same command resumes"
+                )
             take(outcome)
             self._report(doing())
 

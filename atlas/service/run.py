@@ -257,7 +257,7 @@ def check_client(client: "Client | None", options: RunOptions) -> None:
     if client is not None and not hasattr(client, "scheduler_info"):
         raise InputError(f"client: found {shown(client)}, must be a Dask client")
     if client is not None and options.workers is not None:
-        raise InputError(f"workers: found {options.workers}, goes with a local cluster only, not with a client")
+        raise InputError(f"workers: found {options.workers}, applies to a local cluster only, not to a client")
 
 
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":

@@ -31,7 +31,7 @@ SETTING_MEANINGS = {
     "exponents": "Which Lyapunov exponents.",
     "tolerance": "Standard error of the largest exponent at which a chaotic cell stops.",
     "max_periods": "Forcing periods that deciding the class, and averaging, may cost.",
-    "survival": "Further periods for which what looks chaotic may be watched.",
+    "survival": "Further periods for which seemingly chaotic motion may be watched.",
     "method": "adaptive, or fixed: a transient is dropped, then averaged.",
     "transient_periods": "Periods that are dropped, with fixed.",
     "periods": "Periods that are averaged, with fixed.",

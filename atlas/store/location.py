@@ -53,7 +53,7 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
     What Zarr stores, and those of obstore in memory, hold is only read. InputError for what cannot be a place.
     """
     if storage_options is not None and not is_url(store):
-        raise InputError(f"storage_options: go with a URL, found {shown(store)}")
+        raise InputError(f"storage_options: need a URL, found {shown(store)}")
     if isinstance(store, Place):
         return store
     if is_obstore(store):
@@ -67,7 +67,7 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
     scheme = store.partition("://")[0]
     if scheme == "file":
         if storage_options:
-            raise InputError("storage_options: go with a server, found file://")
+            raise InputError("storage_options: need a server, found file://")
         return _place_at(Path(url2pathname(urlsplit(store.rstrip("/")).path)).absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")

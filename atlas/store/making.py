@@ -64,7 +64,7 @@ def _refuse_foreign(place: Place, spec: Spec) -> None:
         if key.startswith(f"{REGIME.name}/c/"):
             raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
-            raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
+            raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove it")
 
 
 def create(

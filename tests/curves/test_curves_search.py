@@ -84,7 +84,7 @@ def test_every_border_between_regions_is_explained(searched: tuple[Path, CurvesS
 
 
 def test_workers_do_not_go_with_a_client(tmp_path: Path, client: Client) -> None:
-    with pytest.raises(InputError, match="workers: found 2, goes with a local cluster only, not with a client"):
+    with pytest.raises(InputError, match="workers: found 2, applies to a local cluster only, not to a client"):
         find_curves(tmp_path / "plane.zarr", client=client, options=RunOptions(workers=2))
 
 

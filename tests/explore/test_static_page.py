@@ -372,7 +372,7 @@ def test_a_page_takes_the_place_of_an_older_file_and_leaves_nothing_else(opened:
         (["{store}", "-o", "{folder}/page.html", "--select", "R=0.8"], "R is not an axis here"),
         (["-o", "{folder}/page.html"], "omega-b: -o takes a store, found a spec; compute it first: atlas run omega-b"),
         (["my.toml", "-o", "{folder}/page.html"], "my.toml: -o takes a store, found a spec"),
-        (["{store}", "--window", "omega=1:2"], "--window goes with -o, and none is given"),
+        (["{store}", "--window", "omega=1:2"], "--window needs -o"),
         (["{store}", "-o", "{folder}/page.html", "--window", "omega=7:8"], "no cell centre with omega from 7 to 8"),
         (["none.zarr", "-o", "{folder}/page.html"], "no such store"),
     ],

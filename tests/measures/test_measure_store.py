@@ -350,7 +350,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(plane: Path, tmp_path: Pat
     assert "has no curves to measure margins to" in fails(store, "--margin")
     assert "shocks need an atlas of all, see [attractors]" in fails(store, "--shocks")
     assert "norm.v1: found 0, must be above 0" in fails(store, "--norm", "v1=0")
-    assert "--scale goes with --margin" in fails(store, "--scale", "b=1")
+    assert "--scale needs --margin" in fails(store, "--scale", "b=1")
     assert "scale.b: found -1, must be above 0" in fails(store, "--margin", "--scale", "b=-1")
     assert "unknown axis in scale 'c'" in fails(store, "--margin", "--scale", "c=1")
     assert not (path / STABILITY).exists()

@@ -277,7 +277,7 @@ def test_the_command_lists_all_attractors_of_one_cell() -> None:
     shown = CliRunner().invoke(main, line)
     assert "share_low" in shown.stdout and "unseen_share" in shown.stdout
     refused = CliRunner().invoke(main, ["point", "--starts", "4"])
-    assert (refused.exit_code, "--starts goes with --attractors" in refused.output) == (2, True)
+    assert (refused.exit_code, "--starts needs --attractors" in refused.output) == (2, True)
 
 
 def test_a_cell_without_motion_lists_no_attractor_and_says_why() -> None:

@@ -254,8 +254,8 @@ def test_the_command_draws_several_stores_named_where_nothing_differs(folder: Pa
     ("args", "message"),
     [
         (("--kind", "cost"), "kind 'cost' is drawn of one atlas; side by side: exponent, period"),
-        (("--overlay", "isolines"), "--overlay goes with one STORE, found 2"),
-        (("--against", "c.zarr"), "--against goes with one STORE, found 2"),
+        (("--overlay", "isolines"), "--overlay takes one STORE, found 2"),
+        (("--against", "c.zarr"), "--against takes one STORE, found 2"),
     ],
 )
 def test_what_cannot_be_drawn_side_by_side_is_refused_in_one_line(

@@ -267,7 +267,7 @@ def test_how_a_comparison_looks_is_refused_without_a_picture(tmp_path: Path, opt
     store = str(complete(tmp_path / "plane.zarr").path)
     ended = CliRunner().invoke(main, ["compare", store, store, *option])
     assert (ended.exit_code, ended.stdout) == (2, "")
-    assert f"{option[0]} goes with -o, the picture" in ended.stderr
+    assert f"{option[0]} needs -o, the picture" in ended.stderr
 
 
 def test_a_period_has_one_colour_in_every_map() -> None:

@@ -199,7 +199,7 @@ def test_bad_input_is_one_line() -> None:
     with pytest.raises(InputError, match="capsule"):
         atlas.saddles(system="capsule")
     for words, message in (
-        (["--box", "x=0:1"], "--box goes with --out"),
+        (["--box", "x=0:1"], "--box needs --out"),
         (["-o", "a.png"], "a.png: found '.png', must end in .csv"),
     ):
         shown = CliRunner().invoke(main, ["attractors", "saddles", *words])

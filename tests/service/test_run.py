@@ -237,7 +237,7 @@ def test_more_workers_than_any_machine_has_are_refused_in_one_line(tmp_path: Pat
 
 
 def test_workers_of_this_machine_do_not_go_with_a_client(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
-    with pytest.raises(InputError, match="workers: found 2, goes with a local cluster only"):
+    with pytest.raises(InputError, match="workers: found 2, applies to a local cluster only"):
         atlas.run(plane, tmp_path / "out.zarr", client, atlas.RunOptions(workers=2))
     assert list(tmp_path.iterdir()) == []
 

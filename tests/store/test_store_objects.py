@@ -348,8 +348,8 @@ def test_an_obstore_store_of_a_server_has_its_url_and_its_settings(made: Any, ur
 @pytest.mark.parametrize(
     ("store", "options", "message"),
     [
-        ("plane.zarr", {"anon": True}, "storage_options: go with a URL, found 'plane.zarr'"),
-        ("file:///tmp/plane.zarr", {"anon": True}, "storage_options: go with a server, found file://"),
+        ("plane.zarr", {"anon": True}, "storage_options: need a URL, found 'plane.zarr'"),
+        ("file:///tmp/plane.zarr", {"anon": True}, "storage_options: need a server, found file://"),
         ("s3://b/p", ["anon"], "storage_options: found ['anon'], must be settings by name, such as anon=True"),
         ("s3://b/p", {"anon": True, "skip_signature": True}, "storage_options: skip_signature and another name of"),
         ("s3://b/p", {"secret": [SECRET]}, "storage_options: secret: must be a text, a number, or true or false"),

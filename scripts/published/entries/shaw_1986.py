@@ -50,7 +50,7 @@ def statements() -> list[Statement]:
         Statement("amplitude at omega = 0.9", turning(0.9)[0], size),
         Statement("lowest omega without sticking", low, max((omega for omega in ours if omega < 0.9), default=nan)),
         Statement("highest omega without sticking", high, min((omega for omega in ours if omega > 0.9), default=nan)),
-        Statement("sticks at the period 8.667, from which the demo of PWSDDE-cont goes on with sticking", "yes",
+        Statement("sticks at the period 8.667, from which the demo of PWSDDE-cont continues with sticking", "yes",
                   "yes" if below["sticks"] else "no", basis="stated by the demo"),
     ]  # fmt: skip
 

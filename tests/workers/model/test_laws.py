@@ -535,7 +535,7 @@ def test_a_law_is_checked_by_twice_as_many_segments() -> None:
 @pytest.mark.parametrize(
     ("spec", "line"),
     [
-        (plane([[0, 0], [1, 1]]), "hertz: no law is an expression; a law that is a table is exact as it stands"),
+        (plane([[0, 0], [1, 1]]), "hertz: no law is an expression; a law given as a table is exact"),
         (
             plane("d**2", within=1e-4, range=1),
             "system.contacts[0].law: takes 71 segments within a quarter of its",
