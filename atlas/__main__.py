@@ -1,4 +1,4 @@
-"""``python -m atlas`` is the command ``atlas``, where that is not on the path."""
+"""``python -m atlas`` runs the command ``atlas``, also where the shell does not find it."""
 
 from atlas.cli.main import main
 

@@ -1,4 +1,4 @@
-"""What ``import atlas`` offers, put together from the packages below it. The package loads this at first use."""
+"""The functions of ``import atlas``, from the packages below. The package loads this at first use."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any

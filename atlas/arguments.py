@@ -1,6 +1,4 @@
-"""Arguments of public functions that have a form: InputError, in one line, names the argument, what was found, and what
-is right.
-"""
+"""Checks of the arguments of public functions: an InputError in one line names argument, value and valid form."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""What can go wrong for a reason that the user can remove."""
+"""Errors that a user can correct."""
 
 import reprlib
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""What differs from one operating system to another: locks between processes, names of processes, memory, interrupts.
+"""Differences between operating systems: locks between processes, names of processes, memory, interrupts.
 
 The rest of the package is the same on all of them; tests/project/test_portable.py holds it to that.
 """

@@ -1,4 +1,4 @@
-"""Branches from one cell: what is asked for is checked, and followed."""
+"""Branches from one cell: the request is checked, then followed."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""The proven orbit of a cell, solved here or stored in an atlas: what a branch starts from."""
+"""The proven orbit of a cell, solved here or stored in an atlas: the start of a branch."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Branches followed from orbits, and the branches that begin at their events or that they begin at."""
+"""Branches followed from orbits, with further branches from their events."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping

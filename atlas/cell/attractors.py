@@ -1,4 +1,4 @@
-"""All attractors of one cell, found here and now; and how an entry of a list of attractors reads."""
+"""All attractors of one cell, solved in this process, and their lines in lists."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Whether the segments of a law matter: a coarse plane with twice as many."""
+"""Comparison of a coarse plane with a second one whose laws have twice as many segments."""
 
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar

@@ -1,4 +1,4 @@
-"""The results of one cell, solved here and now."""
+"""The results of one cell, solved in this process."""
 
 from collections.abc import Mapping
 from dataclasses import asdict

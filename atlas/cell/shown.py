@@ -1,4 +1,4 @@
-"""What a portrait shows of a cell's motion: its stretch of time, displacements and exponents, what to enlarge."""
+"""The contents of a portrait: stretch of time, displacements, exponents, enlarged part."""
 
 import math
 

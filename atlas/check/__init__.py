@@ -1,1 +1,1 @@
-"""Whether a store is what it says."""
+"""Verification and repair of stores."""

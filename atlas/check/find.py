@@ -1,4 +1,4 @@
-"""What is wrong with a store: everything in it is read and compared with everything known of it; nothing is written."""
+"""Finding faults: everything in a store is read and compared; nothing is written."""
 
 import random
 import time

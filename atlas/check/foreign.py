@@ -1,4 +1,4 @@
-"""Names among a store's chunks that are not chunks: of a tile beyond the grid, ``05``, or anything else."""
+"""Names among a store's chunks that belong to no chunk, such as a tile beyond the grid or ``05``."""
 
 from collections.abc import Iterator
 

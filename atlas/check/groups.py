@@ -1,4 +1,4 @@
-"""What a store has beside its cells and overviews: tables, curves, records of machines, zoom levels."""
+"""Checks of the groups beside cells and overviews: tables, curves, records of machines, zoom levels."""
 
 from dataclasses import dataclass
 

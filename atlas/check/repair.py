@@ -1,4 +1,4 @@
-"""Dropping what is faulty in a store, so that the next run, search or explorer makes it again.
+"""Dropping faulty objects from a store, so that the next run, search or explorer makes them again.
 
 What no run makes is written again: metadata, coordinates and records of tiles, which the spec and the cells decide.
 """

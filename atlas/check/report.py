@@ -1,4 +1,4 @@
-"""What a verification found, as a value, for a person and as JSON."""
+"""The report of a verification, as a value, as text and as JSON."""
 
 from dataclasses import asdict, dataclass
 from typing import Any

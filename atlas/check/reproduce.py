@@ -1,4 +1,4 @@
-"""Solving stored cells again and comparing: to the bit where the machine is the one that solved them, else by error."""
+"""Solving stored cells again and comparing: to the bit on the machine that solved them, else within errors."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What the results of one cell must have to do with each other, whatever the cell: rules on a tile's arrays."""
+"""Rules that the results of any cell obey, over a tile's arrays."""
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise

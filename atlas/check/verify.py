@@ -1,4 +1,4 @@
-"""Whether a store is what it says: what is wrong is found, and dropped where that is asked for."""
+"""Verification: faults are found, and dropped on request."""
 
 import random
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The planes that explorers keep in a store: whether they are whole, and dropping them."""
+"""Checks of the planes that explorers keep in a store, and dropping them."""
 
 import json
 from collections.abc import Iterable

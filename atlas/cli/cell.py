@@ -1,4 +1,4 @@
-"""Commands about one cell, and about the systems and examples that there are."""
+"""Commands about one cell, and lists of systems and examples."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""The command that holds two atlases against each other."""
+"""The command that compares two atlases."""
 
 from pathlib import Path
 from typing import Any

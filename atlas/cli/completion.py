@@ -1,4 +1,4 @@
-"""What a shell offers when the tab key completes a word: systems, kinds, variables, parameters, axes, classes, files.
+"""Completion by the Tab key: systems, kinds, variables, parameters, axes, classes, files.
 
 ``eval "$(_ATLAS_COMPLETE=bash_source atlas)"`` switches it on; zsh_source and fish_source are for these shells. What
 cannot be known, such as the axes of a store that does not open, is not offered and raises nothing.

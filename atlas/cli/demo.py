@@ -1,4 +1,4 @@
-"""The first minute: a plane computed, drawn and counted by the commands that a user would type."""
+"""The demo: a plane computed, drawn and counted by the commands that a user would type."""
 
 from pathlib import Path
 

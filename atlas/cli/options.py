@@ -1,4 +1,4 @@
-"""What several commands share: options, how their texts are read, and how errors of a question are reported."""
+"""Options that commands share, and the errors of their texts."""
 
 import math
 import os

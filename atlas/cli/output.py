@@ -1,4 +1,4 @@
-"""How the command answers on stdout: one JSON object, or a table for a person."""
+"""Answers on stdout: one JSON object, or a table for a person."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""The figures of Li & Tan (2011): which cells and which sweep they show, computed and drawn."""
+"""The figures of Li & Tan (2011): their cells and their sweep, computed and drawn."""
 
 import math
 from collections.abc import Sequence

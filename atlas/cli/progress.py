@@ -1,4 +1,4 @@
-"""Where a run is, as a terminal and a log show it."""
+"""Progress of a run on a terminal and in a log."""
 
 import sys
 import time

@@ -1,4 +1,4 @@
-"""Questions about the curves of an atlas: the curves as they are kept, and as a table."""
+"""Questions about the stored curves of an atlas, and their table."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""The orbits of a plane's cells: found from what the atlas stores, taken to other cells, and to points of curves."""
+"""The orbits of a plane's cells: from stored results, at other cells, and at points of curves."""
 
 from collections.abc import Iterator, Sequence
 

@@ -1,4 +1,4 @@
-"""How far an operating point is from the events of its orbit."""
+"""The distance of an operating point to the events of its orbit."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any

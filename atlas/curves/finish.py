@@ -1,4 +1,4 @@
-"""From the curves that a search followed to the curves that are kept: each once, in one order, with a report."""
+"""The end of a search: each curve once, in one order, with a report."""
 
 from collections import Counter
 from dataclasses import asdict

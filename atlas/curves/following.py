@@ -1,4 +1,4 @@
-"""From an edge between cells to events, from an event to its curve, and whether an event lies on a known curve."""
+"""From an edge between cells to events, and from an event to its curve."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Borders between regions, and beside which of their edges events are looked for next."""
+"""Borders between regions, and the order in which their edges are searched."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""One task on a worker: what crosses the scheduler, doing it here and now, and the receipt for it."""
+"""One task of a search on a worker: its message, its execution, its receipt."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""The plane that curves are looked for in: its cells as arrays, their regions, and the edges between these."""
+"""The plane of a search: its cells as arrays, their regions, and the edges between these."""
 
 import hashlib
 from collections.abc import Mapping

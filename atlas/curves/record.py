@@ -1,4 +1,4 @@
-"""What a search finds as text, exact to the bit: events and curves as JSON, and back."""
+"""Events and curves as JSON text, exact to the bit."""
 
 from typing import Any
 

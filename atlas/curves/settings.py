@@ -1,4 +1,4 @@
-"""What decides which curves of a plane are found, besides its cells."""
+"""The budget of a search."""
 
 import hashlib
 from dataclasses import asdict, dataclass, fields

@@ -1,4 +1,4 @@
-"""The curves of a plane as values: what each one is, and all of them as arrays of a store's group."""
+"""The curves of a plane as values and as arrays of a store's group."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

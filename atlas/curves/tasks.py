@@ -1,4 +1,4 @@
-"""What a search asks of workers: small records that can be printed and done again by hand, and doing them."""
+"""The tasks of a search as small records, and their execution."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

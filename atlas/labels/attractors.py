@@ -1,4 +1,4 @@
-"""The attractors of a finished atlas as rows of arrays, and which of them may be one in neighbouring cells."""
+"""The attractors of a finished atlas as rows of arrays, and candidates for links between neighbouring cells."""
 
 from dataclasses import dataclass
 from functools import cached_property

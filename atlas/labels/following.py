@@ -1,4 +1,4 @@
-"""Which attractors of neighbouring cells are the same: the orbit of one is followed to the other's parameters.
+"""Links between attractors of neighbouring cells: the orbit of one is followed to the other's parameters.
 
 There Newton's method on its state and times of impacts finds it, from one cell to the next in a few steps. Where
 one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It

@@ -1,4 +1,4 @@
-"""The measures of the attractors of many cells, from what a store has of them."""
+"""The measures of the attractors of many cells, from stored results."""
 
 from collections.abc import Mapping
 from typing import Any

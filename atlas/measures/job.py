@@ -1,4 +1,4 @@
-"""Measuring some cells of a tile on a worker: what crosses the scheduler, doing it here and now, the receipt for it."""
+"""Measuring some cells of a tile on a worker: the message, its execution, its receipt."""
 
 import io
 import time

@@ -1,4 +1,4 @@
-"""The margin of a point of a plane: its distance to the nearest curve, and which curve that is.
+"""The margin of a point of a plane: the distance to the nearest curve, and the number of that curve.
 
 A curve is given by certified points with straight chords between. The distance to the chords is exact to rounding. From
 the chords to the curve it is at most about kappa L^2 / 8 for a chord of length L and a curvature kappa; kappa is that

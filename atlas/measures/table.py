@@ -1,4 +1,4 @@
-"""The measures of an atlas as values: which there are, and the group ``stability`` of a store that keeps them."""
+"""The measures of an atlas as values, and the group ``stability`` of a store that keeps them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

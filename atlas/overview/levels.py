@@ -1,4 +1,4 @@
-"""The geometry of overviews: how many levels an atlas has, their shapes, and which chunk lies over which tile.
+"""The geometry of overviews: the levels of an atlas, their shapes, and the chunk over each tile.
 
 A cell of level L stands for a block of 2^L cells along each dimension, fewer at the far ends. Leading dimensions are
 kept as they are: the planes of a stack, the rows of a table. All levels have chunks of one shape, so that a chunk of

@@ -1,4 +1,4 @@
-"""The overviews of a store during a run: what lies over a lost tile goes, and what is missing is made at the end.
+"""The overviews of a store during a run: chunks over a lost tile are dropped, missing ones made at the end.
 
 The store itself says which chunks are missing and can be made, so that a kill leaves nothing to be remembered.
 """

@@ -1,4 +1,4 @@
-"""Atlases of all attractors: one of them in every cell as a dataset of its own, and all of one cell as a list."""
+"""Atlases of all attractors: one attractor of every cell as a dataset, and all of one cell as a list."""
 
 from typing import TYPE_CHECKING, Any
 

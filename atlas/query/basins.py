@@ -1,4 +1,4 @@
-"""Basins of attraction: the table of their attractors, their shares, and how mixed and how rough they are.
+"""Basins of attraction: the table of their attractors, shares, entropy and uncertainty.
 
 Shares        of the initial states of the plane that are not beyond a stop, with 95 % Wilson intervals.
 Entropy       (Daza et al., Sci. Rep. 6 (2016) 31416) the plane is cut into boxes of BOX x BOX initial states; a box has

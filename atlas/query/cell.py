@@ -1,4 +1,4 @@
-"""One cell of an atlas as it was solved: what it takes to solve it again."""
+"""One cell of an atlas with everything that a second solution needs."""
 
 import json
 from collections.abc import Mapping

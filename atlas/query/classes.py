@@ -1,4 +1,4 @@
-"""What cells have in common: their regime, the period of their orbit, or the pattern of its impacts."""
+"""Classes of cells: regime, period of the orbit, or pattern of impacts."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any

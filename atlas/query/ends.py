@@ -1,4 +1,4 @@
-"""Ends of scales: as far out as nearly all cells need, since outliers must not flatten the rest."""
+"""Ends of scales: as wide as nearly all cells need, without outliers."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Where a variable is smallest and largest, in each regime, for each period or in all."""
+"""The smallest and largest values of a variable, in each regime, for each period or in all."""
 
 from typing import TYPE_CHECKING, Any
 

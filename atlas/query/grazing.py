@@ -1,4 +1,4 @@
-"""Where the impact-free motion would graze: its extremes over a period against the distances to the stops."""
+"""The line of grazing impact-free motion: its extremes over a period against the distances to the stops."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The machines behind the cells of an atlas: their oscillators, their gap coordinate, whether motions have twins."""
+"""The machines behind the cells of an atlas: oscillators, gap coordinate, symmetry."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING

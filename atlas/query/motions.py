@@ -1,4 +1,4 @@
-"""The motions of a plane: periodic ones by forcing periods and impacts at either stop, n-p-q, as is the custom."""
+"""The motions of a plane by name: forcing periods and impacts at either stop, n-p-q."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple

@@ -1,4 +1,4 @@
-"""The cells of a plane as arrays (y, x) with both axes rising, and what its axes mean."""
+"""The cells of a plane as arrays (y, x) with both axes rising, and the meaning of its axes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Questions to an atlas: what is at a point, how much of a window belongs to each regime, where regimes meet.
+"""Questions to an atlas: a point, the regimes of a window, borders between regimes.
 
 Every function takes the dataset as ``atlas.open`` returns it, keeps no state, and reads no more than it must.
 """

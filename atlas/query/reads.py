@@ -1,4 +1,4 @@
-"""What reading an atlas cost: chunks read, and how coarse the cells were that answered."""
+"""The cost of reading an atlas: chunks read, and the level of the cells that answered."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What a picture or a query reads of an atlas: the cells in view, at the level that matches the pixels, no more.
+"""Reading for pictures and queries: the cells in view, at the level that matches the pixels.
 
 ``view`` gives the same dataset as ``atlas.open``, read, and coarsened where cells are finer than pixels. Data that are
 not what a store holds (computed, changed, put together) are taken as they are.

@@ -1,4 +1,4 @@
-"""Where a name has room in a region of cells, and which lines run side by side. Lengths are in points."""
+"""The place of a name in a region of cells, and lines that run side by side. Lengths are in points."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise

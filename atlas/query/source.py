@@ -1,4 +1,4 @@
-"""A block of the cells of a store: how it is found behind a dataset, and how its levels are read."""
+"""A block of a store's cells: finding it behind a dataset, and reading its levels."""
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence

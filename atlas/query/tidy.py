@@ -1,4 +1,4 @@
-"""Cells as lines around and along them show them: without clouds of small regions, without dust, without noise."""
+"""Cells prepared for lines around and along them: without clouds of small regions, dust and noise."""
 
 from collections.abc import Callable, Iterator, Sequence
 

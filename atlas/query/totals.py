@@ -1,4 +1,4 @@
-"""What a block of the cells of a store holds in all: the area of each regime, and the cells without a result."""
+"""Totals of a block of cells: the area of each regime, and the cells without a result."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

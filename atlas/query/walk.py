@@ -1,4 +1,4 @@
-"""The cells of an atlas block by block, for questions that take every cell: what records answer is not read."""
+"""The cells of an atlas block by block; cells that records describe are not read."""
 
 import itertools
 from collections.abc import Collection, Iterable, Iterator

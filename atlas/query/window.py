@@ -1,4 +1,4 @@
-"""The axes of an opened atlas, its cells along them, and which of them a window holds."""
+"""The axes of an opened atlas, its cells along them, and windows of these."""
 
 import json
 from collections.abc import Mapping

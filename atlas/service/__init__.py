@@ -1,1 +1,1 @@
-"""One run: what the coordinator does."""
+"""The coordinator's part of a run."""

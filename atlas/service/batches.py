@@ -1,4 +1,4 @@
-"""Jobs sent to Dask, and their results fetched, many at a time: a request for each takes 5 ms.
+"""Jobs sent to Dask, and results fetched, in batches: a single request takes 5 ms.
 
 The results go through the scheduler: a client that fetched them itself would hold a connection to every worker, and
 take half as long again.

@@ -1,4 +1,4 @@
-"""The Dask cluster that a run works on: one on this machine, or one that is reached by its address."""
+"""The Dask cluster of a run: one on this machine, or one at an address."""
 
 import logging
 import math

@@ -1,4 +1,4 @@
-"""Extending an atlas: a new store of more cells, which reuses the cells of an old one."""
+"""Extending an atlas: a new store of more cells, which takes over the cells of an old one."""
 
 import math
 from collections.abc import Mapping

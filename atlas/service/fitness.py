@@ -1,4 +1,4 @@
-"""Which workers are fit for the jobs of a run, judged by how their attempts end.
+"""Exclusion of workers, judged by the outcomes of their attempts.
 
 A worker refuses if it knows that it cannot do the jobs. If it fails, worker or job may be at fault. A job speaks
 against a worker while it has failed there and at no other worker that has done a job. After FAILURES such jobs in a

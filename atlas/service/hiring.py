@@ -1,4 +1,4 @@
-"""The workers that a run works with: those of a client, or processes that are started for it."""
+"""The workers of a run: those of a client, or processes started for it."""
 
 from contextlib import ExitStack
 from functools import partial

@@ -1,4 +1,4 @@
-"""Labelling the attractors of a finished atlas: labels are found here and now, and kept in its store."""
+"""Labelling the attractors of a finished atlas, in this process, into its store."""
 
 import time
 from dataclasses import asdict, dataclass, replace

@@ -1,4 +1,4 @@
-"""Who is at work on a store: one coordinator at a time, proved by a counter that moves, never by a clock.
+"""The claim of a store by one coordinator at a time, proved by a counter that advances, not by a clock.
 
 A claim is one small note outside the store. At every beat its holder increments a counter in it. Another run that
 finds a claim watches the counter. If it moves, the claim stands; if it stands still for ``Timing.dead`` seconds by the

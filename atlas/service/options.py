@@ -1,4 +1,4 @@
-"""The options of a run beyond its spec and its store: where it computes, what it reports, how long it waits."""
+"""The options of a run beyond its spec and its store: workers, reports, waiting times."""
 
 import inspect
 import math

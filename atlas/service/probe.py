@@ -1,4 +1,4 @@
-"""The probe: what cells of a spec cost, measured on some that are spread over the plane."""
+"""The probe: expected cost of a spec, measured on cells that are spread over the plane."""
 
 import math
 import time

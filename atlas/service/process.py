@@ -1,4 +1,4 @@
-"""Processes of this machine by a name that nothing else ever has, so that a dead one is known for certain."""
+"""Unique names of processes on this machine, so that a dead one is recognised with certainty."""
 
 import os
 

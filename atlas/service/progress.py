@@ -1,4 +1,4 @@
-"""How a run reports where it is: one frozen snapshot."""
+"""Progress of a run: one frozen snapshot."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What a worker does once for a run, before its first job: a plugin of Dask's workers.
+"""The setup of a worker once per run, before its first job: a plugin of Dask's workers.
 
 Dask hands it to every worker, also to one that joins later. It runs in a thread of its own, since Dask's event loop
 must not stand still while kernels are compiled; jobs that come meanwhile wait for it.

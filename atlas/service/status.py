@@ -1,4 +1,4 @@
-"""How far a store is, from the store alone: what is in it, and what the run at work on it notes next to it."""
+"""The progress of a store, from its contents and from the notes of a run beside it."""
 
 import time
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Leaving a run to a cluster: the coordinator is a task there, and outlives the program that submitted it."""
+"""Submitted runs: the coordinator is a task on the cluster, and outlives the program that submitted it."""
 
 import os
 import time

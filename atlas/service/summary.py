@@ -1,4 +1,4 @@
-"""What a run did: its receipts added up while it is at work, and their sum at its end."""
+"""The summary of a run: its receipts added up."""
 
 import time
 from collections import Counter

@@ -1,4 +1,4 @@
-"""How long the service waits, in one record that a run, its watchers and the command take."""
+"""All waiting times of the service, in one record for runs, watchers and commands."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The table ``[attractors]`` of a spec: from which initial states the attractors of each cell are sought."""
+"""The table ``[attractors]`` of a spec: initial states of the search in each cell."""
 
 from collections.abc import Mapping
 from dataclasses import asdict

@@ -1,4 +1,4 @@
-"""Where the cells around the points of an axis begin and end, and how wide they are."""
+"""Edges, widths and areas of the cells around the points of an axis."""
 
 from typing import TYPE_CHECKING
 

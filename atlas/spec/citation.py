@@ -1,4 +1,4 @@
-"""What to cite for an atlas, as BibTeX: the software, the method, and the sources of its machine."""
+"""The citations of an atlas as BibTeX: software, method, and sources of its machine."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""In what two specs differ, in words."""
+"""The differences of two specs, in words."""
 
 from atlas.spec.points import differing
 from atlas.spec.spec import Spec

@@ -1,4 +1,4 @@
-"""Specs as plain JSON: with the values of their axes, which the digest is of, and without, as stores have them."""
+"""Specs as plain JSON: with the values of their axes for the digest, without them for stores."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""The system of a spec, of a store, or of a command: by its name, by its file, or in full."""
+"""The system of a spec, of a store, or of a command: by name, by file, or in full."""
 
 import json
 from collections.abc import Callable, Mapping

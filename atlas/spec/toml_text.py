@@ -1,4 +1,4 @@
-"""A spec as the text of a TOML file that a person can go on with."""
+"""A spec as the text of a TOML file that a person can edit."""
 
 from dataclasses import fields
 from typing import Any

@@ -1,4 +1,4 @@
-"""How the server of a URL is reached, where a user says more than the environment does.
+"""Access options of a URL, where a user gives more than the environment.
 
 By ``storage_options`` in the words of obstore or of fsspec, or by an obstore store given as an object. A place keeps
 this as values, so that it crosses to workers, and makes clients of its own from them: these try everything once.

@@ -1,4 +1,4 @@
-"""The values of a store's axes, or of the columns of its points: they are in its coordinates, not in its attributes.
+"""The values of a store's axes, or of its table of points, which are in coordinates, not in attributes.
 
 Values that are not evenly spaced, and so cannot be made again from the attributes, have a copy beside their coordinate.
 """

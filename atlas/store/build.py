@@ -1,4 +1,4 @@
-"""The metadata, attributes and coordinates of a store, before there is a result in it."""
+"""The metadata, attributes and coordinates of a new store."""
 
 import warnings
 from pathlib import Path

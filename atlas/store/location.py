@@ -1,4 +1,4 @@
-"""The place of a store by its path or URL, and what is done with whole objects at a URL.
+"""The place of a store by its path or URL, and whole objects at a URL.
 
 Zarr reads and writes arrays in any place by stores of its own. This is the rest: one listing, one object put, removed
 or looked for, and a write under a condition, which an object store has in place of a rename.

@@ -1,4 +1,4 @@
-"""The machine that solves cells: what their bits depend on besides the solver's version."""
+"""The description of a machine that solves cells: processor, instructions, versions of packages."""
 
 import hashlib
 import json

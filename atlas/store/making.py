@@ -1,4 +1,4 @@
-"""Making a store appear at once or not at all, and whether a run may make or resume one."""
+"""Creating a store whole or not at all, and the check whether a run may create or resume one."""
 
 import errno
 import glob

@@ -1,4 +1,4 @@
-"""The store that a new one takes cells over from, and which of its cells are solved again with more."""
+"""The store from which a new one takes over cells, and the cells that are solved again."""
 
 import json
 from collections.abc import Mapping

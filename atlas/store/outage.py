@@ -1,4 +1,4 @@
-"""Waiting for a store at a URL that does not answer: as a rule, a server or a network that is away comes back.
+"""Waiting for a server or a network that does not answer.
 
 obstore's own retries are not used. They count from the beginning of a request, so that a request that fails after long
 is not made again, and they do not tell whether a conditional write may have had its effect before.

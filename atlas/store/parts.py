@@ -1,4 +1,4 @@
-"""Finished parts of a search that is still at work on a store, by the group that the search will write.
+"""Finished parts of a search in progress, kept in the store.
 
 They lie apart from the groups, whose readers expect arrays. Each begins with its checksum.
 """

@@ -1,4 +1,4 @@
-"""Where a store lies, and what is done there with whole objects: a place in general, and a folder of this machine."""
+"""The interface to whole objects of a store: places in general, and folders of this machine."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""What the finished tiles of a store hold, by their records: one for each tile, and one chunk with all.
+"""The contents of the finished tiles of a store, by their records: one per tile, and one chunk with all.
 
 A worker puts the record of a tile right before its ``regime``, with which the tile is done. At the end of a run all
 records are collected in one chunk, the compaction, and the single ones are removed, so that a finished atlas is known

@@ -1,4 +1,4 @@
-"""What a store holds besides results: its coordinates, and the attributes by which it explains itself."""
+"""Coordinates and attributes of a store."""
 
 import json
 import uuid

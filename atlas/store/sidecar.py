@@ -1,4 +1,4 @@
-"""Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write.
+"""Notes beside a store: small named texts that processes share, with a conditional write.
 
 A run claims a store by a note, and an attempt at a tile claims the tile by one. Notes are files next to a folder, and
 objects next to a store at a URL.

@@ -1,4 +1,4 @@
-"""The spare of a store's metadata: the root's as they were made, spec and all arrays among them, in a second object.
+"""The spare of a store's metadata: a second object with the root's metadata as they were made.
 
 What is derived from the spec can so be written again whichever object is lost: the root's metadata from the spare, the
 spare from the root's. It lies in the folder of an array, where no reader of Zarr groups comes across it.

@@ -1,4 +1,4 @@
-"""A store: made whole and empty, found again, and what it says about itself."""
+"""The handle of a store: opening it, its spec and its finished tiles."""
 
 import hashlib
 import json

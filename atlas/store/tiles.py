@@ -1,4 +1,4 @@
-"""The tiles of a store: written whole, and read so that nothing missing or damaged goes unnoticed."""
+"""The tiles of a store: written whole, and read with every missing or damaged chunk found."""
 
 import errno
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""How the cells of an atlas are cut into tiles."""
+"""A plane cut into tiles."""
 
 import itertools
 import math

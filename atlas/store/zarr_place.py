@@ -1,4 +1,4 @@
-"""Any Zarr store object as a place that is read only: one in memory, of obstore's, of a session of Icechunk."""
+"""Any Zarr store object as a read-only place: in memory, of obstore, of an Icechunk session."""
 
 import asyncio
 import sys

@@ -1,4 +1,4 @@
-"""What explorers keep: the group ``zoom`` of a store, beside its arrays.
+"""The group ``zoom`` of a store, with the cells that explorers solved.
 
 ``zoom/PLANE/SHEET`` is a store within the store: a block of a level's cells with a spec, a digest and a commit rule of
 its own, so that whatever reads an atlas reads it. Explorers write sheets under the store's claim.

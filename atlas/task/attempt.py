@@ -1,4 +1,4 @@
-"""Any job of a run, and the attempt at a tile that it is."""
+"""A job of a run, and its attempt at a tile."""
 
 import sys
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The last step of an atlas of basins: labels of attractors that the reference set missed, and the table of all."""
+"""The last step of an atlas of basins: labels of attractors beyond the reference set, and the table of all."""
 
 import itertools
 import math

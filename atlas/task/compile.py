@@ -1,4 +1,4 @@
-"""The kernels' compilation: once on a machine, by whichever process is first."""
+"""Compilation of the kernels, once on a machine, by the first process."""
 
 import gc
 import json

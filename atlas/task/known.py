@@ -1,4 +1,4 @@
-"""Handles of stores that this process works on or copies from: read once, and again where a store has changed."""
+"""Handles of the stores that this process works on: read once, and again after a change."""
 
 from collections.abc import Hashable
 from threading import Lock

@@ -1,4 +1,4 @@
-"""A tile of an atlas made from another: the cells that this origin gives are copied to the bit, the others solved."""
+"""A tile with an origin: known cells are copied to the bit, the others solved."""
 
 import itertools
 from collections.abc import Iterator

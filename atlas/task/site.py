@@ -1,4 +1,4 @@
-"""The store that the jobs of a run work on: how a worker checks it, reads it and keeps parts in it."""
+"""The store of a run as its jobs use it: checked, fenced, with a place for parts."""
 
 import errno
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""One tile: what is to be done, doing it here and now, and the receipt for it."""
+"""A tile as a task: the message to a worker, its execution, its receipt."""
 
 import time
 from dataclasses import dataclass, replace
