@@ -34,7 +34,7 @@ def checked_ends(name: str, given: object) -> tuple[float, float]:
 
 
 def checked_window(given: object) -> Window:
-    """A window, none of whose axes is checked; None stands for an empty one."""
+    """A window, its axes unchecked; None is an empty one."""
     if given is None:
         return {}
     if not isinstance(given, Mapping):
@@ -61,7 +61,7 @@ def checked_path(given: object, name: str = "path") -> Path:
 
 
 def checked_name(name: str, given: object) -> None:
-    """Refuse what is no text, where a name is asked for."""
+    """InputError unless a name is text."""
     checked_kind(name, given, str, "a name")
 
 
@@ -71,7 +71,7 @@ def checked_flag(name: str, given: object) -> bool:
 
 
 def checked_kind(name: str, given: T, kind: Any, right: str) -> T:
-    """What is an instance of a type or a union of types; ``right`` says in words what it must be."""
+    """``given`` if it has this type or one of a union; ``right`` is the valid form in words."""
     if not isinstance(given, kind):
         raise InputError(f"{name}: found {shown(given)}, must be {right}")
     return given
@@ -85,6 +85,6 @@ def checked_atlas(given: object, name: str = "atlas") -> Any:
 
 
 def _items(given: object) -> tuple[Any, ...]:
-    """The items of what has an order and is no text; none of anything else."""
+    """The items of a sequence or array that is no text; else none."""
     whole = isinstance(given, Sequence) or getattr(given, "ndim", 0) == 1
     return tuple(given) if whole and not isinstance(given, str | bytes) else ()  # type: ignore[arg-type]

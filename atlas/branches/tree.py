@@ -33,7 +33,7 @@ AMPLITUDES = (0.02, 0.005, 1e-3, 2e-4)
 """How far from an event the branch that leaves there is looked for, in turn: one that is near comes back to it."""
 
 BESIDE = 1e-3
-"""How far from an event, as a share of the window, the orbit is taken that goes on through it."""
+"""How far from an event, as a share of the window, the orbit is taken that continues through it."""
 
 LEAVES = ("symmetry_breaking", "period_doubling")
 """Kinds of events at which a branch leaves."""
@@ -42,7 +42,7 @@ GOES_ON = (
     "graze", "impact_lost", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
 )  # fmt: skip
 """Kinds of events at which the branch of a machine with modes may end, and one of orbits with other contacts or slides
-begin: through continuous ones a branch goes on itself."""
+begin: through continuous ones the branch itself continues."""
 
 SAME = 1e-6
 """Difference, relative to the size of states, below which two orbits at one parameter are the same."""
@@ -176,7 +176,7 @@ class Tree:
         return section_states(self.system, given, [point.orbit], shift)[0]
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
-        """The events of a branch at which another one leaves it, or it leaves another, or goes on as another."""
+        """The events of a branch at which another one leaves it, or it leaves another, or continues as another."""
         own, with_modes = self.branches[number], self.system.has_modes
         return [
             (number, event)

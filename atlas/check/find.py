@@ -54,7 +54,7 @@ Index = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Findings:
-    """What was found in a store: the report for people, and the parts that are faulty.
+    """The findings in a store: the report for people, and the parts that are faulty.
 
     unread      its metadata are, and nothing was read through them
     spareless   the spare of its metadata is
@@ -93,7 +93,7 @@ def find(place: Place, sample: int, seed: int, notify: Callable[[Progress], None
 
 
 def _unread(handle: Atlas, seed: int, faults: list[str]) -> Findings:
-    """A store with damaged metadata: whatever is read through them means nothing."""
+    """A store with damaged metadata, through which nothing can be read."""
     told = tuple(StoreFault(None, what) for what in faults)
     return Findings(handle, replace(_begun(handle, seed), comparison="the metadata are damaged", faults=told), True)
 
@@ -105,7 +105,7 @@ def _begun(handle: Atlas, seed: int) -> Report:
 
 
 def _found(handle: Atlas, sample: int, seed: int, notify: Callable[[Progress], None]) -> Findings:
-    """What is wrong with a store but for its zoom levels."""
+    """The faults of a store, without its zoom levels."""
     tiling = handle.tiling
     notify(Progress("listing the tiles"))
     done = sorted(done_tiles(handle))
@@ -163,7 +163,7 @@ def _found(handle: Atlas, sample: int, seed: int, notify: Callable[[Progress], N
 
 
 def _with_zoom(found: Findings, sample: int, notify: Callable[[Progress], None]) -> Findings:
-    """The same with what is wrong in the zoom levels, whose sheets are stores themselves.
+    """The same with the faults of the zoom levels, whose sheets are stores themselves.
 
     Of as many sheets as the sample has cells, one cell each is solved again.
     """

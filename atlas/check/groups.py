@@ -15,7 +15,7 @@ from atlas.store.store import ROOT, Atlas
 
 @dataclass(frozen=True)
 class GroupReport:
-    """What is wrong with the groups of a store: faults, each in a line; the groups and objects that they are in.
+    """The faults of a store's groups: faults, each in a line; the groups and objects that they are in.
 
     copies   keys of metadata of other groups that are not as the root's copy has them
     """
@@ -50,7 +50,7 @@ def check_groups(handle: Atlas) -> GroupReport:
 
 
 def mend_groups(handle: Atlas, report: GroupReport) -> list[str]:
-    """Drop the groups that are damaged, and restore what can be; what was done, each in a line."""
+    """Drop damaged groups and restore the rest; returns each action as a line."""
     done = []
     for group in report.groups:
         if group == OVERVIEWS:

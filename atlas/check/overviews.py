@@ -30,7 +30,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class OverviewReport:
-    """What is wrong with the overviews of a store: chunks that were read whole, faults, each in a line.
+    """The faults of a store's overviews: chunks that were read whole, faults, each in a line.
 
     unsound     chunks, by level and index, that must not stay: with faults, or over what is not sound
     misformed   metadata or coordinates are damaged: no chunk was read, and none may stay
@@ -44,7 +44,7 @@ class OverviewReport:
 
 @dataclass(frozen=True)
 class _CheckedChunk:
-    """A chunk of a level that was read: its arrays that are whole, what is wrong with it, and whether it may stay."""
+    """A chunk of a level that was read: its arrays that are whole, its faults, and whether it may stay."""
 
     index: Index
     arrays: int

@@ -11,7 +11,7 @@ from workers.results import REASON
 
 
 def record_faults(handle: Atlas, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
-    """What is wrong with a store's records, given the rows that its finished tiles have by their cells."""
+    """The faults of a store's records, given the rows that its finished tiles have by their cells."""
     faults = [f"{RECORDS} {records.damaged[RECORDS]}"] if RECORDS in records.damaged else []
     counts = slice(CELLS.start, None if REASON in handle.variables else BY_REASON.start)
     wrong = [

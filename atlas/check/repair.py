@@ -26,7 +26,7 @@ from atlas.text import plural
 
 
 def repair(found: Findings, again: Callable[[], Findings]) -> Report:
-    """Drop what was found faulty in a claimed store; without a fault nothing is written.
+    """Drop the faulty objects of a claimed store; without a fault nothing is written.
 
     Where the metadata were, they are written again and the store is read ``again``: no cell was read through them.
     """

@@ -65,7 +65,7 @@ class Report:
 
     @property
     def fine(self) -> bool:
-        """Whether the store is complete and nothing speaks against it."""
+        """Whether the store is complete, without faults and doubts."""
         return self.complete and not self.faults and not self.doubts
 
     @property
@@ -78,7 +78,7 @@ class Report:
 
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """What was looked at, each with its name."""
+        """The counts of checked objects, by name."""
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
         found = [
             (

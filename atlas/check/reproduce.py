@@ -13,7 +13,7 @@ from atlas.task.solving import solve_apart
 from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, REGIMES, leading
 
 ERRORS = 5.0
-"""So many errors of both solutions may lie between the largest exponents that two machines give."""
+"""Largest difference of the largest exponents of two machines, in errors of both solutions."""
 ROUNDING = 1e-9
 """What may lie between them besides, relative to them or absolutely where they are small."""
 

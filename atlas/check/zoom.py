@@ -8,7 +8,7 @@ from atlas.store.zoom import ABOUT, describe_planes, drop_sheet
 
 
 def plane_faults(handle: Atlas) -> dict[str, str]:
-    """What is wrong with the metadata of planes, and of sheets that are not whole, by the keys of these metadata."""
+    """The faults in the metadata of planes, and of sheets that are not whole, by the keys of these metadata."""
     found: dict[str, str] = {}
     folders = {tuple(key.split("/")[1:-1][:2]) for key in handle.place.list_keys(f"{ZOOM}/")}
     whole = (folder for folder in folders if not any(name.startswith(".") for name in folder))  # not half made ones

@@ -150,7 +150,7 @@ def _seed(
     system: str,
     options: dict[str, Any],
 ) -> "Seed":
-    """The orbit of the cell that is asked for."""
+    """The orbit of the requested cell."""
     check_cell_options(store)
     at = read_pairs("--at", point, read_number)
     if store is None:

@@ -31,7 +31,7 @@ from atlas.errors import InputError
 from atlas.service.progress import prepare_kernels
 
 PACKAGED = "omega-b"
-"""What is explored where nothing is named."""
+"""The default subject of the explorer."""
 GB = 10**9
 
 

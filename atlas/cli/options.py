@@ -164,12 +164,12 @@ def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[
 
 
 def examples(*lines: str) -> str:
-    """The end of a command's help: what one may type, line by line."""
+    """The end of a command's help: possible inputs, line by line."""
     return _as_it_stands("Examples:", lines)
 
 
 def meanings(title: str, words: Mapping[str, str]) -> str:
-    """A part of a command's help: names and what they mean."""
+    """A part of a command's help: names and meanings."""
     width = max(map(len, words))
     return _as_it_stands(title, [f"{name:{width}}  {meaning}" for name, meaning in words.items()])
 
@@ -212,7 +212,7 @@ def asked_cell(
 
 
 def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
-    """The atlas of a STORE at these values of some of its axes; a value between two cells is told."""
+    """The atlas of a STORE at these values of some of its axes; a message names the cell for a value between two."""
     from atlas.query.open import open_atlas
     from atlas.query.window import select
 

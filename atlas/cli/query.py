@@ -238,7 +238,7 @@ def _print_regions(found: Sequence[Mapping[str, Any]], by: str) -> None:
 
 
 def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out: Path | None, as_json: bool) -> bool:
-    """Write the rows where a file is asked for, print JSON where that is; False where neither is."""
+    """Write the rows to the file of -o, or print JSON for --json; False without either."""
     if out is not None:
         from atlas.query.export import write_rows
 

@@ -261,7 +261,7 @@ def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str
 @store_argument
 @click.pass_context
 def cancel(ctx: click.Context, store: str) -> None:
-    """Stop the run that is at work on STORE, wherever it runs. Finished tiles are kept."""
+    """Stop the run on STORE, on any machine. Finished tiles are kept."""
     stopped = cancel_run(notes_of(store), store, CANCEL_SECONDS, say, timing_of(ctx))
     click.echo(f"{store}: {stopped} has stopped")
 

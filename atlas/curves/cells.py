@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CEASES, PERSISTS, IS = range(3)
-"""What becomes of a cell's orbit at the parameters of another cell."""
+"""The fate of a cell's orbit at the parameters of another cell."""
 
 
 class CellOrbits:
@@ -79,7 +79,9 @@ class CellOrbits:
         return found
 
     def becomes(self, orbit: Orbit, values: Array, cell: int) -> int:
-        """What becomes of one orbit at parameters (2,) at those of a cell: CEASES, PERSISTS, or IS the cell's own."""
+        """The fate of an orbit at parameters (2,), continued to a cell's parameters: CEASES, PERSISTS, or IS the cell's
+        own.
+        """
         there = self.plane.values(np.array([cell]))
         try:
             taken = moved(self.family, many_of([orbit], values[None]), there)

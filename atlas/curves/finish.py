@@ -20,7 +20,7 @@ def finished(search: CurveSearch) -> Curves:
 
 
 def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
-    """What was found and what was not tried.
+    """The curves found, and the searches not tried.
 
     digest, settings           what the curves are of
     edges                      between cells: ``regions`` of the settings' least number of cells and more on both sides;

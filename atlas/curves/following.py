@@ -43,7 +43,7 @@ class Located(NamedTuple):
 
     @property
     def signature(self) -> tuple[str, int, int, bool]:
-        """What all points of its curve have in common up to a change of contacts: kind, periods, events, symmetry."""
+        """Properties common to its curve up to a change of contacts: kind, periods, events, symmetry."""
         itinerary = self.orbit.itinerary
         return self.kind, itinerary.periods, len(itinerary.sides), itinerary.symmetric
 
@@ -65,7 +65,7 @@ class Followed(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """What was found beside an edge: the events; without any why not, in words, and what becomes of the cell's orbit at
+    """The result beside an edge: the events, or the reason for none in words; and the fate of the cell's orbit at
     the neighbour's parameters: CEASES, PERSISTS or IS.
     """
 

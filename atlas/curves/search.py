@@ -35,7 +35,7 @@ SHORT, LONG = 2.0, 12.0
 """Cells that the orbit of a cell is followed over: past an edge where it ends; where only basins end, further on."""
 
 OPEN, BASIN, CURVE, TRIED, NONE = range(5)
-"""What is known of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
+"""The state of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
 its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
 
 FAR = "no event of the orbits of its cells lies within a cell"

@@ -18,7 +18,7 @@ class CurveSettings:
 
     seeds    largest number of places beside edges where events are searched for
     curves   largest number of curves that are followed
-    points   largest number of points of all curves; a curve that this ends in the middle says so
+    points   largest number of points of all curves; the table marks a curve that this limit ends
     least    smallest region, in cells, beside which events are searched for; 1 takes long
 
     >>> import atlas

@@ -116,7 +116,7 @@ class Curves:
         return len(self.curves)
 
     def of_kind(self, kind: str | None) -> tuple[Curve, ...]:
-        """Those of a kind; all for None."""
+        """The curves of one kind; all for None."""
         return tuple(curve for curve in self.curves if kind in (None, curve.kind))
 
 

@@ -22,7 +22,7 @@ VERSION = 1
 """Of the way in which measures are computed: raised whenever any may change."""
 
 LINEAR, SHOCKS, MARGIN = FAMILIES = ("linear", "shocks", "margin")
-"""What is computed together."""
+"""The groups of measures computed together."""
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ Widths = tuple[NDArray[np.float64], ...]
 def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
     """The variables of every level of an atlas that has these results; ``regime`` is the last, as it is written last.
 
-    What names something, such as a reason, and what has more than one value a cell, has no mean, and is left out.
+    Codes of names, such as a reason, and variables with several values a cell have no mean, and are omitted.
     """
     found: list[Variable] = []
     for variable in map(of_one, results):
@@ -86,7 +86,7 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
 
 
 def count_of(name: str) -> str:
-    """The name of the count that goes with a measured number."""
+    """The name of the count beside a measured number."""
     return f"{name}_count"
 
 
@@ -105,7 +105,7 @@ def needed(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
 def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cells:
     """Cells of the atlas itself in the form of a level: means of one value, shares of 0 and 1.
 
-    Without a regime a cell has no result yet, whatever a worker may have written of it.
+    Without a regime a cell has no result yet, even if a worker has written other variables.
     """
     codes = arrays[REGIME.name]
     solved, periodic = codes != PENDING, codes == PERIODIC

@@ -50,7 +50,7 @@ class GuardedStore(WrapperStore[Any]):
         self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-        """An object, None if there is none and none has to be."""
+        """An object; None if it is absent and need not exist."""
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
             return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
@@ -94,7 +94,7 @@ class GuardedStore(WrapperStore[Any]):
         return found
 
     async def _must_exist(self, array: str, index: str) -> bool:
-        """Whether what is written after a chunk is there."""
+        """Whether the object written after a chunk exists."""
         above, _, name = array.rpartition("/")
         if above in TABLES or (not above and name in self._coordinates):  # one chunk each, all of which are there
             return True

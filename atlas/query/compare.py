@@ -50,8 +50,7 @@ class ComparedNumbers:
 class Comparison:
     """Two atlases with the same axes: ``one``, here, and ``other``, there.
 
-    ``differing`` has the fixed parameters that differ, by name, here and there. What takes the cells is read when it
-    is asked for.
+    ``differing`` has the fixed parameters that differ, by name, here and there. Cells are read at first use.
     """
 
     one: "xr.Dataset"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _MIXED = REGIMES[-1].code + 1
 _NOTHING = _MIXED + 1
-"""What a tile is instead of all one regime: of several or unknown ones; without a cell that is asked for."""
+"""What a tile is instead of all one regime: of several or unknown ones; without a requested cell."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ ON = 1e-7
 MOST_POINTS = 4000
 
 LENGTH, OUTSIDE, BUDGET, LOST = "length", "outside", "budget", "lost"
-"""Why a branch ends: it is as long as was asked for; it leaves the box; MOST_POINTS; no direction leads on."""
+"""Why a branch ends: it has the requested length; it leaves the box; MOST_POINTS; no direction leads on."""
 
 
 @dataclass

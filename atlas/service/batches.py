@@ -84,7 +84,7 @@ class Attempt(Generic[J]):
 
 
 def work(act: Callable[[J], R], job: J) -> Result[R]:
-    """What a worker runs: the job, with whatever it raises as a value that names the worker."""
+    """A worker's function: it runs the job, and returns an exception as a value that names the worker."""
     from distributed import get_worker
 
     here = get_worker().address

@@ -81,7 +81,7 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
 def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
     """Worker processes of one thread each, reachable from this machine only, and by this process alone.
 
-    A scheduler runs whatever code it is sent, and other users of this machine reach its port: connections need a
+    A scheduler runs any code that it receives, and other users of this machine reach its port: connections need a
     certificate that is made here and lies in the memory of these processes. The ``dashboard`` can only be looked at; it
     is at DASHBOARD or, where that port is taken, at one that is free, if Bokeh is installed.
     Dask's profiler is off: nobody looks at it, and Python 3.11 can crash when the frames of a running thread are read.
@@ -165,7 +165,7 @@ def performance_reported(
 
 @contextmanager
 def loss_reported(client: "Client") -> Iterator[None]:
-    """Raise RunError in place of whatever Dask raises if the cluster goes away in the middle of a call."""
+    """Raise RunError in place of Dask's errors if the cluster goes away in the middle of a call."""
     from distributed import CancelledError
     from distributed.comm.core import CommClosedError
 

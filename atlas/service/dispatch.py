@@ -25,7 +25,8 @@ LOG = logging.getLogger(__name__)
 """What is decided, and what went wrong on a worker, with its traceback: at DEBUG."""
 IN_FLIGHT, MOST_IN_FLIGHT = 2, 64
 """Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows; of short jobs
-as many as keep it busy for AHEAD, up to so many."""
+as many as keep it busy for AHEAD, up to MOST_IN_FLIGHT.
+"""
 AHEAD = 10.0
 """Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
 ATTEMPTS = 3
@@ -121,7 +122,7 @@ class Workforce(Generic[J, R]):
         self.again.extend(lost)
 
     def need(self, memory: int) -> None:
-        """From now on jobs take so many bytes: workers with less get no more."""
+        """Set the bytes that a job takes from now on: workers with less memory are excluded."""
         self.memory = memory
         for worker, (limit, _) in worker_memory(self.client).items():
             if 0 < limit < memory:

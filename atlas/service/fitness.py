@@ -1,8 +1,8 @@
 """Exclusion of workers, judged by the outcomes of their attempts.
 
-A worker refuses if it knows that it cannot do the jobs. If it fails, worker or job may be at fault. A job speaks
-against a worker while it has failed there and at no other worker that has done a job. After FAILURES such jobs in a
-row the worker gets no more, and its failures do not count against the jobs.
+A worker refuses if it cannot do the jobs. If it fails, worker or job may be at fault. A failure counts against the
+worker until the job also fails on a worker that has succeeded. After FAILURES such jobs in a row the worker is
+excluded, and its failures do not count against the jobs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 Index = tuple[int, ...]
 
 FAILURES = 3
-"""Jobs that speak against a worker, without one that it did between them, after which it is left out."""
+"""Failures that count against a worker, without a success between them, after which it is excluded."""
 HOPELESS = 16
-"""Jobs that failed at every attempt, without any that was done, after which a run with no fit worker ends."""
+"""Jobs that failed at every attempt, without a success, after which a run without a fit worker ends."""
 
 
 @dataclass(frozen=True)

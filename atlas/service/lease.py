@@ -227,7 +227,7 @@ class Sighting:
 
     @property
     def trouble(self) -> str:
-        """Why no run may be at work in spite of this claim; empty if nothing says so."""
+        """Why no run may be at work in spite of this claim; empty without such a sign."""
         if self.record is None:
             return "the claim is damaged; the next run replaces it"
         if self.alive is False:

@@ -30,7 +30,7 @@ class RunOptions:
                         in place of one that is open
     scheduler           address of a Dask scheduler, such as ``tcp://host:8786``
     tls                 files for an encrypted connection to it
-    tile                index of a tile to do alone in this process, where what it raises is not caught: to debug it
+    tile                index of a tile to do alone in this process, with its traceback: to debug it
     on_progress         called with each Progress; None for a bar in a notebook, and nothing elsewhere
     dashboard           whether a local cluster has a dashboard, whose address is reported; with Bokeh only
     performance_report  HTML file for Dask's report of how the workers spent their time; with Bokeh only

@@ -113,7 +113,7 @@ def asked(
 def checked_retry(
     old: Atlas, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
 ) -> Retry:
-    """The retry of a store that a user asked for; InputError if it could not change a cell."""
+    """A user's retry of a store; InputError if it could not change a cell."""
     for name in regimes:
         checked_name("regimes", name)
     names = [name.strip() for name in regimes if name.strip()]

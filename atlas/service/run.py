@@ -141,7 +141,7 @@ def _check(
 
 
 def _check_index(index: Index, grid: Index) -> None:
-    """InputError unless there is a tile of that index among so many along each dimension."""
+    """InputError unless a tile of that index exists in a grid of this shape."""
     if len(index) != len(grid) or not all(0 <= i < n for i, n in zip(index, grid, strict=True)):
         found, most = shown(tuple(index)), ", ".join(f"0 to {n - 1}" for n in grid)
         raise InputError(f"tile: found {found}, must be the index of a tile: {most}")
@@ -184,7 +184,7 @@ class _Run:
         return bool(self.due.any()) or (self.handle.spec.basins and group_attributes(self.handle, ATTRACTORS) is None)
 
     def do_alone(self, index: Index) -> None:
-        """Do one of the tiles due in this process. What it raises is not caught."""
+        """Do one of the tiles due in this process. Its exceptions are not caught."""
         handle = self.handle
         if not self.due[index]:
             raise InputError(f"{handle.place}: nothing is to be done in tile {index}")

@@ -35,7 +35,7 @@ class Setup(WorkerPlugin):
         threading.Thread(target=self._begin, name="atlas-setup", daemon=True).start()
 
     def teardown(self, worker: Any) -> None:
-        """Drop what is kept for the run's jobs; see Dask."""
+        """Drop the state kept for the run's jobs; see Dask."""
         self._forget()
 
     def wait(self) -> None:
@@ -82,7 +82,7 @@ def set_up(client: "Client", labour: Labour[J, R], seconds: float) -> Iterator[C
 
 
 def _asked(client: "Client", request: Callable[[], Any], seconds: float) -> None:
-    """Make a request of a client, which gives a coroutine in the thread of its loop; whatever goes wrong is let go."""
+    """Make a request of a client, which gives a coroutine in the thread of its loop; errors are ignored."""
 
     async def answer() -> None:
         await asyncio.wait_for(request(), seconds)

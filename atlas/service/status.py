@@ -71,7 +71,7 @@ class Status:
 
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """What it says of the store, each with its name."""
+        """Its facts about the store, by name."""
         return [
             ("axes", " x ".join(self.handle.spec.described)),
             ("tiles", f"{self.tiles_done} of {self.handle.tiling.count} done"),
@@ -153,7 +153,7 @@ class Holding:
 
     @classmethod
     def reported(cls, seen: Sighting | None) -> "Holding | None":
-        """What the run at work on a store reports that it holds; None if there is no such run, or no sound report."""
+        """The counts that the run on a store reports; None if there is no such run, or no sound report."""
         if seen is None or seen.record is None or seen.alive is False or seen.trouble:
             return None
         try:

@@ -69,7 +69,7 @@ class Axis:
 
 
 class StoredAxis(Axis):
-    """An axis from its outline, whose values are read when they are first asked for.
+    """An axis from its outline, whose values are read at first use.
 
     ``read`` gives those of all axes by name. InputError where the outline is none.
     """

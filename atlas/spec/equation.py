@@ -105,7 +105,7 @@ def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:
 
 
 def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
-    """Coefficients times what they are of, added up; a coefficient of None is 1, and what has one of 0 is left out."""
+    """The sum of coefficients times terms; a coefficient of None is 1, terms with one of 0 are omitted."""
     text = ""
     for coefficient, of in terms:
         if coefficient is not None and coefficient.constant == 0.0:
@@ -121,7 +121,7 @@ def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
 
 
 def _term(coefficient: Expression, of: str) -> str:
-    """A coefficient times what it is of, or the coefficient alone."""
+    """A coefficient times its term, or the coefficient alone."""
     if not of:
         return _factor(coefficient)
     if coefficient.constant in (1.0, -1.0):

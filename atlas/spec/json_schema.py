@@ -206,7 +206,7 @@ def _element(keys: Iterable[str], required: list[str]) -> Schema:
 
 
 def _phase(row: Schema, matrix: Schema) -> Schema:
-    """A part of each forcing period, and what it changes."""
+    """A part of each forcing period, and its changes."""
     entries: Schema = {
         "start": _ENTRY, "stiffness": matrix, "damping": matrix, "force": row, "cosine": row,
         "load": row, "contacts": _map(_table({key: _ENTRY for key in PAD})),
@@ -216,7 +216,7 @@ def _phase(row: Schema, matrix: Schema) -> Schema:
 
 
 def _measure(row: Schema) -> Schema:
-    """An output and what is reported of it."""
+    """An output and its reports."""
     report = {**_list({"enum": list(REPORTS)}, 1), "uniqueItems": True}
     known: Schema = {"weight": _ENTRY, "report": report}
     return _table({key: known.get(key, row) for key in MEASURE_KEYS}, ["report"])

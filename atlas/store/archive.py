@@ -82,7 +82,7 @@ def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _A
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn what zipfile raises for a damaged file into an OSError that says so: EIO, as of a bad sector."""
+    """Turn what zipfile raises for a damaged file into an OSError with EIO, as for a bad sector."""
     try:
         yield
     except _DAMAGE as error:
@@ -98,7 +98,7 @@ def refuse_packed(place: Place) -> None:
 
 @contextmanager
 def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
-    """Hold the lock of an unfinished file, which goes with it; an OSError where another process does."""
+    """Hold the lock of an unfinished file, which is deleted with it; an OSError where another process does."""
     path = unfinished.with_suffix(".lock")
     path.touch()  # the lock would make a missing folder
     lock = file_lock(path)

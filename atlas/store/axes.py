@@ -25,7 +25,7 @@ def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values
     """The values of all axes or columns of a spec's outline, bit for bit as its digest was taken.
 
     A damaged coordinate is replaced by its copy, or made again if it was evenly spaced, which the digest shows.
-    ChunkError, which names what is damaged, if that does not help.
+    Otherwise ChunkError, which names the damaged object.
     """
     faults: dict[str, str] = {}
     found: dict[str, list[tuple[float, ...]]] = {name: [] for name in outlined(outline)}

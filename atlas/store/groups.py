@@ -77,7 +77,7 @@ def group_attributes(handle: Atlas, group: str) -> dict[str, Any] | None:
 def read_group(handle: Atlas, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
     """The arrays of a group by name, and its attributes; None if it does not exist.
 
-    ChunkError, which names what is missing or damaged, if they were not written together.
+    ChunkError, which names the missing or damaged objects, if they were not written together.
     """
     attributes = group_attributes(handle, group)
     if attributes is None:
@@ -117,7 +117,7 @@ def _names(handle: Atlas, group: str) -> list[str]:
 
 
 def _read(handle: Atlas, path: str) -> NDArray[Any] | dict[str, str]:
-    """An array of one chunk, or what is wrong with it, by key."""
+    """An array of one chunk, or its fault, by key."""
     key = f"{path}/{ROOT}"
     try:
         array: Any = open_group(handle.place, "r")[path]

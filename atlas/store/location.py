@@ -42,7 +42,7 @@ AT_ONCE = 64
 """Requests under way together where many objects of a server are read: it answers all as soon as one."""
 _T = TypeVar("_T")
 _beyond: Mapping[str, Any] = {}
-"""Storage options of URLs that are given without any: what this process is told beyond its environment."""
+"""Default storage options of URLs in this process."""
 
 
 def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str, Any] | None = None) -> Place:

@@ -20,14 +20,13 @@ Fence = Callable[[], None]
 class Place:
     """A root that keys such as ``regime/c/0/1`` lie under. Errors of any network are OSErrors. ``str`` is its name.
 
-    A place behind a ``fence`` calls it right before each write and each removal, so that a process that has lost its
-    claim of a store changes nothing more there, whatever it was about to do. What is not overridden is that of a place
-    that is read only.
+    A place behind a ``fence`` calls it right before each write and each removal, so that a process without its claim
+    changes nothing more there. The methods of this class are those of a read-only place.
     """
 
     fence: Fence | None = None
     only_read = ""
-    """What it is, in words, if it can only be read."""
+    """The kind of place, in words, if it is read-only."""
 
     def behind(self, fence: Fence | None) -> Self:
         """The same place, which calls ``fence`` before it changes anything; None takes its fence away."""

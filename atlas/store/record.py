@@ -1,6 +1,6 @@
 """The record of a tile: a digest of its place and contents, and the counts of its cells by regime and by reason.
 
-It is a row of numbers, the chunk of its tile in the array ``tiles/record``. The digest reveals exchanged chunks; the
+It is a row of numbers, the chunk of its tile in the array ``tiles/record``. Digests reveal swapped tiles; the
 counts say what an atlas holds without reading its cells. Columns have fixed places, with room for regimes and reasons
 of later versions: here a row that uses this room does not add up to its tile, which is then counted from its chunks.
 """

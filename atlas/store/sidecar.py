@@ -115,7 +115,7 @@ class TileAttempt:
 
 
 def put_attempt(notes: Notes, name: str, run: str, most: int) -> TileAttempt:
-    """Note a new attempt of a run, whatever the note holds.
+    """Note a new attempt of a run, over any older note.
 
     RunError if it holds the ``most``-th of that run: neither this nor any before it lived to remove its note.
     """
@@ -227,7 +227,7 @@ class Folder:
     def _locked(self, tidy: bool = False) -> Iterator[None]:
         """Alone with those who write notes; on a file system without locks a race of microseconds remains.
 
-        With ``tidy`` the folder goes with its last note, and its lock with it.
+        With ``tidy`` the folder and its lock are deleted with its last note.
         """
         lock = file_lock(self.path / _LOCK)
         with suppress(OSError):

@@ -1,7 +1,7 @@
 """The spare of a store's metadata: a second object with the root's metadata as they were made.
 
-What is derived from the spec can so be written again whichever object is lost: the root's metadata from the spare, the
-spare from the root's. It lies in the folder of an array, where no reader of Zarr groups comes across it.
+Either object can be written again from the other. The spare lies in the folder of an array, where no reader of Zarr
+groups finds it.
 """
 
 import hashlib
@@ -116,13 +116,13 @@ def root_fault(data: bytes | None, spare: Json) -> str:
 
 
 def unlike_copy(own: Any, copy: Json | None) -> str:
-    """What is wrong with metadata that differ from the root's copy of them, in words; "" where they do not."""
+    """The fault of metadata that differ from the root's copy of them, in words; "" where they do not."""
     alike = isinstance(own, dict) and copy is not None and alone(own) == alone(copy)
     return "" if alike else f"differs from its copy in {ROOT}"
 
 
 def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
-    """What is wrong with an object of metadata: ``whole``, or a root's, of which attributes and copies are compared."""
+    """The fault of an object of metadata: ``whole``, or a root's, of which attributes and copies are compared."""
     if data is None:
         yield "is missing"
         return

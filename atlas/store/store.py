@@ -55,11 +55,11 @@ class MadeOnce(cached_property[_T]):
 
 @dataclass(frozen=True)
 class Atlas:
-    """The handle of a store: its place, what it was made from and by which solver, and what it holds.
+    """The handle of a store: its place, spec, solver version and contents.
 
     ``outline`` is its spec, without the values of axes and points. ``nodes`` are the root's copies of the metadata of
-    all its arrays and groups, by their paths. ``state`` is a digest of the root's metadata as they were read. What else
-    it has is read or opened when it is first asked for, and ``kept`` in this process.
+    all its arrays and groups, by their paths. ``state`` is a digest of the root's metadata as they were read.
+    Everything else is read or opened at its first use, and ``kept`` in this process.
     """
 
     place: Place

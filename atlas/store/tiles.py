@@ -179,7 +179,7 @@ def _as_in_spec(handle: Atlas, index: tuple[int, ...], allowance: Allowance) -> 
 
 
 def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
-    """A tile's part of an array, or what is wrong with its chunk."""
+    """A tile's part of an array, or the fault of its chunk."""
     try:
         return np.asarray(array[block(array, index)])
     except OSError as error:
@@ -193,7 +193,7 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
 
 
 def _lost(handle: Atlas, array: Any, key: str) -> str:
-    """What is wrong with an object that reads as fill values; of a shard, which does so too where it is empty."""
+    """The fault of an object that reads as fill values; of a shard, which does so too where it is empty."""
     if not array.shards:
         return "" if handle.place.exists(key) else "is missing"
     data = handle.place.get(key)

@@ -1,7 +1,7 @@
 """The group ``zoom`` of a store, with the cells that explorers solved.
 
 ``zoom/PLANE/SHEET`` is a store within the store: a block of a level's cells with a spec, a digest and a commit rule of
-its own, so that whatever reads an atlas reads it. Explorers write sheets under the store's claim.
+its own, so that every reader of atlases reads it. Explorers write sheets under the store's claim.
 """
 
 import json

@@ -38,7 +38,7 @@ def run_job(job: Job) -> Receipt:
 
     NetworkError if the store does not answer within the job's patience.
 
-    While it runs, a note of the store says so, with the token of this attempt. With another token in the note, of an
+    While it runs, a note of the store has the token of this attempt. With another token in the note, of an
     attempt that began later, nothing more is written by this one, which its run may no longer reach. A note that is
     there is one of an attempt that did not live to remove it: after DEATHS of these in one run the tile is taken for
     one that kills its process. RunError then names the last, and the note stays, so that only another run tries again.

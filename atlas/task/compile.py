@@ -40,7 +40,7 @@ FUNCTIONS = {
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"
-"""Pieces of the kernels that solve cells: the functions that others call where they lie; then, side by side, the two
+"""Pieces of the kernels that solve cells: functions compiled once and called by symbol; then, side by side, the two
 largest kernels, that of stretches of periods and that of orbits."""
 
 AT_A_TIME = 2
@@ -83,7 +83,7 @@ _OF_MODES = {ATTRACTORS: MODES_ATTRACTORS, ORBITS: MODES_ORBITS}
 """The parts of machines whose law changes, in place of others."""
 
 YOUNG_OBJECTS = 50_000
-"""So many new objects before Python looks for unreachable ones: a compiler's live until it ends, and looking through
+"""New objects before Python looks for unreachable ones: a compiler's live until it ends, and looking through
 them as often as is usual takes time."""
 TICK = 1.0
 """Seconds between two reports."""
@@ -318,7 +318,7 @@ def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
 
 
 def _wait_for(lock: FileLock, report: Report | None) -> None:
-    """Hold the lock; until then, as long as another process does, say so."""
+    """Hold the lock; report the wait while another process holds it."""
     begin = time.monotonic()
     while True:
         try:

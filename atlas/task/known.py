@@ -34,7 +34,7 @@ def known_records(handle: Atlas) -> Records:
 
 
 def forget_handle(store: str | Place, patience: float = LONG) -> None:
-    """Drop what is kept of a store, and of the one that it copies cells from."""
+    """Drop the handles of a store and of its origin."""
     place = place_of(store)
     known = _headers.pop((place, patience), None)
     _records.pop(place, None)

@@ -28,7 +28,7 @@ class Shared(NamedTuple):
 
 
 class KnownCells(NamedTuple):
-    """What is known of a tile before it is solved.
+    """The known results of a tile before it is solved.
 
     arrays   of all its cells; in a retried atlas the allowances too, which are those of the solution to come
     regime   of each cell in the origin, PENDING where that does not give it
@@ -43,7 +43,7 @@ class KnownCells(NamedTuple):
 
 
 def known_cells(handle: Atlas, slices: Slices) -> KnownCells:
-    """What is known of a tile; RunError if the store has an origin that no longer exists."""
+    """The known results of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(handle.spec.variables, shape, extra_sizes(handle.spec))
     arrays |= {each.name: np.full(shape, each.fill, each.dtype) for each in handle.allowances}

@@ -116,7 +116,7 @@ def check_solver(version: int) -> None:
 
 @contextmanager
 def file_errors(store: object) -> Iterator[None]:
-    """Turn errors of the file system into what they mean: no room for anybody, or not for this worker; others pass."""
+    """Turn errors of the file system into errors of the run: no room at all, or not for this worker; others pass."""
     try:
         yield
     except OSError as error:

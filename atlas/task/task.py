@@ -80,7 +80,7 @@ class Receipt:
 
 @dataclass(frozen=True)
 class Made:
-    """What a job reports that is no tile: new records of tiles, and what it could not make."""
+    """The receipt of a job that is no tile: new records of tiles, and its failures."""
 
     index: tuple[int, ...]
     records: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
