@@ -1,4 +1,4 @@
-"""What a cell's solution consists of: the one table of result variables and of regimes."""
+"""The tables of result variables, regimes and reasons."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -75,12 +75,12 @@ REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("unstable", INVALID,
      "motion grows that no contact or friction sees, so that nothing can hold it"),
     ("rested", LOCKING,
-     "what follows a rest repeats, but rounding grows too far from one rest to the next to tell after how long"),
+     "the motion after a rest repeats, but rounding grows too far from rest to rest to tell its period"),
     ("many_modes", FAILED, "the motion goes through more modes than there is room for"),
     ("no_mode", FAILED, "contacts and friction hold it in a way for which there is no motion in closed form"),
     ("endless_events", FAILED, "contacts and friction change without end at one time"),
-    ("two_impacts", FAILED, "a rigid contact is struck while another one is held: what follows is not defined"),
-    ("runs_away", FAILED, "motion grows without bound: damping, friction and contacts do not hold what drives it"),
+    ("two_impacts", FAILED, "a rigid contact is struck while another one is held: the outcome is not defined"),
+    ("runs_away", FAILED, "motion grows without bound: damping, friction and contacts do not stop it"),
     ("periods_spent", UNDETERMINED, "its budget of forcing periods is spent before its class is certain"),
     ("never_recurs", UNDETERMINED, "its energy still rises or falls when its budget ends: it has not come back"),
 )))  # fmt: skip
@@ -177,9 +177,9 @@ _COEXISTENCE = (
     _count(
         "mirror", "attractor that is its mirror image; itself where it is symmetric; -1 if none", ATTRACTOR, fill=-1
     ),
-    _flag("exact", "initial states are told to reach it exactly, not by statistics", ATTRACTOR),
-    _count("lumped", "initial states put to it by statistics", ATTRACTOR),
-    _number("lumped_distance", "largest distance of those from it, in standard errors", ATTRACTOR),
+    _flag("exact", "initial states are assigned exactly, by orbits, not by statistics", ATTRACTOR),
+    _count("lumped", "initial states assigned to it by statistics", ATTRACTOR),
+    _number("lumped_distance", "largest distance of these initial states from it, in standard errors", ATTRACTOR),
 )
 UNKNOWN_LABEL, BEYOND_TABLE = -1, -2
 LABEL = _count("label", "attractor that the initial state reaches; -1 if not known", fill=UNKNOWN_LABEL)

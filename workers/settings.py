@@ -1,4 +1,4 @@
-"""How a cell is solved: the one record of settings, validated once."""
+"""The settings of a cell: one record, validated once."""
 
 import sys
 from dataclasses import dataclass

@@ -80,7 +80,7 @@ def solve_basins(
 
 
 def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
-    """The parameters of the one machine; its initial state is at rest, whatever the plane is of."""
+    """The parameters of the one machine; its initial state is at rest, on any plane."""
     at_rest = {name: record.parameter(name).default for name in record.states}
     return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in record.parameters} | at_rest
 

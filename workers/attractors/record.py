@@ -1,4 +1,4 @@
-"""An attractor of a cell, and what is known of it."""
+"""An attractor of a cell: its results, states and statistics."""
 
 from dataclasses import dataclass, field
 from typing import Any

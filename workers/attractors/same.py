@@ -1,4 +1,4 @@
-"""Which known attractor a motion falls into: exactly where that is an orbit, by statistics where it is not.
+"""The known attractor that a motion falls into: exactly for orbits, by statistics otherwise.
 
 An orbit is known by its section state h*, its period p and the Jacobian J of p periods there. A motion falls into it
 where a section state h of it lies near h* and what J does not explain of its last turns is less than half of the

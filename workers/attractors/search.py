@@ -1,4 +1,4 @@
-"""Motions that are compared with known attractors, and solved in full where they reach none of them."""
+"""Motions compared with known attractors, and solved in full where they reach none."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""The initial states from which the attractors of a cell are sought, and what counting them shows."""
+"""The initial states of a search, their box, and the statistics of shares."""
 
 import math
 from dataclasses import dataclass

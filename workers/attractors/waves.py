@@ -1,13 +1,13 @@
 """``solve_attractors``: all attractors of every cell that its initial states reach, with their shares.
 
 A cell's own initial state is solved as ``solve_tile`` does it. The others follow in waves, each of as many as came
-before, so that what is known grows before most of them are spent: a motion that falls into a known attractor is done
+before, so that most of them meet known attractors: a motion that falls into a known attractor is done
 (see ``same``), any other one is solved in full. A cell is done early where half of its initial states all reach
 one attractor.
 
-What looks chaotic has to survive for as long as beside a known stable orbit, see ``Settings``, wherever any of the
-cell's initial states has found one. The periods of all motions on one attractor count together. If one of them leaves
-it, it is a transient: each of them is where it ends, or undecided.
+Apparent chaos is watched for all of ``survival``, see ``Settings``, if any initial state of the cell has found a stable
+orbit. The periods of all motions on one attractor count together. If one motion leaves it, it is a transient: each
+motion belongs to the attractor on which it ends, or is undecided.
 """
 
 from collections.abc import Mapping

@@ -1,1 +1,1 @@
-"""One cell: the stages that it goes through, what is averaged of it, and its results. Many cells at a time."""
+"""One cell: its stages, averages and results. Many cells at a time. Many cells at a time."""

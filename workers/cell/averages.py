@@ -1,4 +1,4 @@
-"""What is averaged and counted of cells: the average under way, the earlier one, and both as one."""
+"""Averages and counts of cells: the average in progress, the earlier one, and both as one."""
 
 import numpy as np
 

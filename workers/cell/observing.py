@@ -1,4 +1,4 @@
-"""What observables show of motions, by a pass over each: see model/observables.py.
+"""Values of observables, by another pass over each motion: see model/observables.py.
 
 A cell whose class is known is followed once more, as for its measures: over one turn of its orbit, or WINDOW periods.
 """

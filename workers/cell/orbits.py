@@ -1,4 +1,4 @@
-"""The stable orbits of cells: orbits that their motions are proved to fall into, and others known beside them."""
+"""Stable orbits of cells: orbits proved to attract the motion, and others known beside them."""
 
 from typing import Any
 

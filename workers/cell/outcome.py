@@ -1,4 +1,4 @@
-"""What becomes of cells, written as arrays: the results of orbits, of impact-free motion and of averages.
+"""Results of cells as arrays: of orbits, of impact-free motion and of averages.
 
 Each function writes those result variables that are asked for, of some of the cells.
 """

@@ -1,4 +1,4 @@
-"""How far the gap coordinate goes: its range over an orbit, over motion without impact, over some periods of chaos."""
+"""The range of the gap coordinate over an orbit, over motion without impact, over some periods of chaos."""
 
 import numpy as np
 

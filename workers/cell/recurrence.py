@@ -1,4 +1,4 @@
-"""Whether motions come back to what they were: the amplitude of a torus or of chaos does, that of growth does not."""
+"""Recurrence of motions: the amplitude of a torus or of chaos recurs, that of growth does not."""
 
 import numpy as np
 

@@ -1,7 +1,7 @@
 """Cells from their parameters to their results, by one of two schedules: the adaptive one or the paper's fixed one.
 
-Schedules are kept in arrays, a row a cell, and what is due is done at once for all cells for which it is due. What
-becomes of a cell does not depend on the others.
+Schedules are kept in arrays, a row a cell, and each step is done at once for all cells at it. The results of a cell do
+not depend on the others.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Motions along stretches of periods, any number of them side by side: how they begin, go on, and why they cannot."""
+"""Stretches of periods of many motions: their beginning, their continuation, their failures."""
 
 from typing import Any
 

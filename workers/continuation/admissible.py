@@ -1,4 +1,4 @@
-"""Whether an orbit of the equations exists: each leg ends at its own event and at no other.
+"""Admissible orbits: each leg ends at its own event and at no other.
 
 Decided by the certified crossings of the kernel, leg by leg, without sampling.
 """

@@ -1,4 +1,4 @@
-"""Where orbits cease to be admissible on a step: grazes, events that are lost, onset and end of stick."""
+"""Events on a step at which orbits cease: grazes, lost events, onset and end of stick."""
 
 import numpy as np
 

@@ -1,10 +1,9 @@
-"""Branches of periodic orbits in one parameter, stable and unstable, with their events; what leaves at events; and how
-orbits are followed in their free parameters: one for a branch, two for a curve of events.
+"""Branches of periodic orbits in one parameter, with their events and the branches that leave at them.
 
-Whatever changes sign from one step to the next is located as the solution of a square system. A run goes in both
+Events, at which a test function changes sign on a step, are located as solutions of square systems. A run goes in both
 directions from its start; either ends at the edge of the window, where it closes, where the orbit ceases to be
 admissible, or where it turns into a shorter one. Where the contacts or slides of an orbit change though nothing jumps,
-a branch or a curve goes on: the change is an event on it.
+a branch or a curve continues: the change is an event on it.
 """
 
 import math

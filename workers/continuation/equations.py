@@ -1,4 +1,4 @@
-"""Which orbits the equations hold for; and motions of unknowns, or of the times of events alone."""
+"""Orbits for which the equations hold; motions of unknowns, or of the times of events alone."""
 
 from collections.abc import Iterator
 

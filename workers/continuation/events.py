@@ -1,6 +1,4 @@
-"""What is known at a point of a branch or curve: stability, test functions of events, whether it is admissible; and
-events between two points, located as solutions of square systems.
-"""
+"""Properties of points of branches and curves, and events between two points as solutions of square systems."""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""What is fixed while an orbit is followed, its events in order, length and modes; and orbits as the times of these."""
+"""Itineraries: the events in order, length and modes that stay fixed along a branch."""
 
 import math
 from collections.abc import Sequence

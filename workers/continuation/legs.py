@@ -1,4 +1,4 @@
-"""One turn of an orbit over its legs and events, with its tangents: what single shooting takes.
+"""One turn of an orbit over its legs and events, with its tangents, for single shooting.
 
 A turn begins just before its first event, and each leg ends at one, or where the phase changes. States are physical,
 z = (x, v), between legs and in blocks within one. Everywhere N machines of K modes and L legs.

@@ -1,4 +1,4 @@
-"""Orbits beyond an event at which their contacts or slides change though nothing jumps.
+"""Orbits beyond an event at which contacts or slides change though nothing jumps.
 
 The orbit of the event solves its own equations on both sides of it. Where it is not admissible there, the motion from
 its section state passes the events of the orbit that takes its place, to first order at their times. Newton's method

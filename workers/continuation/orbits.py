@@ -1,4 +1,4 @@
-"""Orbits to start from: of a cell's section state, many at once near others, and back to section states."""
+"""Orbits from a cell's section state, many at once from neighbours, and back to section states."""
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Orbits to start from: their events and modes as a motion passes them."""
+"""The events and modes of an orbit, recorded along its motion."""
 
 import numpy as np
 

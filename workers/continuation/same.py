@@ -1,4 +1,4 @@
-"""Whether two orbits are one: begun later by some forcing periods, or mirror images; or a shorter orbit repeated."""
+"""Equality of two orbits: up to a shift by forcing periods, as mirror images, as a shorter orbit repeated."""
 
 from functools import cache
 from itertools import product

@@ -1,1 +1,1 @@
-"""What oscillates: systems and their parameters, and the matrices of one machine as blocks."""
+"""Systems, their parameters, and the matrices of a machine as blocks."""

@@ -1,4 +1,4 @@
-"""From the matrices of machines to the oscillators that the kernels run on.
+"""Matrices of machines converted to the oscillators of the kernels.
 
 What one oscillator is made of does not depend on the others, to the bit.
 """

@@ -1,4 +1,4 @@
-"""Chains of 3 to 8 equal masses: what of their definition depends on how many there are."""
+"""Chains of 3 to 8 equal masses: the parts of their definition that depend on the number."""
 
 from collections.abc import Mapping
 from typing import Any

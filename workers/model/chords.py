@@ -1,4 +1,4 @@
-"""The fewest segments by which a piecewise linear law is within a bound of a smooth one.
+"""The fewest segments of a piecewise linear law within a bound of a smooth one.
 
 A law f may be off by eps to both sides. Of a law that bends one way the longest segment begins at one side of that
 band, touches the other one and ends where it began: chords of a sag of 2 eps, moved by eps, so that

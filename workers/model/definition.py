@@ -1,4 +1,4 @@
-"""What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
+"""The definition of a system as expressions of its parameters, and the machines of given values."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""What changes the law of a machine: contacts, friction and phases, as its definition has them."""
+"""Contacts, friction, springs and phases of a definition."""
 
 import math
 from dataclasses import dataclass

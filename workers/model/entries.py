@@ -1,4 +1,4 @@
-"""Entries of a table, as a TOML file has it: what each has to be, and one line for what it is instead."""
+"""Checks of the entries of a table: each error is one line with the entry, the value and the valid form."""
 
 import math
 import re
@@ -16,7 +16,7 @@ _short.maxstring = _short.maxlong = _short.maxother = 60
 
 
 class DefinitionError(ValueError):
-    """What is wrong with the definition of a system, in one line: the entry, what was found, what would be right."""
+    """The fault of a definition, in one line: the entry, the value found, the valid form."""
 
 
 def read_entries(where: str, given: object, known: Collection[str], *shape: int) -> Any:
@@ -118,7 +118,7 @@ def taken(where: str, name: str) -> DefinitionError:
 
 
 def fault(where: str, value: object, right: str) -> DefinitionError:
-    """The error of an entry: what was found, and what would be right."""
+    """The error of an entry: the value found, and the valid form."""
     try:
         shown = _short.repr(value)
     except ValueError:  # a whole number of more digits than Python writes

@@ -50,7 +50,7 @@ _TOKEN = re.compile(
 
 
 class ExpressionError(ValueError):
-    """What is wrong with an expression, in one line."""
+    """The fault of an expression, in one line."""
 
 
 @dataclass(frozen=True)

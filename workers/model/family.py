@@ -1,4 +1,4 @@
-"""Machines over a few parameters, with modes that are built when they are asked for, once for all that need them.
+"""Machines over a few parameters, whose modes are built at first use and shared.
 
 What the other parameters decide of a machine with one rigid contact is worked out once: its flight is what
 ``System.build_many`` makes of the same values, to the bit.

@@ -1,4 +1,4 @@
-"""Machines whose law changes, as numbers: what values of parameters make of contacts, friction and phases."""
+"""Hybrid machines as numbers: contacts, friction and phases at given parameters."""
 
 from itertools import combinations
 from typing import NamedTuple

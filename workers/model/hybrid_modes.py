@@ -1,4 +1,4 @@
-"""The modes of machines whose law changes, by soft and rigid contacts, dry friction and phases.
+"""The modes of hybrid machines, by soft and rigid contacts, dry friction and phases.
 
     M x'' + C x' + K x = load + force(omega t + tau) + contacts + friction
 

@@ -1,4 +1,4 @@
-"""What a machine reports besides the results of every machine: measures of its own, and what its elements show."""
+"""Measures of a machine and results of its elements, besides the results of every machine."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator

@@ -1,4 +1,4 @@
-"""Names that an atlas has for something of its own: no parameter and no coordinate of a user's system may have them."""
+"""Reserved names of an atlas, which no parameter and no coordinate of a system may have."""
 
 from workers.results import result_variables
 from workers.settings import Settings

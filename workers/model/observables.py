@@ -1,4 +1,4 @@
-"""Observables: numbers that a motion shows now and then, as diagrams of the literature plot them in place of states.
+"""Observables: numbers such as the phase of each impact, which diagrams plot in place of states.
 
 An observable is written KIND, KIND:OF or, of impacts, KIND:CONTACT:SIDE too: ``impact_phase:stop``, ``maximum:gap``.
 """

@@ -1,4 +1,4 @@
-"""The records that the kernels run on: blocks, rows and columns of a linear oscillator.
+"""The records that kernels run on: blocks, rows and columns of a linear oscillator.
 
 The shapes of their arrays give the numbers of masses and of harmonics. Many oscillators are one record with another
 axis in front of every field.

@@ -1,4 +1,4 @@
-"""One number that a system takes, and how an unknown name is answered."""
+"""A parameter of a system, and the error for an unknown name."""
 
 import difflib
 import math

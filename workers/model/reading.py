@@ -1,4 +1,4 @@
-"""A table, as a TOML file has it, to a definition and its parameters, each fault in one line."""
+"""A TOML table converted to a definition and its parameters, each fault in one line."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Tables of contacts, friction and phases to the elements of a definition, each fault in one line."""
+"""Tables of contacts, friction and phases converted to elements, each fault in one line."""
 
 from collections.abc import Collection, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""The force in a table [system] to harmonics, waveforms included, each fault in one line."""
+"""The force in a table [system] converted to harmonics, waveforms included, each fault in one line."""
 
 import math
 import re

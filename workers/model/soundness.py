@@ -1,4 +1,4 @@
-"""Whether a definition makes a machine at the defaults of its parameters: what no machine can be is refused at once."""
+"""Checks of a definition at the defaults of its parameters: impossible machines are refused at once."""
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction

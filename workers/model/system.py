@@ -1,4 +1,4 @@
-"""The systems that can be solved: those in the package, and what a user defines in the same form."""
+"""Systems: the packaged ones, and definitions of users in the same form."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -66,7 +66,7 @@ class System:
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any]) -> "System":
-        """The system of a table [system]; DefinitionError, a ValueError, in one line for whatever is wrong with it."""
+        """The system of a table [system]; DefinitionError, a ValueError, in one line for any fault in it."""
         found = _read(given, packaged=False)
         refuse_taken(found.definition, found.parameters)
         refuse_ambiguous(found._own, NAMES.union(parameter.name for parameter in found.parameters))

@@ -1,4 +1,4 @@
-"""TOML from a file or a text that may be anybody's: bounded in size and depth, its faults in one line."""
+"""TOML from any source: bounded in size and depth, its faults in one line."""
 
 import re
 import tomllib
@@ -13,7 +13,7 @@ _DEEP_KEY = re.compile(r"""^[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.
 
 
 class TomlError(ValueError):
-    """What is wrong with a TOML file, in one line without its name."""
+    """The fault of a TOML file, in one line without its name."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -46,6 +46,6 @@ def parse_toml(text: str) -> dict[str, Any]:
             raise RecursionError
         return tomllib.loads(text)
     except RecursionError:
-        raise TomlError("nested too deeply; there is no more to write than tables in tables") from None
+        raise TomlError("nested too deeply; a definition is tables in tables") from None
     except ValueError as error:  # from tomllib, and from numbers with too many digits
         raise TomlError(f"not a TOML file: {error}") from None

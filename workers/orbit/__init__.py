@@ -1,1 +1,1 @@
-"""An exact orbit of the stroboscopic map: proved by Newton's method, its multipliers, and what falls into it."""
+"""Exact orbits of the stroboscopic map: proved by Newton's method, their multipliers and attraction."""

@@ -1,4 +1,4 @@
-"""Whether a motion near an orbit falls into it.
+"""The test that a motion near an orbit falls into it.
 
 A turn takes h* + d to h* + J d + r, where r is what the linear map does not explain. The multipliers of J are at most
 |mu| < 1, but its energy norm may exceed 1: a deviation may grow for some turns. With every turn it shrinks in the norm

@@ -1,4 +1,4 @@
-"""Whether a motion that grows certainly meets no guard again, and so goes to infinity."""
+"""The proof that a growing motion meets no guard again and goes to infinity."""
 
 import math
 

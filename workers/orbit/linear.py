@@ -1,5 +1,6 @@
-"""The motion of machines whose law phases alone change: their map is affine, z -> J z + c, so that it is known for all
-states. Others are such machines where their motion certainly meets no contact, and phases change contacts alone."""
+"""Machines with phases alone: their map is affine, z -> J z + c, and known for all states. Others are such machines
+where their motion certainly meets no contact, and phases change contacts alone.
+"""
 
 import numpy as np
 

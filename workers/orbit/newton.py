@@ -1,4 +1,4 @@
-"""Periodic orbits: near returns, Newton on the period map, what makes a fixed point the orbit that attracts, symmetry.
+"""Periodic orbits: near returns, Newton's method on the period map, attraction, symmetry.
 
 Where the gap is symmetric an orbit of odd period m is first sought as one of the half-period map G, G o G = P: what
 closes after m steps of G is a symmetric orbit of period m. The maps are those of a section near which the motion meets

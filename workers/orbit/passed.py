@@ -1,4 +1,4 @@
-"""The events that a motion passes in some periods from a section state, as its kernels write them."""
+"""The events of a motion over some periods from a section state, as its kernels record them."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Motion of one mass from rest to rest: what it does after a rest depends on its release alone, so that it repeats."""
+"""Motion of one mass from rest to rest: it depends on the release alone, and so repeats."""
 
 import numpy as np
 

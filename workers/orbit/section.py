@@ -1,4 +1,4 @@
-"""The section that an orbit is proved on: t = (k + shift) T, near which the motion meets no stop and leaves none.
+"""The section of an orbit's proof: t = (k + shift) T, near which the motion meets no stop and leaves none.
 
 Results are of the section t = k T. An orbit may impact there, as many closed forms do: then rounding decides, from turn
 to turn, whether that comes before or after the section, and the map of the section is not smooth. The period, impacts
@@ -20,7 +20,7 @@ MARGIN = 1.0 / 1024.0
 """Share of a period before and after a section in which nothing may happen."""
 
 TRIES = 4
-"""Sections tried; the last one is taken whatever happens there."""
+"""Sections tried; the last one is taken in any case."""
 
 AT_SECTION = 1e-12
 """Share of a period after the section t = k T within which an impact counts as past there."""
