@@ -269,7 +269,7 @@ class Patches:
         try:
             job.failed(str(error) if isinstance(error, InputError) else why(error))
         except Exception:
-            logging.getLogger(__name__).exception("a job could not be told that it is given up")
+            logging.getLogger(__name__).exception("the end of a job could not be reported")
 
     def _done_with(self, job: PatchJob) -> None:
         """Nobody has to wait for a job any more."""
