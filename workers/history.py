@@ -42,11 +42,19 @@ class Trace(NamedTuple):
     exponents: Array
 
 
-def trace(system: str | System, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
+def trace(
+    system: str | System,
+    params: Mapping[str, float],
+    periods: int,
+    settings: Settings | None = None,
+    cycle: float | None = None,
+) -> Trace:
     """The history of one cell from its initial state over 0 to a million forcing periods, nothing dropped.
 
-    Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters
-    without a motion, and where the motion costs more evaluations than a cell solved over as many periods may.
+    A machine without a force is followed over periods of the length ``cycle``, else over natural ones, and its
+    exponents are per unit time. Raises KeyError for unknown names and ValueError, in one line, for a cycle of a machine
+    with a force, for another number of periods, for parameters without a motion, and where the motion costs more
+    evaluations than a cell solved over as many periods may.
 
     >>> from workers import trace
     >>> history = trace("two-mass", {"omega": 4.0, "b": 0.1}, periods=3)
@@ -61,7 +69,7 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
         if not parameter.admits(given[parameter.name]):
             raise ValueError(f"{parameter.name} = {given[parameter.name]}: must satisfy {parameter.range}")
     values = {name: value.reshape(1) for name, value in given.items()}  # the kernels for many cells serve one too
-    oscillators, reasons = record.build_many(values)
+    oscillators, reasons = record.build_many(record.with_cycle(values, cycle))
     starts, cell = initial_state(record, values), np.zeros(1, dtype=np.int64)
     vectors = {"none": 0, "largest": 1, "spectrum": record.exponents}[settings.exponents]
     motions, (reason,) = begin(oscillators, reasons, starts, vectors=vectors, record=RECORD)
@@ -85,7 +93,7 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
             drifting = record.states.index(record.definition.drift)
             states[-1][drifting] = starts[0, drifting] + motions.tally[0, PROGRESS]
         impacts.append(found)
-        exponents.append(motions.growth[0] / (k + 1))
+        exponents.append(motions.growth[0] / ((k + 1) * (period if record.definition.unforced else 1)))
     return Trace(
         times=period * np.arange(periods + 1.0),
         states=np.array(states),

@@ -115,6 +115,8 @@ class Variable:
 
 PER_PERIOD = "per forcing period"
 """How the meaning of what is counted over forcing periods says so: its unit is 1, since a period has none."""
+PER_TIME = "per unit time"
+"""How it says so of what is counted over time, which is all of a machine without a force."""
 ATTRACTOR = "attractor"
 """The dimension along the attractors of a cell, the one with the largest share first."""
 
@@ -140,8 +142,10 @@ KAPLAN_YORKE = _number("kaplan_yorke", "Kaplan-Yorke dimension of the attractor 
 SUM_LAW_DEFECT = _number("sum_law_defect", f"sum of the exponents minus its exact value, {PER_PERIOD}")
 PROGRESS = _number("progress", f"mean advance of what drifts {PER_PERIOD}")
 SECTION = _number("section", "last section states", "sample", "state")
+CYCLE_PERIOD = _number("cycle_period", "time that a cycle takes; NaN unless periodic")
+PERIOD = _count("period", "forcing periods per orbit; 0 unless periodic or without impact")
 _ALWAYS = (
-    _count("period", "forcing periods per orbit; 0 unless periodic or without impact"),
+    PERIOD,
     _count("impacts_upper", "impacts at the upper stop per orbit period; -1 where it rests on a stop"),
     _count("impacts_lower", "impacts at the lower stop per orbit period; -1 where it rests on a stop"),
     _number("impacts_per_period", f"mean number of impacts {PER_PERIOD}"),
@@ -212,6 +216,24 @@ def result_variables(
         return tuple(chosen)
     of_each = [v if v.name == "periods_used" else replace(v, extra=(ATTRACTOR, *v.extra)) for v in chosen]
     return (*_COEXISTENCE, *of_each)
+
+
+_IN_TIME = {
+    PERIOD.long_name: "passages of its rarest event in a cycle; 0 unless periodic or at rest",
+    KAPLAN_YORKE.long_name: "Kaplan-Yorke dimension of the attractor",
+    "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known":
+        "cycle is symmetric under (x, t) -> (-x, t + T/2), T its period; false unless known",
+    "forcing periods simulated": "natural periods simulated, of the slowest undamped mode",
+    "forcing periods seen chaotic, or aperiodic, after the transient":
+        "natural periods seen chaotic, or aperiodic, after the transient",
+}  # fmt: skip
+"""What results of a machine without a force mean, where it is something else."""
+
+
+def in_time(variable: Variable) -> Variable:
+    """The variable as it is of a machine without a force: what else is per forcing period is per unit time."""
+    meaning = variable.long_name.replace(PER_PERIOD, PER_TIME)
+    return replace(variable, long_name=_IN_TIME.get(meaning, meaning))
 
 
 def of_one(variable: Variable) -> Variable:

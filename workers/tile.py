@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from workers.cell.cells import Cells, Results
+from workers.cell.cycles import tell_in_time
 from workers.cell.measuring import measure
 from workers.cell.observing import observe
 from workers.cell.solve import solve
@@ -46,15 +47,18 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
     record, settings = find_system(system), settings or Settings()
 
     def solve_part(params: dict[str, Array], found: Results) -> None:
-        cells = Cells(*record.build_many(params), initial_state(record, params), settings, found)
+        unforced, starts = record.definition.unforced, initial_state(record, params)
+        cells = Cells(*record.build_many(params), starts, settings, found, unforced=unforced)
         solve(cells)
         measure(cells, record.definition, params)
         observe(cells, record.definition, params)
+        if unforced:
+            tell_in_time(cells, variables)
 
-    kept = settings.max_period + settings.section_samples
+    kept, variables = settings.max_period + settings.section_samples, record.variables(settings)
     most = MODES_AT_ONCE if record.has_modes else sys.maxsize
     at_once = min(most, max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * len(record.states) * kept)))
-    return solve_parts(record, params, settings, record.variables(settings), at_once, solve_part)
+    return solve_parts(record, params, settings, variables, at_once, solve_part)
 
 
 def solve_parts(

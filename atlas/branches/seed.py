@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError
 from atlas.spec.spec import checked_parameters, given_settings
-from atlas.spec.system import checked_system, refuse_drift, resolved_system
+from atlas.spec.system import checked_system, must_offer, resolved_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import NO_IMPACT, NO_REASON, PERIODIC, REASON, REASONS, REGIME, REGIMES
@@ -86,7 +86,7 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     from workers.continuation import orbit_from_state
     from workers.continuation.oscillator import has_images
 
-    refuse_drift(record, "branches")
+    must_offer(record, "branches")
     regime = int(cell[REGIME.name])
     if regime not in (PERIODIC, NO_IMPACT):
         name = next(each.name for each in REGIMES if each.code == regime).replace("_", " ")

@@ -12,7 +12,7 @@ from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
 from atlas.errors import InputError
 from atlas.query.window import axis_names, axis_values, columns
-from atlas.spec.system import refuse_drift
+from atlas.spec.system import must_offer
 from workers.continuation import Point
 from workers.results import PERIODIC, REGIME
 
@@ -39,7 +39,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds), axis_names(ds)
-    refuse_drift(system, "branches")
+    must_offer(system, "branches")
     for other in sweeps[1:]:
         if axis_names(other) != (along,):
             raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")

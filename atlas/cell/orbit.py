@@ -15,8 +15,21 @@ from atlas.spec.spec import checked_parameters, given_settings
 from atlas.spec.system import checked_system, impacts_of
 from atlas.text import plural
 from workers import Settings
+from workers.model.oscillator import one_of
 from workers.model.system import DEFAULT, System, identity
-from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REASON, REASONS, REGIME, REGIMES
+from workers.results import (
+    CHAOTIC,
+    CYCLE_PERIOD,
+    LOCKING,
+    NO_IMPACT,
+    PER_TIME,
+    PERIODIC,
+    QUASIPERIODIC,
+    REASON,
+    REASONS,
+    REGIME,
+    REGIMES,
+)
 
 Array = NDArray[np.float64]
 
@@ -39,7 +52,7 @@ class CellOrbit:
 
     settings    how it was solved
     cell        every result of solve_tile, by name; ``regime`` is a code
-    period      forcing period T
+    period      forcing period T; without a force that of the cycle, or a natural one where there is no cycle
     stops       gap coordinate at the lower and at the upper stop; infinite where there is none
     times       (N,)     time since a section, along the path; twice where an impact makes a velocity jump
     states      (N, 2n)  physical states along the path (displacements, then velocities)
@@ -60,6 +73,11 @@ class CellOrbit:
     impacts: Array
     section: Array
     running: Array
+
+    @property
+    def unit(self) -> float:
+        """The time that pictures count in: a forcing period, or 1 without a force."""
+        return 1.0 if self.system.definition.unforced else self.period
 
     @property
     def exact(self) -> bool:
@@ -111,13 +129,17 @@ def cell_orbit(
         reason = REASONS[cell[REASON.name]].text or "its state is not known"
         raise InputError(f"this cell has no motion to show: {reason}")
     here = parameters | dict(zip(record.states, map(float, start), strict=True))
-    closes = int(cell["period"])
+    cycle, closes = None, int(cell["period"])
     section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]
-    running = _running(record, here, asked)
-    osc = record.build(parameters)
+    section = section[-closes:] if closes else section
+    if record.definition.unforced:
+        closes = min(closes, 1)  # one period, that of the cycle
+        cycle = float(cell[CYCLE_PERIOD.name]) if np.isfinite(cell[CYCLE_PERIOD.name]) else None
+    running = _running(record, here, asked, cycle)
+    osc = one_of(record.build_many(_given(record, parameters, cycle))[0], 0)
     gap = section[:, : osc.gap_row.size] @ osc.gap_row
     long = math.ceil(2.0 * modulation(gap)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
-    times, states, impacts = _path(record, here, closes or min(max(OPEN_PATH, long), LONGEST_PATH))
+    times, states, impacts = _path(record, here, closes or min(max(OPEN_PATH, long), LONGEST_PATH), cycle)
     return CellOrbit(
         system=record,
         parameters=parameters,
@@ -128,7 +150,7 @@ def cell_orbit(
         times=times,
         states=states,
         impacts=impacts,
-        section=section[-closes:] if closes else section,
+        section=section,
         running=running,
     )
 
@@ -154,27 +176,34 @@ def samples_of(system: System) -> int:
     return max(SAMPLES, OF_HARMONIC * system.definition.highest)
 
 
-def _running(system: System, parameters: Mapping[str, float], settings: Settings) -> Array:
+def _given(system: System, parameters: Mapping[str, float], cycle: float | None) -> dict[str, Array]:
+    """Parameters as arrays of one machine, which is followed over cycles of this length if it has no force."""
+    return system.with_cycle({name: np.array([value]) for name, value in parameters.items()}, cycle)
+
+
+def _running(system: System, parameters: Mapping[str, float], settings: Settings, cycle: float | None) -> Array:
     """Running means of the exponents, over as many periods as can be afforded."""
     from workers import trace
 
     reason = ""
     for periods in CONVERGENCE:
         try:
-            return trace(system, parameters, periods, settings).exponents
+            return trace(system, parameters, periods, settings, cycle).exponents
         except ValueError as error:
             reason = str(error)
     raise InputError(f"this cell cannot be followed: {reason}")
 
 
-def _path(system: System, parameters: Mapping[str, float], periods: int) -> tuple[Array, Array, Array]:
+def _path(
+    system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
+) -> tuple[Array, Array, Array]:
     """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""
     from workers.kernel.coordinates import blocks_to_physical, motion_from
     from workers.kernel.motion import RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
     from workers.kernel.period import propagate
 
     if system.has_modes:
-        return _path_through_modes(system, parameters, periods)
+        return _path_through_modes(system, parameters, periods, cycle)
     osc = system.build(parameters)
     start = np.array([parameters[name] for name in system.states])
     motion = motion_from(osc, start, record=_RECORD)
@@ -203,12 +232,14 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
     return np.array(times), np.array(states), np.concatenate(impacts)
 
 
-def _path_through_modes(system: System, parameters: Mapping[str, float], periods: int) -> tuple[Array, Array, Array]:
+def _path_through_modes(
+    system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
+) -> tuple[Array, Array, Array]:
     """The same of a machine whose law changes."""
     from workers.history import trace, within_periods
 
-    followed = trace(system, parameters, periods)
-    oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})
+    followed = trace(system, parameters, periods, cycle=cycle)
+    oscillators, _ = system.build_many(_given(system, parameters, cycle))
     samples = samples_of(system)
     since = oscillators.period[0] / samples * np.arange(1.0, samples + 1.0)
     states = within_periods(oscillators, followed.states[:-1], since)
@@ -237,7 +268,9 @@ def describe(orbit: CellOrbit) -> str:
     words = [next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")]
     if code == PERIODIC:
         n, p, q = (int(cell[name]) for name in ("period", "impacts_upper", "impacts_lower"))
-        words.append(f"period {n}")
+        if orbit.system.definition.unforced:
+            words.append(f"cycle of {cell[CYCLE_PERIOD.name]:.6g}")
+        words += [f"period {n}"] if n > 1 or not orbit.system.definition.unforced else []
         if len(orbit.system.definition.contacts) > 1:
             words.append(f"contacts {impacts_of(orbit.system, cell)}")
         elif p >= 0:
@@ -245,7 +278,8 @@ def describe(orbit: CellOrbit) -> str:
             words.append(plural(p + q, "impact") if one_stop else f"impacts {p} above and {q} below")
         words += ["symmetric"] if cell["symmetric"] else []
     elif np.isfinite(cell["impacts_per_period"]) and cell["impacts_per_period"] > 0:
-        words.append(f"{cell['impacts_per_period']:.3g} impacts per period")
+        per = PER_TIME if orbit.system.definition.unforced else "per period"
+        words.append(f"{cell['impacts_per_period']:.3g} impacts {per}")
     words += ["its period unknown"] if code == LOCKING else []
     if cell["sticks"]:
         how = "at rest on a stop" if np.isnan(cell["impacts_per_period"]) else "sticking"

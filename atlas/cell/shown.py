@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.cell.orbit import CellOrbit, modulation, samples_of
-from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
+from workers.results import CYCLE_PERIOD, QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 
 Array = NDArray[np.float64]
 
 _SHOWN = 6
 """Forcing periods of the time histories, at least: more where an orbit is longer, up to twice as many."""
+_CYCLES = 2
+"""Turns of a cycle without a force in them."""
 _LEAST_CHATTER = 4
 """Flights, each shorter than the one before, that make a chatter."""
 
@@ -35,6 +37,8 @@ def periods(orbit: CellOrbit) -> int:
     """Forcing periods of the time histories: an orbit's, or those in which a torus has been through its modulation."""
     if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
         return min(_span(orbit), max(_SHOWN, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
+    if np.isfinite(orbit.cell.get(CYCLE_PERIOD.name, math.nan)):
+        return _CYCLES
     return min(max(_SHOWN, int(orbit.cell["period"])), 2 * _SHOWN)
 
 
@@ -65,12 +69,12 @@ def chatter(orbit: CellOrbit) -> slice | None:
 
 
 def enlarged(orbit: CellOrbit, chatter: slice) -> tuple[Array, Array, tuple[float, float], float]:
-    """Times (N,) around a chatter, in forcing periods, the distance (N,) from its stop at each, the ends of that
+    """Times (N,) around a chatter, in ``CellOrbit.unit``, the distance (N,) from its stop at each, the ends of that
     stretch, and the largest distance between the first impact and the last.
     """
-    impacts, side = orbit.impacts[chatter, 0] / orbit.period, float(orbit.impacts[chatter.start, 1])
+    impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)
-    times, away = orbit.times / orbit.period, np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
+    times, away = orbit.times / orbit.unit, np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
     highest = away[(times >= impacts[0]) & (times <= impacts[-1])].max()
     inside = (times >= first) & (times <= last)
     return times[inside], away[inside], (first, last), highest

@@ -13,7 +13,7 @@ from atlas.errors import InputError, check_names
 from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
 from atlas.spec.cells import edges_of
-from atlas.spec.system import refuse_drift
+from atlas.spec.system import must_offer
 from atlas.store.store import Atlas, done_tiles
 from atlas.text import plural
 from workers.model.parameter import TAU
@@ -180,7 +180,7 @@ def plane_of(handle: Atlas) -> CurvePlane:
         found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
         raise InputError(f"{handle.place}: found {found}; curves need a plane with two axes")
     system = spec.record
-    refuse_drift(system, "curves")
+    must_offer(system, "curves")
     for axis in spec.axes:
         if axis.name in system.states or (axis.name == TAU and len(system.definition.phases) < 2):
             raise InputError(

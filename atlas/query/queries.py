@@ -40,6 +40,7 @@ from workers.results import (
     NO_REASON,
     PENDING,
     PER_PERIOD,
+    PER_TIME,
     REASON,
     REASONS,
     REGIME,
@@ -68,8 +69,7 @@ __all__ = [
 
 _NAMES = {regime.code: regime.name for regime in REGIMES}
 _CODES = {regime.name: regime.code for regime in REGIMES}
-PER_TIME = "per unit time"
-"""How the meaning of exponents says that they are converted."""
+
 _EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
 
 BOUNDARY_CELLS = 2000

@@ -10,7 +10,7 @@ from atlas.cell.orbit import CellOrbit, cell_orbit
 from atlas.errors import InputError, check_names
 from atlas.query.attractors import leading
 from atlas.query.compare import Comparison
-from atlas.query.queries import PER_TIME, fractions, rate_of
+from atlas.query.queries import fractions, rate_of
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE
@@ -21,7 +21,7 @@ from atlas.spec.spec import MOST_AXES, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import FAILED, INVALID, LARGEST, PENDING, PER_PERIOD, REGIMES, UNDETERMINED
+from workers.results import FAILED, INVALID, LARGEST, PENDING, PER_PERIOD, PER_TIME, REGIMES, UNDETERMINED
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -207,9 +207,11 @@ def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
 
 
 def check_units(*atlases: "xr.Dataset") -> None:
-    """Raise InputError where exponents are in another unit than forcing periods: pictures have no other."""
+    """Raise InputError where exponents are in another unit than that of their machine: pictures have no other."""
+    from atlas.render import words
+
     for ds in atlases:
-        if LARGEST.name in ds and rate_of(ds[LARGEST.name]) == PER_TIME:
+        if LARGEST.name in ds and words.in_its_unit(ds, PER_PERIOD) != rate_of(ds[LARGEST.name]) == PER_TIME:
             raise InputError(f"pictures draw exponents {PER_PERIOD}, found {PER_TIME}; draw it as stored")
 
 

@@ -15,7 +15,7 @@ from atlas.cell.orbit import CellOrbit, describe
 from atlas.render import style, words
 from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.sweep import color_of
-from workers.results import REGIME, UNDETERMINED
+from workers.results import CYCLE_PERIOD, PER_PERIOD, PER_TIME, REGIME, UNDETERMINED
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,8 @@ def figure(orbit: CellOrbit, page: DrawnPage = STANDARD, gap_plane: bool = True)
             ax.sharex(plots["history 0"])
             _history(ax, orbit, mass)
             ax.tick_params(labelbottom=k == len(masses) - 1)
-        ax.set_xlabel("time $t/T$ [forcing periods]")
+        unforced = orbit.system.definition.unforced
+        ax.set_xlabel("time $t$" if unforced else "time $t/T$ [forcing periods]")
         if chatter:
             _zoom(plots["zoom"], orbit, chatter)
         for k, (mass, other) in enumerate(planes):
@@ -117,26 +118,32 @@ def _history(ax: Axes, orbit: CellOrbit, shown: Shown) -> None:
     count = selection.periods(orbit)
     times, states = selection.path(orbit, count)
     values, _ = shown.of(states)
-    ax.plot(times / orbit.period, values, color=LINE, linewidth=0.9)
+    ax.plot(times / orbit.unit, values, color=LINE, linewidth=0.9)
     for stop in shown.stops:
         ax.axhline(stop, **_STOP)
     for side in IMPACTS:
         at = selection.impact_times(orbit, side, count)
-        _mark_impacts(ax, side, at / orbit.period, np.interp(at, times, values))
-    ax.set_xlim(0.0, count)
+        _mark_impacts(ax, side, at / orbit.unit, np.interp(at, times, values))
+    ax.set_xlim(0.0, count * orbit.period / orbit.unit)
     ax.margins(y=0.12)
     ax.set_ylabel(shown.label)
 
 
+def _cycle(orbit: CellOrbit) -> float:
+    """The period of a cycle without a force; NaN of any other motion."""
+    return float(orbit.cell.get(CYCLE_PERIOD.name, np.nan))
+
+
 def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
     """The distance from the stop through a chatter: flights that become ever shorter and lower."""
-    impacts, side = orbit.impacts[chatter, 0] / orbit.period, float(orbit.impacts[chatter.start, 1])
+    impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     times, away, ends, highest = selection.enlarged(orbit, chatter)
     ax.plot(times, away, color=LINE, linewidth=0.9)
     _mark_impacts(ax, side, impacts, 0.0 * impacts)
     ax.xaxis.set_major_locator(MaxNLocator(3))
     ax.yaxis.set_major_locator(MaxNLocator(4))
-    ax.set(xlim=ends, ylim=(-0.06 * highest, 1.25 * highest), xlabel="time $t/T$", ylabel="from the stop")
+    ax.set(xlim=ends, ylim=(-0.06 * highest, 1.25 * highest), ylabel="from the stop")
+    ax.set_xlabel("time $t$" if orbit.system.definition.unforced else "time $t/T$")
     ax.set_title("chatter, enlarged", loc="left")
 
 
@@ -171,7 +178,7 @@ def _section(ax: Axes, orbit: CellOrbit) -> None:
             reach = 0.55 * float(np.ptp(values)) or 1.0
             middle = 0.5 * float(values.min() + values.max())
             ax.set(**{name: (middle - reach, middle + reach)})
-    ax.set_xlabel(f"{shown.label} at $t = kT$")
+    ax.set_xlabel(f"{shown.label} at {'its event' if np.isfinite(_cycle(orbit)) else '$t = kT$'}")
     ax.set_ylabel(shown.rate, labelpad=1.0)
     ax.ticklabel_format(useOffset=False)
 
@@ -190,7 +197,8 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
             dashes = (0, (2, 2)) if orbit.exact else (0, (1, 3))
             ax.axhline(value, color=color_of(i), linewidth=0.8, linestyle=dashes)
     ax.set(xscale="log", xlim=(1, periods[-1]), ylim=selection.exponent_ends(values, written))
-    ax.set(xlabel="forcing periods averaged over", ylabel=r"$\lambda_i$ [per forcing period]")
+    of, per = ("", PER_TIME) if orbit.system.definition.unforced else ("forcing ", PER_PERIOD)
+    ax.set(xlabel=f"{of}periods averaged over", ylabel=rf"$\lambda_i$ [{per}]")
 
 
 def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:

@@ -70,7 +70,11 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> PaintedView:
     """
     regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
-    painted = _scaled(regime, largest, ScaleBar(EXPONENT, norm, largest, kinds.TABLE["exponent"].scale.label))
+    painted = _scaled(
+        regime,
+        largest,
+        ScaleBar(EXPONENT, norm, largest, words.in_its_unit(view.ds, kinds.TABLE["exponent"].scale.label)),
+    )
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
         return painted
@@ -97,7 +101,9 @@ def combined(view: View) -> PaintedView:
     # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.
     named = words.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
     legend = [each for each in painted.legend if each.get_label() != named]
-    return PaintedView(painted.rgba, legend, [ScaleBar(CHAOS, norm, largest, view.kind.scale.label)])
+    return PaintedView(
+        painted.rgba, legend, [ScaleBar(CHAOS, norm, largest, words.in_its_unit(view.ds, view.kind.scale.label))]
+    )
 
 
 def number(view: View) -> PaintedView:
@@ -202,7 +208,7 @@ def error(view: View) -> PaintedView:
         if cells.any():
             norm = color_norm(values, log=True, page=view.page if CHAOTIC in codes else STANDARD)
             rgba[cells] = on_scale(values, norm, colormap)[cells]
-            bars.append(ScaleBar(colormap, norm, values, view.kind.scale.label, name))
+            bars.append(ScaleBar(colormap, norm, values, words.in_its_unit(view.ds, view.kind.scale.label), name))
     return PaintedView(rgba, paint_regimes(rgba, regime, np.isnan(known)), bars)
 
 

@@ -122,7 +122,7 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
             draw_points(ax, x, _values(each, x, name, shown), color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
-            ax.set_ylabel(LARGEST_LABEL)
+            ax.set_ylabel(words.in_its_unit(ds, LARGEST_LABEL))
 
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
@@ -249,7 +249,7 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> No
     ax.plot(x.values, finite, color="#a6a6a6", linewidth=0.5, zorder=2)
     for cells, color in _groups(ds, None):
         draw_points(ax, x, finite, color, point_size(x, _FEW, page), cells=cells)
-    _mark_lost(ax, x, np.isneginf(largest), LARGEST_LABEL, r"(▾: $-\infty$)")
+    _mark_lost(ax, x, np.isneginf(largest), words.in_its_unit(ds, LARGEST_LABEL), r"(▾: $-\infty$)")
 
 
 def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
@@ -261,7 +261,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> N
         ax.plot(x.values, finite[:, i], "-", color=color_of(i), linewidth=0.4, zorder=1.5)
         marked, size = np.where(shown[:, i], finite[:, i], np.nan), point_size(x, 1.4, page)
         ax.plot(x.values, marked, ".", color=color_of(i), markersize=size, markeredgewidth=0, zorder=2)
-    label = f"Lyapunov exponents\n$\\lambda_i$ [{PER_PERIOD}]"
+    label = words.in_its_unit(ds, f"Lyapunov exponents\n$\\lambda_i$ [{PER_PERIOD}]")
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 

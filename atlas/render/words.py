@@ -10,7 +10,7 @@ from matplotlib.mathtext import MathTextParser
 from atlas.query.plane import Meaning
 from atlas.spec.system import stored_system
 from workers.model.system import System
-from workers.results import PER_PERIOD, REGIMES
+from workers.results import PER_PERIOD, PER_TIME, REGIMES
 
 _TERMS = 3
 """Terms of a gap coordinate that a label spells out, at most."""
@@ -48,8 +48,16 @@ def axis_label(name: str, meaning: Meaning) -> str:
 def variable_label(ds: xr.Dataset, name: str) -> str:
     """Meaning and unit of a variable, for a colour bar."""
     meaning, unit = str(ds[name].attrs.get("long_name", name)).split(";")[0], str(ds[name].attrs.get("units", "1"))
-    ending = f" [{PER_PERIOD}]" if meaning.endswith(PER_PERIOD) else unit_ending(unit)
-    return meaning.removesuffix(f" {PER_PERIOD}") + ending
+    for rate in (PER_PERIOD, PER_TIME):
+        if meaning.endswith(f" {rate}"):
+            return f"{meaning.removesuffix(f' {rate}')} [{rate}]"
+    return meaning + unit_ending(unit)
+
+
+def in_its_unit(ds: xr.Dataset, label: str) -> str:
+    """A label of exponents: those of machines without a force are per unit time."""
+    system = stored_system(ds.attrs)
+    return label.replace(PER_PERIOD, PER_TIME) if system is not None and system.definition.unforced else label
 
 
 def unit_ending(*units: str) -> str:

@@ -10,7 +10,7 @@ from atlas.errors import InputError
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters, given_settings, given_values
-from atlas.spec.system import checked_system, refuse_drift
+from atlas.spec.system import checked_system, must_offer
 from workers import Settings
 from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
@@ -77,7 +77,7 @@ def saddles_between(
     from atlas.robustness.saddle import saddles_of
     from workers.attractors.basins import AttractorTable
 
-    refuse_drift(record, "saddles")
+    must_offer(record, "saddles")
     if manifolds and len(record.states) != 2:
         raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
     table = AttractorTable(record, parameters, settings, search)

@@ -9,7 +9,7 @@ from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import claimed_place, waiting_handle
-from atlas.spec.system import refuse_drift
+from atlas.spec.system import must_offer
 from atlas.store.archive import refuse_packed
 from atlas.store.location import Given
 from atlas.store.store import Atlas
@@ -64,7 +64,7 @@ def label_attractors(
         if stored is not None:
             return LabelSummary(str(handle.place), stored)
         refuse_packed(handle.place)
-        refuse_drift(handle.spec.record, "labels")
+        must_offer(handle.spec.record, "labels")
         begin = time.monotonic()
         with claimed_place(handle.place, options) as claim:
             prepare_kernels(options.report, *kernels_for(handle.spec.record, ORBITS))

@@ -1,7 +1,7 @@
 """The spec: everything that decides the numbers of an atlas, checked once."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -95,9 +95,8 @@ class Spec:
             raise InputError("axes: found None, must be a table of one to three axes; or give points")
         axes = {} if axes is None else axes
         _check_tables(parameters=parameters, axes=axes, store=store)
-        known = [parameter.name for parameter in record.parameters]
-        check_names("parameter", parameters, known)
-        check_names("parameter in axes", axes, known)
+        check_parameters(record, parameters)
+        check_parameters(record, axes, "parameter in axes")
         if points is not None and axes:
             raise InputError(f"found axes ({', '.join(axes)}) and points; give one of the two")
         if points is None and not 1 <= len(axes) <= MOST_AXES:
@@ -308,9 +307,17 @@ def given_settings(given: Settings | None) -> Settings:
     return Settings() if given is None else checked_kind("settings", given, Settings, "atlas.Settings(...)")
 
 
+def check_parameters(record: System, given: Iterable[object], kind: str = "parameter") -> None:
+    """Raise InputError at the first name that is no parameter of a system."""
+    known = {parameter.name for parameter in record.parameters}
+    for name in given:
+        if name not in known:
+            raise InputError(record.unknown(name if isinstance(name, str) else shown(name), kind))
+
+
 def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
     """All parameters of a system, those given checked against their ranges, the others at their defaults."""
-    check_names("parameter", given, [parameter.name for parameter in record.parameters])
+    check_parameters(record, given)
     return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in record.parameters}
 
 

@@ -78,9 +78,9 @@ def unused_lines(record: System) -> list[str]:
     return [f"no entry of {record.name} uses {', '.join(record.unused)}"] if record.unused else []
 
 
-def refuse_drift(record: System, what: str) -> None:
-    """InputError, in one line, that ``what`` does not exist for drifting coordinates, if this system has one."""
-    _refused(record.refuse_drift, what)
+def must_offer(record: System, what: str) -> None:
+    """InputError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force."""
+    _refused(record.must_offer, what)
 
 
 def _refused(refuse: Callable[[str], None], what: str) -> None:

@@ -69,6 +69,13 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
     return energy_norms(metric, h) + energy_norms(metric, own.gap.swing) + at_stops
 
 
+class CellCycle(NamedTuple):
+    """A cycle of a machine without a force: its period, and its states (p, 2n) as it passes its rarest event."""
+
+    period: float
+    section: Array
+
+
 class Cells:
     """N cells and the stage of each; the batch has its motion and the periods of its present stretch.
 
@@ -87,6 +94,7 @@ class Cells:
     vectors: those carried along
     found      result arrays, written as the cells are done; contact (N,) that of their ``state``
     orbits     of the cells that were proved to fall into one
+    unforced   whether the machines have no force: then their periods are natural ones; cycles: what is proved of each
     far        energy norm from which on a motion that grows counts as one without bound; infinite for others
     """
 
@@ -98,13 +106,16 @@ class Cells:
         settings: Settings,
         found: Results,
         contact: Rows | None = None,
+        unforced: bool = False,
     ) -> None:
         N, n = oscillators.gap_row.shape
         adaptive = settings.method == "adaptive"
         kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
         self.directions = 2 * n
         self.drifts = oscillators.drifts
-        self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n - self.drifts}[settings.exponents]
+        one = 2 if unforced else 1  # of a motion without a force, one exponent is 0
+        self.vectors = {"none": 0, "largest": one, "spectrum": 2 * n - self.drifts}[settings.exponents]
+        self.unforced, self.cycles = unforced, dict[int, CellCycle]()
         self.oscillators, self.settings, self.found = oscillators, settings, found
         motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)
         self.batch = batch_of(oscillators, motions, kept)

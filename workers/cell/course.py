@@ -156,6 +156,10 @@ class Course:
         self.cells.going[rows[known]] = False
         return end_on_orbits(self.cells, rows[~known], budget, near)
 
+    def end_on_long_orbits(self, rows: Rows) -> Rows:
+        """Write the results of cells that are proved to fall into a long orbit; the others."""
+        return end_on_long_orbits(self.cells, rows)
+
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
         decide = self.settings.deciding_periods - (self.cells.used[rows] - self.watched[rows])
@@ -173,7 +177,7 @@ class Course:
         All that follows a release is the same, so that every disturbance is gone with the next rest.
         """
         cells = self.cells
-        rows = end_on_long_orbits(cells, rows)
+        rows = self.end_on_long_orbits(rows)
         if cells.vectors:
             averages.lose_all(cells, rows)
         survived = np.maximum(cells.survived(rows) - cells.batch.done[rows], 0)
@@ -302,14 +306,18 @@ class Course:
         spread = np.where(linear, now, np.abs(now - previous))
         flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
         flat = (flat | linear) & self.recurrence.same[rows] & self.recurrence.strikes[rows]
-        flat[flat] = far_from_closing(
-            cells.oscillators.gap.blocks, batch.motions.h, batch.sections, rows[flat], RETURNS, TORUS_RETURN
-        )
+        flat[flat] = self.never_closes(rows[flat])
         outcome.put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
         rows, now = rows[~flat], now[~flat]
         mean, error, periods, _, _ = under_way(cells, rows)
         late = (batch.periods[rows] >= LONG_PERIOD) & (now < -TORUS_LIMIT)
-        end_on_long_orbits(cells, rows[clearly_positive(-mean, error, periods) | late])
+        self.end_on_long_orbits(rows[clearly_positive(-mean, error, periods) | late])
+
+    def never_closes(self, rows: Rows) -> Mask:
+        """Which of these cells have not come back to where they are in RETURNS periods."""
+        cells = self.cells
+        blocks, h = cells.oscillators.gap.blocks, cells.batch.motions.h
+        return np.asarray(far_from_closing(blocks, h, cells.batch.sections, rows, RETURNS, TORUS_RETURN))
 
     # Watching
 

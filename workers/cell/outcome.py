@@ -129,6 +129,9 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         springs, contacts = (np.sum(machines.counted[:1] == each) for each in (0.0, 1.0))
         linear = contacts > 0 or (machines.sizes[2] == 0 and springs == 0)
         free &= (springs == 0) | (orbits.period == 1)  # springs make orbits of many periods without a contact
+        if cells.unforced:  # without a cycle, all that recurs exactly stands still, on a stop too
+            free, linear = np.array([r not in cells.cycles for r in rows.tolist()], dtype=np.bool_), True
+            orbits.tally[free, motion.MIN_SPEED] = math.inf
         regime = np.where(free & linear, results.NO_IMPACT, results.PERIODIC)
     else:
         if free.any():

@@ -1,11 +1,14 @@
 """The events and modes of an orbit, recorded along its motion."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.model.family import OrbitMachines
+from workers.model.hybrid_modes import Code
 from workers.model.oscillator import Array
-from workers.orbit.passed import passed
+from workers.orbit.passed import Passed, passed
 
 ALIKE, ASKED = 1e-6, 1e-2
 """Share of a turn by which the events of both halves may differ and be mirror images; the same of an orbit that is said
@@ -25,19 +28,24 @@ def recorded(machine: OrbitMachines, state: Array, periods: int, symmetric: bool
     if first is None:
         itinerary = Itinerary((), periods, symmetric, (tuple(legs[i] for i in kept or [0]),)).bare
         return Orbit(itinerary, np.zeros(0), np.zeros(0))
-    order = [*(i for i in kept if i >= first), *(i for i in kept if i < first)]
+    turn = [motions[i] for i in kept if i >= first] + [motions[i] for i in kept if i < first]
+    return halved(machine, turned_orbit(turn, legs[first - 1].code, periods), ASKED if symmetric else ALIKE)
+
+
+def turned_orbit(turn: Sequence[Passed], before: Code, periods: int) -> Orbit:
+    """The orbit of a turn from its first event on, in a mode until then."""
     chains, sides, times, speeds = list[list[Leg]](), list[int](), list[float](), list[float]()
-    before = legs[first - 1].code
-    for i in order:
-        if legs[i].signal >= 0:
+    for each in turn:
+        leg = Leg(each.code, each.begun, each.signal, each.side)
+        if leg.signal >= 0:
             chains.append([])
-            sides.append(legs[i].label(before))
-            times.append(motions[i].time)
-            speeds.append(float(np.copysign(motions[i].rate, sides[-1])))
-        chains[-1].append(legs[i])
-        before = legs[i].code
+            sides.append(leg.label(before))
+            times.append(each.time)
+            speeds.append(float(np.copysign(each.rate, sides[-1])))
+        chains[-1].append(leg)
+        before = leg.code
     itinerary = Itinerary(tuple(sides), periods, legs=tuple(map(tuple, chains))).bare
-    return halved(machine, Orbit(itinerary, np.array(times), np.array(speeds)), ASKED if symmetric else ALIKE)
+    return Orbit(itinerary, np.array(times), np.array(speeds))
 
 
 def halved(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:

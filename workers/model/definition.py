@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from workers.model import laws
+from workers.model.clock import natural_frequency
 from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, Spring, pad, rub, stops
 from workers.model.expression import Expression, Matrix, Row, evaluated
 from workers.model.force import Harmonic, amplitudes, changed, turns_of
@@ -30,7 +31,8 @@ class Definition:
 
         M x'' + C x' + K x = load + harmonics + contacts + friction
 
-    The force repeats after ``turns`` periods 2 pi / omega: its machines have the frequency omega / turns.
+    The force repeats after ``turns`` periods 2 pi / omega: its machines have the frequency omega / turns. A machine
+    without a force and phases has neither omega nor tau, see ``clock``.
     ``let`` are names for expressions that others may use, each after those it uses itself. ``phases`` are parts of the
     forcing period in which entries differ, ``drift`` is a coordinate that may drift, ``measures`` what is reported by
     name. Tables have the order of these fields, which digests of curves depend on.
@@ -58,6 +60,11 @@ class Definition:
         return contact
 
     @property
+    def unforced(self) -> bool:
+        """Whether it declares neither a force nor phases: its motions begin at any time alike."""
+        return not self.harmonics and not self.phases
+
+    @property
     def short(self) -> bool:
         """Whether its contact is written as entries of the machine itself: one, rigid, named STOP."""
         return len(self.contacts) == 1 and self.stop.rigid and self.stop.name == STOP
@@ -72,7 +79,7 @@ class Definition:
     @np.errstate(all="ignore")
     def shown_rows(self, values: Mapping[str, Array]) -> Array:
         """``shown`` (N, n) of many values (N,) of each parameter."""
-        return np.ascontiguousarray(evaluated(self.shown, self._named(values))[: values[OMEGA].size])
+        return np.ascontiguousarray(evaluated(self.shown, self._named(values))[: _count(values)])
 
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
@@ -81,7 +88,7 @@ class Definition:
     @np.errstate(all="ignore")
     def fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
         """These fields of the machines of many values (N,) of each parameter, by name."""
-        named, count = self._named(values), values[OMEGA].size
+        named, count = self._named(values), _count(values)
         found = {name: evaluated(entries, named) for name, entries in self._entries.items() if name in wanted}
         found |= {name: symmetrised(found[name]) for name in MATRICES if name in wanted}
         if not set(OF_FORCE).isdisjoint(wanted):
@@ -91,7 +98,7 @@ class Definition:
     @np.errstate(all="ignore")
     def hybrid(self, values: Mapping[str, Array]) -> HybridMachines:
         """The machines of many values (N,) of each parameter with all contacts, friction and phases."""
-        named, count, n = self._named(values), values[OMEGA].size, len(self.coordinates)
+        named, count, n = self._named(values), _count(values), len(self.coordinates)
         contacts, friction, phases = self.contacts, self.friction, self.phases or ALWAYS
         forces = [self._force(named, changed(self.harmonics, phase.force, phase.cosine)) for phase in phases]
 
@@ -145,7 +152,7 @@ class Definition:
 
     def laws(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Contact | Friction | Spring, Array]]:
         """The entry of each law, whose it is, and its vertices (N, V, 2) of values (N,) of each parameter."""
-        named, count = self._named(values), values[OMEGA].size
+        named, count = self._named(values), _count(values)
         for kind in ("contacts", "friction", "springs"):
             for i, element in enumerate(getattr(self, kind)):
                 if element.law is not None:
@@ -155,7 +162,7 @@ class Definition:
     def outputs(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """Rows (N, M, n) of the measures for many values (N,) of each parameter, the derivatives (N, M) that these are
         rows on, by their place in ORDERS, and weights (N, M), NaN where there are none."""
-        named, count, n = self._named(values), values[OMEGA].size, len(self.coordinates)
+        named, count, n = self._named(values), _count(values), len(self.coordinates)
         every = [measure for _, measure in self.measures]
         orders = np.tile([float(ORDERS.index(each.kind)) for each in every], (count, 1))
         rows = evaluated([each.row for each in every], named).reshape(named[OMEGA].size, len(every), n)
@@ -167,10 +174,15 @@ class Definition:
 
         Of a lone number numpy computes a power by other means: its last bits would depend on the others' absence.
         """
-        alone = values[OMEGA].size == 1
+        alone = _count(values) == 1
         named = {name: value.repeat(2) if alone else value for name, value in values.items()}
+        clocked = self.unforced and OMEGA not in named
+        if self.unforced:
+            named = dict.fromkeys((OMEGA, TAU), np.zeros(2 if alone else _count(values))) | named
         for name, expression in self.let:
             named[name] = expression(named)
+        if clocked:
+            named[OMEGA] = natural_frequency(*(evaluated(of, named) for of in (self.mass, self.stiffness)))
         return named
 
     @property
@@ -238,6 +250,11 @@ def symmetrised(matrices: Array) -> Array:
     size = np.maximum(np.maximum(np.abs(matrices), np.abs(other)), root[:, :, None] * root[:, None, :])
     near = np.abs(matrices - other) <= ULPS * np.finfo(np.float64).eps * size
     return np.where(near & (matrices != other), 0.5 * matrices + 0.5 * other, matrices)
+
+
+def _count(values: Mapping[str, Array]) -> int:
+    """How many machines values (N,) of each parameter are of."""
+    return next(iter(values.values())).size
 
 
 def _names(entries: Any) -> set[str]:

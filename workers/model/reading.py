@@ -27,7 +27,7 @@ from workers.model.measures import read_measures
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading_elements import read_contacts, read_friction, read_phases, read_springs, refuse_many
-from workers.model.reading_force import read_force, with_means
+from workers.model.reading_force import is_unforced, read_force, with_means
 
 LARGEST = 8
 """Coordinates of a system."""
@@ -46,18 +46,28 @@ PARAMETER_KEYS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tuple[str, ...]) -> tuple[Parameter, ...]:
-    """All parameters in order: omega, the table's, tau, then the initial values of coordinates and velocities.
+def read_parameters(
+    machine: Mapping[str, Any], coordinates: tuple[str, ...], velocities: tuple[str, ...]
+) -> tuple[Parameter, ...]:
+    """All parameters of a table [system]: omega, its own, tau, then the initial values of coordinates and velocities.
 
-    Omega, tau and the initial values exist by themselves: the table may change their default, range and words. A
-    number alone is a default.
+    Omega and tau of a force, and the initial values, exist by themselves: the table may change their default, range and
+    words. A number alone is a default.
     """
-    given = read_table("system.parameters", table)
+    given, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
+    for name in (OMEGA, TAU) if unforced else ():
+        if name in given:
+            raise DefinitionError(
+                f"system.parameters.{name}: the machine has no force that it could be of; give force too"
+            )
     if len(given) > MANY:
         raise DefinitionError(f"system.parameters: found {len(given)}, must be at most {MANY}")
-    built_in = [
+    of_force = [
         Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
         Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
+    ]
+    built_in = [
+        *([] if unforced else of_force),
         *(Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates),
         *(
             Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
@@ -72,7 +82,8 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
     known = {parameter.name: parameter for parameter in built_in}
     own = [name for name in given if name not in known]
     found = known | {name: _read_parameter(name, one, known.get(name)) for name, one in given.items()}
-    return tuple(found[name] for name in (OMEGA, *own, *list(known)[1:]))
+    first = [] if unforced else [OMEGA]
+    return tuple(found[name] for name in (*first, *own, *list(known)[len(first) :]))
 
 
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
@@ -150,19 +161,23 @@ def read_definition(
             replace(phase, load=loaded(f"system.phases[{p}].load", phase.load)) if phase.load else phase
             for p, phase in enumerate(phases)
         ),
-        drift=_read_drift(table.get("drift"), coordinates),
+        drift=_read_drift(table.get("drift"), coordinates, is_unforced(table)),
         measures=read_measures(table.get("measures", {}), known, n),
         springs=springs,
     )
 
 
-def _read_drift(given: object, coordinates: Collection[str]) -> str:
+def _read_drift(given: object, coordinates: Collection[str], unforced: bool) -> str:
     """The coordinate that may drift; none is an empty name."""
     if given is None:
         return ""
     name = read_text("system.drift", given)
     if name not in coordinates:
         raise DefinitionError(unknown_name("coordinate in system.drift", name, coordinates))
+    if unforced:
+        raise DefinitionError(
+            "system.drift: what drifts is followed from one forcing period to the next; give force too"
+        )
     return name
 
 

@@ -28,6 +28,11 @@ _JUMPS = (
 )
 
 
+def is_unforced(table: Mapping[str, Any]) -> bool:
+    """Whether a table [system] declares neither a force nor phases."""
+    return not any(key in table for key in FORCE_KEYS) and not table.get("harmonics") and not table.get("phases")
+
+
 def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[tuple[Harmonic, ...], list[Row]]:
     """The harmonics of the force in a table [system] of n coordinates, and the means of its waveforms, which are loads.
 
@@ -38,8 +43,6 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
         parts = {"system": {key: table[key] for key in FORCE_KEYS if key in table}} | parts
     elif "phase" in table:
         raise DefinitionError("system.phase: there is no force that it could be of; give force too")
-    elif not parts and not (table.get("friction") or table.get("phases") or table.get("springs")):
-        raise DefinitionError(f"system: force missing; give a list of {n}")
     tables = {
         where: read_table(where, one, WAVEFORM_KEYS if _is_waveform(one) else HARMONIC_KEYS)
         for where, one in parts.items()

@@ -24,7 +24,16 @@ from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
-from workers.results import NO_REASON, OUT_OF_RANGE, PROGRESS, InvalidError, Variable, result_variables
+from workers.results import (
+    CYCLE_PERIOD,
+    NO_REASON,
+    OUT_OF_RANGE,
+    PROGRESS,
+    InvalidError,
+    Variable,
+    in_time,
+    result_variables,
+)
 from workers.settings import Settings
 
 DEFAULT = "two-mass"
@@ -105,14 +114,16 @@ class System:
     def has_modes(self) -> bool:
         """Whether its law changes otherwise than by one contact with a restitution: see model/hybrid.py."""
         own = self.definition
-        return bool(own.friction or own.phases or own.springs) or [each.rigid for each in own.contacts] != [True]
+        elements = own.friction or own.phases or own.springs
+        return bool(elements) or own.unforced or [each.rigid for each in own.contacts] != [True]
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
         """``own_variables``, each with the entry that it comes from."""
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", PROGRESS)] if self.definition.drift else []
-        return [*measure_variables(self.definition.measures), *elements, *drifts]
+        cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
+        return [*measure_variables(self.definition.measures), *elements, *drifts, *cycles]
 
     @property
     def own_variables(self) -> tuple[Variable, ...]:
@@ -122,7 +133,8 @@ class System:
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
         """The results of a cell, see ``results.result_variables``, and the results that only this system has."""
         seen = tuple(variable for each in self.observables(settings) for variable in each.variables)
-        return result_variables(settings, attractors, basins, self.own_variables + seen)
+        found = result_variables(settings, attractors, basins, self.own_variables + seen)
+        return tuple(map(in_time, found)) if self.definition.unforced else found
 
     def observables(self, settings: Settings) -> tuple[Observable, ...]:
         """The observables that settings ask for; ValueError, in one line, for one that its machines do not have.
@@ -133,14 +145,31 @@ class System:
             found = observables_of(settings.observe, self.definition)
         except ValueError as error:
             raise DefinitionError(f"observe: {error}") from None
+        if self.definition.unforced and settings.method == "fixed":
+            raise DefinitionError(
+                'method: found "fixed", which counts forcing periods, and there is no force; take "adaptive"'
+            )
         names = NAMES.union(variable.name for variable in self.own_variables)
         refuse_ambiguous((("observe", variable) for each in found for variable in each.variables), names)
         return found
 
-    def refuse_drift(self, what: str) -> None:
-        """DefinitionError, in one line, that ``what`` does not exist for a drifting coordinate, if this has one."""
+    def must_offer(self, what: str) -> None:
+        """DefinitionError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force."""
+        if self.definition.unforced:
+            raise DefinitionError(f"system {self.name!r}: {what} are not there for a machine without a force")
         if self.definition.drift:
             raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")
+
+    def with_cycle(self, values: Mapping[str, Array], cycle: float | None) -> dict[str, Array]:
+        """Values (N,) of each parameter of machines without a force that are followed over cycles of this length.
+
+        As they are for None. ValueError for a length where there is a force.
+        """
+        if cycle is None:
+            return dict(values)
+        if not self.definition.unforced:
+            raise ValueError(f"cycle: found {cycle:g}, but system {self.name!r} has the period of its force")
+        return dict(values) | {OMEGA: np.full_like(next(iter(values.values())), 2.0 * np.pi / cycle)}
 
     def build(self, values: Mapping[str, float]) -> Any:
         """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
@@ -171,7 +200,7 @@ class System:
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
         """These reasons (N,), but where values (N,) of parameters are out of their ranges."""
-        admitted = [self.parameter(name).admits(value) for name, value in values.items()]
+        admitted = [p.admits(values[p.name]) for p in self.parameters if p.name in values]
         reasons[~np.logical_and.reduce(admitted)] = OUT_OF_RANGE
         return reasons
 
@@ -180,7 +209,13 @@ class System:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise KeyError(unknown_name("parameter", name, [parameter.name for parameter in self.parameters]))
+        raise KeyError(self.unknown(name))
+
+    def unknown(self, name: str, kind: str = "parameter") -> str:
+        """One line for a name that is no parameter."""
+        if self.definition.unforced and name in (OMEGA, TAU):
+            return f"{kind} {name!r}: system {self.name!r} has no force that it could be of; leave it out"
+        return unknown_name(kind, name, [parameter.name for parameter in self.parameters])
 
     def table(self) -> dict[str, Any]:
         """The whole system as plain JSON, in one spelling: ``from_mapping`` makes an equal one of it."""
@@ -278,7 +313,7 @@ def _read(given: Mapping[str, Any], packaged: bool) -> System:
     if version > LATEST:
         raise fault("system.version", version, f"must be at most {LATEST}")
     coordinates, velocities = read_coordinates(table)
-    parameters = read_parameters(table.get("parameters", {}), coordinates, velocities)
+    parameters = read_parameters(table, coordinates, velocities)
     names = [parameter.name for parameter in parameters]
     definition = read_definition(table, names, coordinates, velocities)
     check_at_defaults(definition, parameters)

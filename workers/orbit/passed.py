@@ -1,5 +1,7 @@
 """The events of a motion over some periods from a section state, as its kernels record them."""
 
+from collections.abc import Iterator
+from itertools import count, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -67,10 +69,10 @@ def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
         propagate(there, motion, osc.period)
         if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0:
             raise ValueError("the motion rests on a stop: it is no orbit of impacts alone")
-        count = int(motion.tally[RECORDED])
-        if count == RECORD:
+        hits = int(motion.tally[RECORDED])
+        if hits == RECORD:
             raise ValueError(f"{RECORD} impacts in one period: too many for an orbit of impacts")
-        rows.append(motion.impacts[:count] + np.array([(k + shift) * osc.period, 0.0, 0.0]))
+        rows.append(motion.impacts[:hits] + np.array([(k + shift) * osc.period, 0.0, 0.0]))
         motion.tally[RECORDED] = 0.0
     impacts = np.concatenate(rows)
     impacts[:, 0] = np.mod(impacts[:, 0], periods * osc.period)
@@ -81,20 +83,27 @@ def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
 
 def _through_modes(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
     """``passed`` through all modes that come."""
-    table, own = one_of(oscillators, 0).table, oscillators.table.machines
-    state, number = np.array(state, dtype=np.float64), _shown(oscillators.table, np.asarray(state))
-    size, found = len(state), list[Passed]()
-    for k in range(periods):
+    state = np.array(state, dtype=np.float64)
+    rows = islice(legs_of_periods(oscillators, state, _shown(oscillators.table, state)), periods)
+    return [passed_by(oscillators, row) for row in np.concatenate(list(rows))]
+
+
+def legs_of_periods(oscillators: Oscillator, state: Array, number: int) -> Iterator[Array]:
+    """The legs, see notes.LegRecord, of each period of the only one of many oscillators, with times since the first
+    section, from a physical state (2n,) in the mode of this number. ValueError where it cannot be followed.
+    """
+    for k in count():
         rows, state, number = _one_period(oscillators, state, number)
-        for row in rows:
-            time, begun = float(row[LEG.start]) + k * 2.0 * np.pi / table.omega, row[LEG_STATE + size :]
-            code = code_of(int(row[LEG.number]), *own.sizes[1:], *own.segments)
-            found.append(
-                Passed(
-                    time, int(row[LEG.signal]), int(row[LEG.side]), float(row[LEG.rate]), code, tuple(map(int, begun))
-                )
-            )
-    return found
+        rows[:, LEG.start] += k * 2.0 * np.pi / oscillators.table.omega[0]
+        yield rows
+
+
+def passed_by(oscillators: Oscillator, row: Array) -> Passed:
+    """A leg as what the only one of many oscillators passes."""
+    own = oscillators.table.machines
+    begun = tuple(map(int, row[LEG_STATE + own.dimension :]))
+    code = code_of(int(row[LEG.number]), *own.sizes[1:], *own.segments)
+    return Passed(float(row[LEG.start]), int(row[LEG.signal]), int(row[LEG.side]), float(row[LEG.rate]), code, begun)
 
 
 def _shown(table: Table, z: Array) -> int:

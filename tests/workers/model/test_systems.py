@@ -342,7 +342,6 @@ WRONG = [
     ({"stiffness": None}, FREE),
     ({"stiffness": [[1.0, 0.0], [0.0, 0.0]]}, FREE),
     ({"stiffness": [[1.0, -1.0], [-1.0, 1.0]], "gap": [1.0, -1.0]}, FREE),
-    ({"force": None}, "system: force missing; give a list of 2"),
     ({"force": None, "phase": [0, 0]}, "system.phase: there is no force that it could be of"),
     ({"force": 1.0}, "system.force: found 1.0, must be a list of 2 entries"),
     ({"force": [1.0]}, "system.force: found 1 entries, must be 2, one per coordinate"),

@@ -1,0 +1,243 @@
+"""Claims about machines without a force: their cycles, with periods and multipliers, their equilibria, and their names.
+
+Truth: closed forms and digits of other programs, shared/characteristics.md B and row 17 and 18 of piecewise.md.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atlas.check.rules import broken_rules
+from atlas.errors import InputError
+from atlas.spec.spec import Spec, checked_parameters
+from tests.oracle.pieces.motion import simulate
+from tests.oracle.pieces.rows import belt as belt_of_oracle
+from workers import Settings, System, solve_tile
+from workers.model.entries import DefinitionError
+from workers.results import NO_IMPACT, PERIODIC
+
+SPECTRUM = Settings(exponents="spectrum")
+
+
+def machine(**entries: Any) -> System:
+    """A mass of 1 on a spring of 1."""
+    mass = {"name": "mass", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]]}
+    return System.from_mapping(mass | entries)
+
+
+def belt(**entries: Any) -> System:
+    """x'' + c x' + x + friction = 0 on a belt of speed v0, kinetic .4 and static Fs."""
+    friction = {"name": "belt", "row": [1.0], "kinetic": 0.4, "static": "Fs", "belt": "v0", "slope": "s"}
+    parameters = {"c": 0.1, "Fs": 1.0, "v0": 0.5, "s": 0.0}
+    return machine(damping=[["c"]], friction=[friction], parameters=parameters, **entries)
+
+
+def solved(system: System, settings: Settings = SPECTRUM, **params: Any) -> Any:
+    return solve_tile(system, params, settings)
+
+
+def test_a_block_on_a_belt_has_the_cycle_of_its_closed_form() -> None:
+    """B1: T = 2 (Fs - Fk) / v + pi + 2 atan(v / (Fs - Fk)), undamped."""
+    Fs, v = np.array([1.0, 1.0, 0.7, 1.3]), np.array([0.2, 0.9, 0.35, 0.1])
+    found = solved(belt(), c=0.0, Fs=Fs, v0=v, x=1.6)
+    stuck = 2.0 * (Fs - 0.4) / v
+    T = stuck + math.pi + 2.0 * np.arctan(v / (Fs - 0.4))
+    assert found["regime"].tolist() == [PERIODIC] * 4
+    assert T[0] == pytest.approx(9.78509376238307763, rel=1e-15)
+    np.testing.assert_allclose(found["cycle_period"], T, rtol=1e-13)
+    np.testing.assert_allclose(found["belt_stuck"], stuck / T, rtol=1e-12)
+    assert found["belt_stuck"][0] == pytest.approx(0.61317756842206796, rel=1e-13)
+    assert found["period"].tolist() == [1] * 4
+    assert found["spectrum"].tolist() == [[0.0, -math.inf]] * 4
+    assert found["largest"].tolist() == [-math.inf] * 4
+
+
+def test_the_cycle_of_row_17_slips_and_sticks_for_the_published_times() -> None:
+    found = solved(belt(), x=0.95, v=0.5)
+    T = 4.852290765476 + 1.806193810563
+    assert found["cycle_period"] == pytest.approx(6.658484576038, abs=2e-12)
+    assert found["cycle_period"] == pytest.approx(T, abs=2e-12)
+    assert found["belt_stuck"] == pytest.approx(1.806193810563 / T, abs=1e-12)
+    assert found["state"] == pytest.approx([0.95, 0.5], abs=1e-13)
+
+
+def test_beyond_row_18_there_is_no_cycle_and_the_block_slides() -> None:
+    end = 0.658855574469523615
+    found = solved(belt(), x=1.0 - 0.1 * end, v=end, v0=end * np.array([1.0 - 1e-10, 1.0 + 1e-10]))
+    assert found["regime"].tolist() == [PERIODIC, NO_IMPACT]
+    slips = found["cycle_period"][0] * (1.0 - found["belt_stuck"][0])
+    assert slips == pytest.approx(5.52880489921522436, abs=1e-4)  # it falls as the root of the distance
+    assert math.isnan(found["cycle_period"][1])
+
+
+def test_friction_that_falls_with_speed_makes_the_cycle_of_b3() -> None:
+    falling = {"name": "belt", "row": [1.0], "kinetic": 1.0, "belt": 0.5, "slope": -0.2}
+    found = solved(machine(damping=[[0.1]], friction=[falling]))
+    assert found["regime"] == PERIODIC
+    assert found["cycle_period"] == pytest.approx(6.439474890105244, abs=1e-12)
+    assert found["belt_stuck"] == pytest.approx(0.1414199148892304, abs=1e-12)
+
+
+@pytest.mark.parametrize("start", [0.1, -0.7])
+def test_an_impact_holds_an_oscillator_that_grows_in_the_cycle_of_b4(start: float) -> None:
+    growing = machine(damping=[[-0.1]], gap=[1.0], upper=1.0, restitution=0.8)
+    found = solved(growing, x=start)
+    assert (found["regime"], found["period"], found["impacts_upper"]) == (PERIODIC, 1, 1)
+    assert found["cycle_period"] == pytest.approx(3.66749316841195374, rel=1e-13)
+    assert found["max_impact_speed"] == pytest.approx(4.198117780509497, rel=1e-12)
+    assert found["spectrum"] == pytest.approx([0.0, -0.02168723488629277], abs=1e-13)
+    assert found["spectrum"][0] == 0.0
+    assert found["largest"] == found["spectrum"][1]
+    # What is told per forcing period elsewhere is per unit of time.
+    assert found["impacts_per_period"] == pytest.approx(1.0 / 3.66749316841195374, rel=1e-13)
+    assert found["impact_energy"] == pytest.approx(0.5 * (1.0 - 0.8**2) * 4.198117780509497**2 / 3.66749316841195374)
+    assert abs(found["sum_law_defect"]) < 1e-14
+
+
+def flutter() -> System:
+    """Z(1.8, .1) with soft stops: two masses with a stiffness that is not symmetric, B6."""
+    stops = {"name": "rub", "gap": [0.0, 1.0], "upper": 0.5, "lower": -0.5, "stiffness": 10.0, "damping": 0.5}
+    return System.from_mapping({
+        "name": "flutter", "coordinates": ["x1", "x2"], "mass": [[3.0, 1.0], [1.0, 1.0]],
+        "damping": [[0.2, -0.1], [-0.1, 0.1]], "stiffness": [[0.2, 0.8], [-1.0, 1.0]], "contacts": [stops],
+    })  # fmt: skip
+
+
+def test_flutter_between_soft_stops_has_the_symmetric_cycle_and_the_multipliers_of_b6() -> None:
+    found = solved(flutter(), x1=0.1)
+    T = 15.1055186924726138
+    assert (found["regime"], found["symmetric"]) == (PERIODIC, True)
+    assert found["cycle_period"] == pytest.approx(T, rel=1e-13)
+    mu = abs(complex(0.00089792497918, 0.00189567119235))
+    assert found["spectrum"] == pytest.approx(np.log([1.0, 0.57873210266101, mu, mu]) / T, abs=1e-9)
+    assert found["spectrum"][0] == 0.0
+    passing = -np.array([1.27117619126548, 0.5, 0.143905942436102, 0.387039907780657])
+    assert found["state"] == pytest.approx(passing, abs=1e-11)
+
+
+def test_a_law_of_chords_sticks_and_slips_as_c3_says() -> None:
+    law = [[0.5 * j, 0.5 + 0.5 * math.exp(-j)] for j in range(9)]
+    friction = {"name": "belt", "row": [1.0], "belt": 1.0, "law": [*law, [5.0, law[-1][1]]]}
+    found = solved(machine(damping=[[0.1]], friction=[friction]), x=0.9, v=1.0)
+    assert found["cycle_period"] == pytest.approx(6.45097319759493817, abs=1e-12)
+    assert found["belt_stuck"] == pytest.approx(0.161090048268041064, abs=1e-12)
+
+
+@pytest.mark.parametrize(("c", "v0", "s"), [(0.05, 0.4, 0.0), (0.15, 0.2, 0.05), (0.02, 0.7, -0.1)])
+def test_the_oracle_goes_round_a_cycle_to_where_it_began(c: float, v0: float, s: float) -> None:
+    """An independent simulation, in more digits, from the state of the result over the period of the result."""
+    found = solved(belt(), x=1.2, c=c, v0=v0, s=s)
+    assert found["regime"] == PERIODIC
+    there = belt_of_oracle(v0)
+    friction = tuple(replace(each, slope=s) for each in there.friction)
+    there = replace(there, damping=[[c]], friction=friction)
+    run = simulate(there, found["state"].tolist(), span=float(found["cycle_period"]), digits=30)
+    assert [float(z) for z in run.sections[-1]] == pytest.approx(found["state"].tolist(), abs=1e-11)
+    assert {event.kind for event in run.events} >= {"stick"}
+
+
+# Equilibria
+
+
+def test_a_block_that_slides_for_ever_stands_still_with_the_exponents_of_sliding() -> None:
+    """K x = kinetic; x'' + .1 x' + x = 0 has the rate .05 twice, or .01 and 1 by overdamping."""
+    found = solved(belt(), x=0.45, c=[0.1, 2.5])
+    assert found["regime"].tolist() == [NO_IMPACT] * 2
+    rates = [[-0.05, -0.05], [-0.5, -2.0]]
+    np.testing.assert_allclose(found["spectrum"], rates, rtol=1e-12)
+    assert found["largest"].tolist() == found["spectrum"][:, 0].tolist()
+    np.testing.assert_allclose(found["state"], [[0.4, 0.0]] * 2, atol=1e-15)
+    assert np.isnan(found["cycle_period"]).all()
+
+
+def test_a_mass_that_a_load_presses_on_its_stop_rests_there() -> None:
+    """All its directions are lost."""
+    found = solved(machine(damping=[[0.1]], load=[1.0], gap=[1.0], upper=0.5, restitution=0.6))
+    assert (found["regime"], found["sticks"]) == (NO_IMPACT, True)
+    assert found["spectrum"].tolist() == [-math.inf, -math.inf]
+    assert found["state"].tolist() == [0.5, 0.0]
+
+
+@pytest.mark.parametrize("load", [0.2, 1.0])
+def test_a_mass_that_friction_holds_stands_at_one_place_of_many(load: float) -> None:
+    held = {"name": "rail", "row": [1.0], "kinetic": 0.5, "static": 1.0}
+    found = solved(machine(damping=[[0.1]], load=[load], friction=[held]))
+    assert found["regime"] == NO_IMPACT
+    assert found["spectrum"].tolist() == [0.0, -math.inf]
+
+
+# What decides the numbers
+
+
+def test_a_cycle_is_the_same_whatever_its_neighbours_and_wherever_it_begins() -> None:
+    params = {"v0": [0.5, 0.3, 0.62, 0.7], "x": [0.95, 2.0, 1.1, 0.3], "v": [0.5, 0.1, 0.6, 0.0]}
+    together = solved(belt(), **params)
+    for k in range(4):
+        alone = solved(belt(), **{name: values[k] for name, values in params.items()})
+        for name, values in together.items():
+            np.testing.assert_array_equal(values[k], alone[name], err_msg=name)
+    elsewhere = solved(belt(), v0=0.5, x=-1.3, v=0.7)
+    assert elsewhere["cycle_period"] == pytest.approx(together["cycle_period"][0], rel=1e-14)
+    assert elsewhere["state"] == pytest.approx(together["state"][0], abs=1e-14)
+
+
+def test_time_has_no_unit_of_its_own() -> None:
+    """A machine a thousand times faster: rates are a thousand times larger, and periods as much shorter."""
+    slow = solved(belt(), x=1.2)
+    friction = {"name": "belt", "row": [1.0], "kinetic": 0.4, "static": 1.0, "belt": 0.5e3}
+    fast = solved(machine(mass=[[1e-6]], damping=[[0.1e-3]], friction=[friction]), x=1.2)
+    assert fast["cycle_period"] == pytest.approx(1e-3 * slow["cycle_period"], rel=1e-12)
+    growing = {"gap": [1.0], "upper": 1.0, "restitution": 0.8}
+    slow = solved(machine(damping=[[-0.1]], **growing), x=0.1)
+    fast = solved(machine(mass=[[1e-6]], damping=[[-0.1e-3]], **growing), x=0.1)
+    assert fast["largest"] == pytest.approx(1e3 * slow["largest"], rel=1e-10)
+
+
+@pytest.mark.parametrize("exponents", ["none", "largest"])
+def test_a_cycle_is_found_whatever_exponents_are_wanted(exponents: str) -> None:
+    found = solved(belt(), Settings(exponents=exponents), x=0.95, v=0.5)
+    assert found["cycle_period"] == pytest.approx(6.658484576038, abs=2e-12)
+
+
+def test_a_machine_without_a_force_has_no_frequency_and_no_phase() -> None:
+    assert [p.name for p in belt().parameters] == ["c", "Fs", "v0", "s", "x", "v"]
+    for name in ("omega", "tau"):
+        line = f"'{name}': system 'mass' has no force that it could be of; leave it out"
+        with pytest.raises(KeyError, match=line):
+            solve_tile(belt(), {name: 1.0})
+        with pytest.raises(InputError, match=f"parameter {line}"):
+            checked_parameters(belt(), {name: 1.0})
+        with pytest.raises(InputError, match=f"parameter in axes {line}"):
+            Spec(belt(), {name: [1.0, 2.0]})
+        with pytest.raises(DefinitionError, match=f"system.parameters.{name}: the machine has no force"):
+            machine(parameters={name: 1.0})
+    with pytest.raises(DefinitionError, match=r"system\.load\[0\]: unknown name 'omega'"):
+        belt(load=["omega"])
+
+
+def test_the_schedule_in_forcing_periods_is_refused_without_a_force() -> None:
+    with pytest.raises(DefinitionError, match='"fixed", which counts forcing periods, and there is no force'):
+        solve_tile(belt(), {}, Settings(method="fixed", transient_periods=10, periods=10))
+
+
+def test_results_are_told_per_unit_of_time() -> None:
+    named = {variable.name: variable for variable in belt().variables(SPECTRUM)}
+    assert named["largest"].long_name == "largest Lyapunov exponent per unit time"
+    assert named["cycle_period"].long_name == "time that a cycle takes; NaN unless periodic"
+    assert not any("forcing period" in variable.long_name for variable in named.values())
+
+
+def test_what_the_results_have_to_do_with_each_other_holds_without_a_force() -> None:
+    """The rules that ``atlas verify`` checks, of cycles and of mass at rest on a stop and off it."""
+    stopped = {"gap": [1.0], "upper": "b", "restitution": 0.7, "parameters": {"b": 1.0}}
+    for system, name, values, x in (
+        (belt(), "v0", [0.3, 0.5, 0.9], 1.6),
+        (machine(damping=[[-0.1]], **stopped), "b", [0.5, 1.0], 0.1),
+        (machine(damping=[[0.1]], load=[1.0], **stopped), "b", [0.3, 2.0], 0.0),
+    ):
+        spec = Spec(system, {name: values}, {"x": x}, {"exponents": "spectrum"})
+        arrays = solve_tile(system, spec.parameters | {name: values}, spec.settings)
+        assert broken_rules(spec, (slice(0, len(values)),), arrays) == {}

@@ -1,0 +1,245 @@
+"""Cells of machines without a force: their cycles, equilibria, tori and chaos, told in units of time.
+
+No period is given. The motion is followed over natural periods as any other, and looked at event by event: it may be on
+a cycle where an event comes back in the same mode to nearly the same state. The cycle is then solved by its equations,
+see continuation/cycles.py, and the event loop has to go once round it. From there on the period of the cell is that of
+the cycle, which is an orbit of one period for all that is measured.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.cell.cells import RETURNS, CellCycle, Cells
+from workers.cell.course import TORUS_RETURN, Course
+from workers.cell.orbits import end_on_orbits
+from workers.cell.outcome import put, put_periodic
+from workers.cell.stretch import batch_of, begin, run
+from workers.continuation.cycles import Cycle, cycle_near
+from workers.continuation.recording import ASKED, halved, turned_orbit
+from workers.kernel.cells import physical_states
+from workers.kernel.hybrid.notes import LEG, LEG_STATE
+from workers.kernel.motion import RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+from workers.model.clock import set_period
+from workers.model.family import NoOscillatorError, with_modes
+from workers.model.hybrid import FIRST_NUMBER
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.orbit.passed import legs_of_periods, passed_by
+from workers.results import CHAOTIC, NO_REASON, PER_TIME, REGIME, Variable
+
+LEAST_LOOK = 64
+"""Natural periods over which a motion is looked at, at least: as long as all before, or until it closes."""
+
+NEAR = 1e-3
+"""Distance of a return, relative to the motion, from which on it may be that of a cycle."""
+
+ONCE_ROUND = 1e-8
+"""Distance, relative to the motion, at which a cycle closes in the event loop."""
+
+STABLE = 1e-12
+"""-ln|mu| above which a multiplier is inside the unit circle: rounding is less."""
+
+STEADY, LEAST_TORUS = 15.0, 3000
+"""Most that the second tangent vector of a torus may have shrunk by, as a logarithm; natural periods that it has to
+have been averaged by then."""
+
+
+class Trail(NamedTuple):
+    """The last E events of one motion: their legs (E, columns), see notes.LegRecord; which they are (E,), by number of
+    signal, side and mode after it; their states (E, 2n) after them, over the range of each component."""
+
+    legs: Array
+    keys: NDArray[np.int64]
+    states: Array
+
+    def back(self, last: int, first: int) -> float:
+        """The distance of the states after two events."""
+        return float(np.max(np.abs(self.states[last] - self.states[first])))
+
+
+def trail_of(legs: Array, size: int) -> Trail:
+    """The trail of legs in order of time."""
+    events = legs[legs[:, LEG.signal] >= 0.0]
+    columns = events[:, [LEG.signal, LEG.side, LEG.number]].astype(np.int64)
+    _, keys = np.unique(columns, axis=0, return_inverse=True)
+    states = events[:, LEG_STATE : LEG_STATE + size]
+    ranges = np.ptp(legs[:, LEG_STATE : LEG_STATE + size].reshape(-1, 2, size // 2), axis=0).max(axis=1, initial=0.0)
+    ranges = np.repeat(np.where(ranges > 0.0, ranges, 1.0), size // 2)
+    return Trail(events, keys.reshape(-1).astype(np.int64), states / ranges)
+
+
+class CycleCourse(Course):
+    """The adaptive schedule for machines without a force."""
+
+    def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
+        """Write the results of cells that fall into a cycle or an equilibrium; of the others those not known already.
+
+        An equilibrium is what orbits of the map over a natural period are where nothing happens.
+        """
+        known = self.is_known(rows)
+        self.cells.going[rows[known]] = False
+        rows, found, still = rows[~known], dict[int, tuple[Cycle, Array]](), list[int]()
+        for r in rows.tolist():
+            cycle, quiet = self._look(r)
+            if cycle is not None:
+                found[r] = cycle
+            elif quiet:
+                still.append(r)
+        end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
+        put_cycles(self.cells, found)
+        return rows[self.cells.going[rows]]
+
+    def end_on_long_orbits(self, rows: Rows) -> Rows:
+        """The cells that go on: all cycles are looked for at every stretch."""
+        return rows[self.cells.going[rows]]
+
+    def never_closes(self, rows: Rows) -> Mask:
+        """Which of these cells have not come back to their last event in RETURNS passages of it, nor have shrunk."""
+        motions, periods = self.cells.batch.motions, self.cells.flown[rows] - self.cells.began[rows]
+        found = (motions.growth[rows, 1] > -STEADY) & (periods >= LEAST_TORUS)
+        for k in np.flatnonzero(found).tolist():
+            found[k] = self._returns_far(int(rows[k]))
+        return np.asarray(found)
+
+    def _returns_far(self, r: int) -> bool:
+        trail = None
+        for trail in self._trails(r):
+            if np.sum(trail.keys == trail.keys[-1:]) > RETURNS:
+                break
+        if trail is None or np.sum(trail.keys == trail.keys[-1:]) <= RETURNS:
+            return False
+        last = len(trail.keys) - 1
+        same = np.flatnonzero(trail.keys[:-1] == trail.keys[-1])[-RETURNS:]
+        return min(trail.back(last, int(k)) for k in same) > TORUS_RETURN
+
+    def _trails(self, r: int) -> Iterator[Trail]:
+        """The trail of one motion from here on, a natural period longer each time, until it cannot be followed."""
+        cells, one = self.cells, np.array([r])
+        machine, size = taken(cells.oscillators, one), cells.directions
+        state = physical_states(cells.oscillators, cells.batch.motions, one)[0]
+        number = int(cells.batch.motions.contact[r, 0]) - FIRST_NUMBER
+        legs, most = list[Array](), max(LEAST_LOOK, int(cells.flown[r]))
+        try:
+            for k, rows in enumerate(legs_of_periods(machine, state, number)):
+                cells.used[r] += 1
+                legs.append(rows)
+                yield trail_of(np.concatenate(legs), size)
+                if k + 1 == most:
+                    return
+        except ValueError:
+            return
+
+    def _look(self, r: int) -> tuple[tuple[Cycle, Array] | None, bool]:
+        """The cycle that one motion falls into with its passages of the rarest event, if it does; and whether nothing
+        happens to it any more."""
+        tried, trail, most = set[int](), None, 4 * self.settings.max_period
+        for trail in self._trails(r):
+            for m in turns_of(trail):
+                if m in tried:
+                    continue
+                tried.add(m)
+                found = cycle_of(taken(self.cells.oscillators, np.array([r])), trail, m)
+                if found is not None:
+                    return found, False
+            if len(trail.keys) and np.max(np.bincount(trail.keys)) > most:
+                break
+        return None, trail is not None and not len(trail.keys)
+
+
+def turns_of(trail: Trail) -> list[int]:
+    """The numbers of events after which a motion has nearly come back, nearer than a turn before; three at most, each
+    ten times nearer than any shorter one."""
+    found, last, record = list[int](), len(trail.keys) - 1, NEAR
+    for m in range(1, last // 2 + 1):
+        away = trail.back(last, last - m)
+        if away < record and np.array_equal(trail.keys[last - m + 1 :], trail.keys[last - 2 * m + 1 : last - m + 1]):
+            if away <= trail.back(last - m, last - 2 * m) or away < ONCE_ROUND:
+                found.append(m)
+            record = 0.1 * away
+    return found[:3]
+
+
+def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] | None:
+    """The stable cycle of the only one of many machines near the last m events of a trail, and the times (p,) of its
+    rarest event: that with the fewest passages, of several the first by signal, side and mode. None if there is none.
+    """
+    rows, keys = trail.legs[-m:].copy(), trail.keys[-m:]
+    T = rows[-1, LEG.start] - trail.legs[-1 - m, LEG.start]
+    counts = np.bincount(keys)
+    rarest = int(np.flatnonzero(counts == counts[counts > 0].min())[0])
+    first = min(np.flatnonzero(keys == rarest), key=lambda i: tuple(trail.states[len(trail.keys) - m + i]))
+    before = passed_by(machine, rows[first - 1]).code
+    rows, keys = np.roll(rows, -first, axis=0), np.roll(keys, -first)
+    rows[:, LEG.start] = np.mod(rows[:, LEG.start] - rows[0, LEG.start], T)
+    turn = turned_orbit([passed_by(machine, row) for row in rows], before, 1)
+    own = with_modes(machine.table.machines._replace(omega=np.array([2.0 * np.pi / T])))
+    try:
+        half = halved(own, turn, ASKED)
+        cycle = cycle_near(own, half) if half is not turn else None
+        cycle = cycle or cycle_near(own, turn)
+    except NoOscillatorError:
+        return None
+    if cycle is None or not cycle.logs[0] < -STABLE:
+        return None
+    times = cycle.motion.times[0]
+    if cycle.motion.itinerary.symmetric:
+        times = np.concatenate([times, times + 0.5 * cycle.period])
+    return cycle, times[keys == rarest]
+
+
+def put_cycles(cells: Cells, found: dict[int, tuple[Cycle, Array]]) -> None:
+    """Write the results of cells that fall into these cycles, each with the times of its rarest event."""
+    if not found:
+        return
+    rows, every = np.array(list(found), dtype=np.int64), np.arange(len(found))
+    cycles = [cycle for cycle, _ in found.values()]
+    periods = np.array([cycle.period for cycle in cycles])
+    natural = cells.oscillators.period[rows].copy()
+    set_period(cells.oscillators, rows, periods)
+    own, codes = taken(cells.oscillators, rows), [cycle.motion.plan.legs[1][0].code for cycle in cycles]
+    segments = own.table.machines.segments
+    contact = np.array([code.number_of(*segments) for code in codes]) + FIRST_NUMBER
+    states = np.stack([cycle.motion.turn.states[0, 1] for cycle in cycles])
+    motions, reasons = begin(own, np.full(len(rows), NO_REASON, dtype=np.int8), states, contact)
+    start, batch = motions.h.copy(), batch_of(own, motions)
+    motions.tally[:, WORK], batch.periods[:] = WORK_OF_A_TRIAL, 1
+    run(batch, every)
+    after = physical_states(own, motions, every)
+    size = np.abs(states).max(axis=1)
+    closes = (motions.tally[:, STATUS] == RUNNING) & (reasons == NO_REASON) & (motions.contact[:, 0] == contact)
+    closes &= np.abs(after - states).max(axis=1) <= ONCE_ROUND * size
+    set_period(cells.oscillators, rows[~closes], natural[~closes])
+    kept = np.flatnonzero(closes)
+    rows, orbits = rows[kept], cells.orbits
+    for r in rows.tolist():
+        cycle, times = found[r]
+        cells.cycles[r] = CellCycle(cycle.period, cycle.motion.at(times[None])[0][0])
+        orbits.exponents[r] = -np.sort(-np.append(cycle.logs, 0.0))
+        orbits.symmetric[r], orbits.error[r] = cycle.motion.itinerary.symmetric, 1e-14 * (1.0 + abs(cycle.logs[0]))
+    orbits.h[rows], orbits.contact[rows, 0], orbits.period[rows] = start[kept], contact[kept], 1
+    orbits.tally[rows] = motions.tally[kept]
+    put_periodic(cells, rows)
+    largest = np.array([found[r][0].logs[0] for r in rows.tolist()])
+    put(cells, rows, largest=largest)  # beside the 0 along the cycle
+    put(cells, rows[np.isneginf(largest)], error=0.0)
+
+
+def tell_in_time(cells: Cells, variables: tuple[Variable, ...]) -> None:
+    """Give the results of all cells, so far over their periods, in units of time, and cycles their period.
+
+    The exponent along a motion is exactly 0: of chaos that one is which is nearest to it.
+    """
+    found = cells.found
+    for variable in variables:
+        if PER_TIME in variable.long_name:
+            values = found[variable.name]
+            values /= cells.oscillators.period.reshape(-1, *[1] * (values.ndim - 1))
+    for r, cycle in cells.cycles.items():
+        found["cycle_period"][r], found["period"][r] = cycle.period, len(cycle.section)
+        if "section" in found:
+            found["section"][r] = cycle.section[np.arange(found["section"].shape[1]) % len(cycle.section)]
+    if "spectrum" in found:
+        for r in np.flatnonzero(found[REGIME.name] == CHAOTIC).tolist():
+            found["spectrum"][r, np.argmin(np.abs(found["spectrum"][r]))] = 0.0
