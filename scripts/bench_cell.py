@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from scripts.measured import parsed, print_table
+from workers.results import NO_IMPACT, PERIODIC, UNDETERMINED
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -65,6 +66,14 @@ DESCRIBED = {
     "plane of omega and b": "omega from 2 to 4, b from .05 to .5: with chaos",
 }
 """The kinds in words."""
+ALLOWED = {
+    "periodic": {PERIODIC},
+    "alone": {PERIODIC},
+    "impact-free": {NO_IMPACT},
+    "new structure": {NO_IMPACT},
+    "plane of R and zeta": {PERIODIC, NO_IMPACT, UNDETERMINED},
+}
+"""Regimes that cells of a kind may have; any where none are given."""
 
 LEAST_SECONDS = 0.1
 """Of a measure: cells that take less are solved several times."""
@@ -88,8 +97,12 @@ def measured(case: Mapping[str, Any]) -> float:
         total, times = 0.0, 0
         while total < LEAST_SECONDS:
             given = cells(case["kind"], count)
-            total += processor_time(lambda p=given: solve_tile("two-mass", p))  # type: ignore[misc]
+            found: list[dict[str, Any]] = []
+            total += processor_time(lambda p=given, f=found: f.append(solve_tile("two-mass", p)))  # type: ignore[misc]
             times += 1
+            regimes = set(np.unique(found[0]["regime"]).tolist())
+            if not regimes <= ALLOWED.get(case["kind"], regimes):
+                raise SystemExit(f"{case['kind']}: found cells of the regimes {sorted(regimes)}")
         return 1e3 * total / (count * times)
     system = case.get("system", "two-mass")
     params: dict[str, Any] = {**FIGURES.get(case.get("figure", ""), {})}

@@ -43,8 +43,8 @@ from atlas.store.record import record_key
 from atlas.store.schema import extra_sizes
 from atlas.store.store import Atlas, chunk_key, open_handle
 from atlas.store.tiles import write_tile
+from rig.loopback import ObjectStore, object_store
 from scripts.measured import parsed, print_table
-from tests.loopback import ObjectStore, object_store
 from workers.results import PERIODIC, REGIME, empty_results
 
 ROOT = Path(__file__).parent.parent

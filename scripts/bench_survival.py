@@ -11,7 +11,6 @@ Usage: python -m scripts.bench_survival [--light] [--planes PARTS] [--keep]
 
 import argparse
 import multiprocessing
-import time
 from typing import Any
 
 import numpy as np
@@ -21,9 +20,9 @@ from scripts.measured import header, keep_table, line, parsed
 from workers import Settings, solve_tile
 from workers.attractors.starts import wilson
 from workers.cell.cells import Cells
-from workers.cell.course import RELAXATIONS, Course
+from workers.cell.course import Course
 from workers.model.system import DEFAULT, find_system
-from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, result_variables
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, result_variables
 from workers.tile import result_arrays
 
 FURTHER = 80_000
@@ -62,24 +61,19 @@ def plane(name: str, side: int) -> dict[str, NDArray[Any] | float]:
     return {**given, **{key: grid.ravel() for key, grid in zip(axes, grids, strict=True)}}
 
 
-def _solve(work: tuple[str, dict[str, Any], Settings]) -> tuple[dict[str, NDArray[Any]], float]:
-    start = time.process_time()
-    return solve_tile(*work), time.process_time() - start
-
-
 def solved(
     pool: Any, params: dict[str, Any], settings: Settings, pieces: int = 8, system: str = DEFAULT
-) -> tuple[dict[str, NDArray[Any]], float]:
-    """Results of flat cells, and the seconds of processor time that they took."""
+) -> dict[str, NDArray[Any]]:
+    """Results of flat cells."""
     count = max(np.size(value) for value in params.values())
     parts = [np.arange(k, count, pieces) for k in range(min(pieces, count))]
     works = [(system, {k: v[part] if np.size(v) > 1 else v for k, v in params.items()}, settings) for part in parts]
-    found = pool.map(_solve, works, chunksize=1)
-    arrays = {name: np.empty((count, *a.shape[1:]), a.dtype) for name, a in found[0][0].items()}
-    for part, (piece, _) in zip(parts, found, strict=True):
+    found = pool.starmap(solve_tile, works, chunksize=1)
+    arrays = {name: np.empty((count, *a.shape[1:]), a.dtype) for name, a in found[0].items()}
+    for part, piece in zip(parts, found, strict=True):
         for name, values in piece.items():
             arrays[name][part] = values
-    return arrays, sum(seconds for _, seconds in found)
+    return arrays
 
 
 def _follow(work: tuple[str, dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]]:
@@ -94,13 +88,13 @@ def _follow(work: tuple[str, dict[str, NDArray[Any]], int]) -> dict[str, NDArray
     course = Course(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
     with np.errstate(all="ignore"):
         course.take()
-    return found | {"relaxation": course.memory / RELAXATIONS}
+    return found
 
 
 def followed(
     pool: Any, params: dict[str, Any], periods: int, pieces: int = 32, system: str = DEFAULT
 ) -> dict[str, NDArray[Any]]:
-    """What becomes of flat cells that are all watched for so many periods; ``relaxation`` is the time in periods."""
+    """The results of flat cells that are all watched for so many periods."""
     count = max(np.size(value) for value in params.values())
     full = {name: np.broadcast_to(value, count) for name, value in params.items()}
     parts = np.array_split(np.arange(count), min(pieces, count))
@@ -116,7 +110,7 @@ def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tol
     settles = np.isin(truth["regime"], SETTLED)
     rows = []
     for survival in survivals:
-        found, seconds = solved(pool, params, Settings(tolerance=tolerance, survival=survival), system=system)
+        found = solved(pool, params, Settings(tolerance=tolerance, survival=survival), system=system)
         chaotic = found["regime"] == CHAOTIC
         later = truth["periods_used"] <= found["periods_used"] + FURTHER
         wrong = chaotic & settles & later
@@ -124,7 +118,6 @@ def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tol
         rows.append(
             {
                 "plane": name,
-                "cells": count,
                 "survival": survival,
                 "chaotic": int(chaotic.sum()),
                 "wrong": int(wrong.sum()),
@@ -132,11 +125,7 @@ def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tol
                 "interval": tuple(map(float, wilson(int(wrong.sum()), int(chaotic.sum())))),
                 "wrong_of_all": wrong.sum() / count,
                 "undetermined": (found["regime"] == UNDETERMINED).sum() / count,
-                "uncertain": int((found["reason"][chaotic] != 0).sum()),
                 "periods": float(found["periods_used"].mean()),
-                "survived": float(found["survived"][chaotic].mean()) if chaotic.any() else 0.0,
-                "ms_a_cell": 1e3 * seconds / count,
-                "aperiodic_in_the_end": int((truth["regime"] == APERIODIC).sum()),
             }
         )
     return rows

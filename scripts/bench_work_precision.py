@@ -37,9 +37,9 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from rig.general_integrator import FIGURES, GeneralIntegrator
+from rig.heyoka_reference import INSTALLED, Taylor
 from scripts.bench_kernel import one_core
-from scripts.general_integrator import FIGURES, GeneralIntegrator
-from scripts.heyoka_reference import INSTALLED, Taylor
 from scripts.measured import parsed, print_table
 from scripts.work_precision_report import KINDS, TARGET, Cell, Point, draw_picture, merits, report
 from workers import Settings, solve_tile
@@ -246,7 +246,11 @@ def curve(points: list[Point], errors: Array, cells: list[Cell], method: str, ki
 
 
 def seconds_to_reach(rows: list[dict[str, float]], target: float) -> float:
-    """Mean seconds at a typical error, along the straight line through the curve's ends in log-log; NaN without."""
+    """Mean seconds at a typical error, along the straight line through the curve's ends in log-log; NaN without.
+
+    >>> round(seconds_to_reach([{"error": 1e-2, "seconds": 1.0}, {"error": 1e-3, "seconds": 10.0}], 1e-4), 9)
+    100.0
+    """
     if not rows:
         return math.nan
     if rows[0]["error"] <= target or len(rows) == 1:

@@ -31,7 +31,7 @@ from atlas.explore.session import Exploration, explore
 from atlas.explore.sheets import SheetKey
 from atlas.explore.view import TileKey
 from atlas.store.zoom import drop_sheet
-from tests.browser import Tab, opened, started
+from rig.browser import Tab, opened, started
 
 STAY = 0.5, 6.0
 """Seconds between two moves, at least and at most."""

@@ -16,7 +16,7 @@ from atlas.explore.painter import Painter
 from atlas.explore.session import explore
 from atlas.query.open import open_atlas
 from atlas.render.provenance import metadata, provenance_of
-from tests.browser import opened, started
+from rig.browser import opened, started
 
 WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=curves"
 SIZE = 1440, 900

@@ -26,7 +26,7 @@ import numpy as np
 
 from atlas.store.store import open_handle
 from atlas.store.tiles import read_tile
-from tests.faults import attempts, environment
+from rig.faults import attempts, environment
 
 WORKERS = 2
 IN_FLIGHT = {"worker": 1, "scheduler": WORKERS, "coordinator": WORKERS}
@@ -38,7 +38,15 @@ atlas.run(atlas.Spec.from_toml(sys.argv[1]), sys.argv[2], options=atlas.RunOptio
 
 @dataclass(frozen=True)
 class Report:
-    """What came of it. ``again`` is how many attempts at tiles were more than one each, ``bound`` how many may be."""
+    """What came of it. ``again`` is how many attempts at tiles were more than one each, ``bound`` how many may be.
+
+    >>> Report(tiles=4, kills=Counter(worker=1), again=1, bound=1, different=(), seconds=1.0).passed
+    True
+    >>> Report(tiles=4, kills=Counter(worker=1), again=2, bound=1, different=(), seconds=1.0).passed
+    False
+    >>> Report(tiles=4, kills=Counter(worker=1), again=1, bound=1, different=("regime",), seconds=1.0).passed
+    False
+    """
 
     tiles: int
     kills: Counter[str]

@@ -1,10 +1,11 @@
 """The tables of measurements on the pages: each is a data file, which the script that measured it writes.
 
-Usage: python -m scripts.measured
+Usage: python -m scripts.measured [--check] [--docs FOLDER]
 
 Every script that measures takes ``--keep``. It then writes its table to docs/measured/NAME.json, with its command and
 the solver version, and sets it into the page that shows it, between the comments ``<!-- measured: NAME -->`` and
-``<!-- end -->``. This command sets all kept tables into their pages anew; a test compares them.
+``<!-- end -->``. This command sets all kept tables into their pages anew. With ``--check`` it changes nothing,
+prints the faults of tables and pages, and exits with 1 if there are any.
 """
 
 import argparse
@@ -12,14 +13,15 @@ import json
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from workers import SOLVER_VERSION
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-FOLDER = DOCS / "measured"
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
 PLACE = re.compile(r"(?<=<!-- measured: )([\w-]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
 """The place of a table on a page: its name, and all up to its end."""
 
@@ -56,16 +58,10 @@ def keep_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) ->
     words = [word for word in sys.argv[1:] if word != "--keep"]
     command = shlex.join(["python", "-m", f"scripts.{Path(sys.argv[0]).stem}", *words])
     kept = {"command": command, "solver_version": SOLVER_VERSION, "head": list(head), "rows": [list(r) for r in rows]}
-    FOLDER.mkdir(exist_ok=True)
-    (FOLDER / f"{name}.json").write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    for page in pages():
-        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
-
-
-def read_table(name: str) -> dict[str, Any]:
-    """A kept table."""
-    found: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
-    return found
+    (DOCS / "measured" / f"{name}.json").write_text(
+        json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
+    fill_pages(DOCS)
 
 
 def as_text(kept: dict[str, Any]) -> str:
@@ -74,27 +70,61 @@ def as_text(kept: dict[str, Any]) -> str:
     return "\n".join([header(kept["head"]), *map(line, kept["rows"]), "", source])
 
 
-def pages() -> list[Path]:
-    """The pages that may show tables."""
-    return sorted(DOCS.glob("*.md"))
+def tables(docs: Path) -> dict[str, dict[str, Any]]:
+    """The kept tables of a folder of pages, by their names."""
+    return {
+        path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted((docs / "measured").glob("*.json"))
+    }
 
 
-def names_on(page: str) -> list[str]:
-    """The names of the tables that the text of a page has places for."""
-    return [match[1] for match in PLACE.finditer(page)]
+def filled(page: str, kept: Mapping[str, dict[str, Any]]) -> str:
+    """The text of a page with the kept tables in their places; a place without a table stays as it is."""
+    return PLACE.sub(
+        lambda match: f"{match[1]}{match[2]}\n{as_text(kept[match[1]])}\n\n" if match[1] in kept else match[0], page
+    )
 
 
-def filled(page: str) -> str:
-    """The text of a page with its kept tables in their places."""
-    return PLACE.sub(lambda match: f"{match[1]}{match[2]}\n{as_text(read_table(match[1]))}\n\n", page)
-
-
-def main() -> None:
+def fill_pages(docs: Path) -> None:
     """Set all kept tables into their pages."""
-    argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0]).parse_args()
-    for page in pages():
-        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in docs.glob("*.md"):
+        page.write_text(filled(page.read_text(encoding="utf-8"), tables(docs)), encoding="utf-8")
+
+
+def faults(docs: Path) -> list[str]:
+    """What is wrong with the kept tables and the pages that show them, a line each."""
+    kept, places, found = tables(docs), Counter[str](), []
+    for page in sorted(docs.glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        here = [match[1] for match in PLACE.finditer(text)]
+        found += [f"{page.name}: no table {name}" for name in here if name not in kept]
+        if text != filled(text, kept):
+            found.append(f"{page.name}: tables differ from those measured; run python -m scripts.measured")
+        places.update(here)
+    for name, table in kept.items():
+        words = shlex.split(table["command"])
+        script = ROOT / f"{words[2].replace('.', '/')}.py"
+        if not script.exists() or f'"{name}"' not in script.read_text(encoding="utf-8"):
+            found.append(f"{name}: {words[2]} does not write it")
+        if {len(row) for row in table["rows"]} != {len(table["head"])}:
+            found.append(f"{name}: rows and head differ in length")
+        if places[name] != 1:
+            found.append(f"{name}: shown {places[name]} times, must be shown once")
+    return found
+
+
+def main() -> int:
+    """Set all kept tables into their pages, or check them; 1 if something is wrong."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("--check", action="store_true", help="change nothing, print faults")
+    parser.add_argument("--docs", type=Path, default=DOCS, metavar="FOLDER", help="the pages; default: docs/")
+    given = parser.parse_args()
+    if not given.check:
+        fill_pages(given.docs)
+        return 0
+    found = faults(given.docs)
+    print(*found, sep="\n", end="\n" if found else "")
+    return 1 if found else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -24,13 +24,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scripts import stress_modes
+from rig.stress import modes as stress_modes
+from rig.stress.checks import recheck
+from rig.stress.findings import Findings
+from rig.stress.report import report, summary, table
+from rig.stress.results import cells_of, solve
+from rig.stress.systems import CELLS
 from scripts.measured import keep_table, parsed
-from scripts.stress_checks import recheck
-from scripts.stress_findings import Findings
-from scripts.stress_report import report, summary, table
-from scripts.stress_results import cells_of, solve
-from scripts.stress_systems import CELLS
 from workers import Settings
 
 TILE, RECHECKED = 5 * CELLS, 4

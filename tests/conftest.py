@@ -12,7 +12,7 @@ from distributed import Client, LocalCluster
 
 import atlas
 from atlas.service import cluster
-from tests.browser import started
+from rig.browser import started
 from tests.planes import plane_of
 
 dask.config.set({"distributed.worker.profile.enabled": False})  # as local_cluster does, for clusters in this process

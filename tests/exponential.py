@@ -4,8 +4,8 @@ from typing import Any
 
 from mpmath import mp
 
-from tests.oracle.linear import Number
-from tests.oracle.model import Machine
+from rig.oracle.linear import Number
+from rig.oracle.model import Machine
 
 
 def rates(machine: Machine, held: bool) -> Any:

@@ -2,7 +2,7 @@
 
 Costs of tiles differ a hundredfold. If a costly one is begun last, a large cluster waits for it alone; row by row that
 depends on where in the plane the chaos lies. Neighbours cost about the same, so the receipts of the lattice predict the
-rest for nothing; a probe of some cells of each tile predicts no better and costs time (scripts/bench_order.py).
+rest for nothing; a probe of some cells of each tile predicts no better and costs time.
 """
 
 from collections.abc import Iterator

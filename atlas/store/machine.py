@@ -17,7 +17,7 @@ PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
 """Settings of the processor that Numba compiles for, if not for this machine's own."""
 BIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
-"""All settings of the environment that change last bits, see scripts/compare_processors.py."""
+"""All settings of the environment that change last bits."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("workers", "atlas", "scripts")
+FOLDERS = ("workers", "atlas", "scripts", "rig")
 PLACE = re.compile(r"^<!-- modules: (\w+) -->$", re.MULTILINE)
 
 

@@ -31,9 +31,9 @@ from atlas.store.making import create
 from atlas.store.parts import part_names
 from atlas.store.store import open_handle
 from atlas.store.tiles import write_tile
+from rig.faults import ATLAS, ROOT
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair
-from tests.faults import ATLAS, ROOT
 from tests.handmade import amplitude
 from workers.continuation import Orbit
 from workers.results import CHAOTIC

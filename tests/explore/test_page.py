@@ -16,7 +16,7 @@ from atlas.explore.painter import Painter
 from atlas.explore.session import Exploration, explore
 from atlas.explore.view import STAGES, Sight, TileKey
 from atlas.query.queries import at
-from tests.browser import Tab, opened
+from rig.browser import Tab, opened
 from workers.results import PENDING, REGIME
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]

@@ -20,9 +20,9 @@ import atlas
 from atlas.errors import InputError
 from atlas.store.store import open_handle
 from atlas.store.zoom import sheets
-from tests.browser import opened, started
+from rig.browser import opened, started
+from rig.faults import ROOT
 from tests.explore.test_solving import waited
-from tests.faults import ROOT
 
 COMMAND = """
 import signal, sys

@@ -10,7 +10,7 @@ from atlas.explore.chosen import from_address
 from atlas.explore.session import Exploration
 from atlas.explore.style import KEY_WIDTH
 from atlas.render.screen import screen
-from tests.browser import Tab, opened
+from rig.browser import Tab, opened
 from tests.explore.test_page import arguments, painter_of, settled
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]

@@ -16,7 +16,7 @@ import atlas
 from atlas.cli.main import main
 from atlas.cli.output import to_json
 from atlas.service.timing import TIMING, Timing
-from tests.faults import ATLAS
+from rig.faults import ATLAS
 from tests.paths import ROOT
 from workers.results import PERIODS_SPENT, REASONS
 

@@ -20,7 +20,7 @@ from distributed import Client
 from PIL import Image
 
 import atlas
-from tests.faults import ATLAS
+from rig.faults import ATLAS
 from tests.forked import commands
 from tests.project.test_docs import PAGES, ROOT, files, script_calls
 

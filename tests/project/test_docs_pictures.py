@@ -4,6 +4,7 @@
 """
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -15,11 +16,13 @@ from PIL import Image
 
 import atlas
 from atlas.cli.main import main
-from scripts.make_pictures import DOCS, commands, pictures
+from tests.paths import ROOT
+from tests.script import script
 from workers import SOLVER_VERSION
 
 pytestmark = pytest.mark.slow
 
+DOCS = ROOT / "docs"
 ALL = sorted(path.name for path in DOCS.glob("*.png"))
 TIMED = {"work-precision.png"}
 """Of a benchmark, with the figures of the table below it; its page names the solver's version."""
@@ -44,15 +47,23 @@ def test_a_picture_names_the_present_solver_and_the_spec_that_it_shows(name: str
     assert json.loads(found["Spec"])
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_every_picture_is_shown_on_a_page_beside_the_commands_that_make_it(name: str) -> None:
-    assert commands(name, pictures()[name])
+@pytest.fixture(scope="module")
+def commands() -> dict[str, list[str]]:
+    """The commands that make each picture, in order, as scripts/pictures lists them."""
+    blocks = re.findall(r"^(\S+\.png):\n((?:    .+\n)+)", script("make_pictures", "--list"), re.MULTILINE)
+    return {name: lines.strip().split("\n    ") for name, lines in blocks}
 
 
-def test_a_picture_shows_cell_by_cell_what_the_present_solver_computes(tmp_path: Path, client: Client) -> None:
+def test_every_picture_is_shown_on_a_page_beside_the_commands_that_make_it(commands: dict[str, list[str]]) -> None:
+    assert sorted(commands) == ALL
+
+
+def test_a_picture_shows_cell_by_cell_what_the_present_solver_computes(
+    commands: dict[str, list[str]], tmp_path: Path, client: Client
+) -> None:
     """Of the map that is computed fastest. A cell has more than this share of the pixels, of which type has few."""
     name = "energy-harvester"
-    *_, drawing = commands(f"{name}.png", pictures()[f"{name}.png"])
+    drawing = commands[f"{name}.png"][-1]
     store, new = tmp_path / f"{name}.zarr", tmp_path / f"{name}.png"
     atlas.run(atlas.Spec.from_toml(name), store, client=client)
     places = {f"{name}.zarr": str(store), f"{name}.png": str(new)}

@@ -46,6 +46,25 @@ def test_what_builds_the_pages_is_pinned() -> None:
     assert not [name for name in names if f"\n{name}==" not in pinned]
 
 
+@pytest.mark.parametrize(
+    ("folder", "unknown"),
+    [
+        ("tests", {"scripts"}),
+        ("scripts", {"tests"}),
+        ("rig", {"tests", "scripts"}),
+        ("docs", {"tests", "scripts", "rig"}),
+    ],
+)
+def test_tests_and_scripts_import_nothing_of_each_other(folder: str, unknown: set[str]) -> None:
+    found = []
+    for file in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            found += [f"{file.relative_to(ROOT)}: {name}" for name in names if name.split(".")[0] in unknown]
+    assert found == []
+
+
 def test_no_class_name_stands_for_two_classes() -> None:
     found = defaultdict(list)
     for package in ("atlas", "workers"):

@@ -1,6 +1,6 @@
 """Claims about the gallery of published results: its page is that of its JSON, and its closed forms are right.
 
-The closed forms of scripts/published are held against scipy's integrator with events, and against maps whose times are
+The closed forms of rig/published are held against scipy's integrator with events, and against maps whose times are
 bisected and whose derivatives are differences. Neither shares code with the solver. test_den_hartog.py and
 test_bifurcations.py have further references of the gallery.
 """
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
-from scripts.published.__main__ import BY_NAME, PAGE, RESULTS
-from scripts.published.entries import (
+from rig.oracle.closed_form import symmetric_orbit
+from rig.published.entries import (
+    ENTRIES,
     bapat_1983,
     den_hartog_1931,
     holmes_1982,
@@ -28,19 +29,20 @@ from scripts.published.entries import (
     popp_stelter_1990,
     shaw_1986,
 )
-from scripts.published.one_impact import OneImpact
-from scripts.published.page import page_of
+from rig.published.one_impact import OneImpact
+from rig.published.page import page_of
 from tests import naive
-from tests.oracle.closed_form import symmetric_orbit
+from tests.paths import ROOT
 from workers import SOLVER_VERSION
 
 Array = NDArray[np.float64]
-STORED = json.loads(RESULTS.read_text())
+STORED = json.loads((ROOT / "docs/published.json").read_text())
+BY_NAME = {entry.name: entry for entry in ENTRIES}
 BY_STORED = {entry["name"]: entry for entry in STORED["entries"]}
 
 
 def test_the_page_is_that_of_the_json() -> None:
-    assert PAGE.read_text() == page_of(STORED), "run python -m scripts.published"
+    assert (ROOT / "docs/published.md").read_text() == page_of(STORED), "run python -m scripts.published"
 
 
 def test_the_json_holds_every_entry_of_the_present_solver() -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scripts import compare_sticking, stress
-from scripts.stress_findings import Drawn, Findings
-from scripts.stress_report import NEVER, report
-from scripts.stress_results import cells_of, contradictions, misplaced, solve
-from scripts.stress_systems import SIZES, system
-from tests.oracle.model import machine_of
+from rig.oracle.model import machine_of
+from rig.stress.findings import Drawn, Findings
+from rig.stress.report import NEVER
+from rig.stress.results import cells_of, contradictions, misplaced, solve
+from rig.stress.systems import SIZES, system
+from tests.script import script
 from workers import Settings
 from workers.model.system import find_system
 from workers.results import PERIODIC
@@ -23,15 +23,13 @@ from workers.tile import solve_tile
 pytestmark = pytest.mark.slow
 
 
-def test_the_light_mode_finds_nothing_that_must_not_happen(capsys: pytest.CaptureFixture[str]) -> None:
-    code = stress.main(["--light", "--json"])
-    facts = json.loads(capsys.readouterr().out)
+def test_the_light_mode_finds_nothing_that_must_not_happen() -> None:
+    facts = json.loads(script("stress", "--light", "--json"))
     assert facts["cells"] == sum(facts["regimes"].values()) == 240
     assert facts["kinds"] == {"modes": 40, "systems": 80, "two-mass": 120}
     assert facts["never"] == dict.fromkeys(NEVER, 0)
     assert facts["sum_law_broken"] == 0
     assert facts["failed"] == {}
-    assert code == 0
     assert facts["with_impacts"] > 50
     assert facts["sticking"] > 20
     assert facts["checked"]["flights sampled densely, two-mass"] > 10
@@ -40,8 +38,8 @@ def test_the_light_mode_finds_nothing_that_must_not_happen(capsys: pytest.Captur
 
 
 def test_the_report_says_what_was_counted() -> None:
-    facts = stress.run(cells=30, seed=3, rechecked=0, max_periods=100, workers=0, systems=0.0, modes=0.0)
-    text = report(facts)
+    options = ("--recheck", "0", "--max-periods", "100", "--workers", "0", "--systems", "0", "--modes", "0")
+    text = script("stress", "--cells", "30", "--seed", "3", *options)
     assert "Stress report: 30 random cells, seed 3" in text
     for kind in NEVER:
         assert f"0  {kind}" in text
@@ -134,12 +132,3 @@ def test_results_of_a_periodic_cell_that_contradict_each_other_are_noticed(
     cell, result = periodic
     assert contradictions(cell, result) == []
     assert contradictions(cell, {**result, name: value}) != []
-
-
-def test_a_general_event_integrator_is_lost_in_sticking_cells() -> None:
-    facts = compare_sticking.run(cells=3, seed=1)
-    for counts in facts.values():
-        assert counts["cells"] == 3
-        assert counts["right"] < 3
-    head, rows = compare_sticking.table(facts)
-    assert {len(row) for row in [head, *rows]} == {1 + len(facts)}

@@ -15,7 +15,6 @@ from atlas.query.resample import view
 from atlas.query.window import cell_edges
 from atlas.store import making, store
 from atlas.store.tiles import write_tile
-from scripts import bench_render
 from tests.chunk_keys import noted_keys
 from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC
@@ -255,12 +254,3 @@ def test_an_atlas_without_exponents_is_drawn_by_its_periods(tmp_path: Path) -> N
     fill(handle)
     figure = render.figure(atlas.open(handle.path))
     assert any(text.get_text().startswith("period") for legend in figure.legends for text in legend.get_texts())
-
-
-@pytest.mark.slow
-def test_the_benchmark_of_pictures_runs_on_a_small_atlas(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = bench_render.main(["--cells", "300", "--tile", "100", "--store", str(tmp_path / "a.zarr"), "--light"])
-    assert (
-        found["fractions of the whole plane"]["chunks"] == 2
-    )  # shares and cells of the last level; reasons are of the records
-    assert "chunks" in capsys.readouterr().out

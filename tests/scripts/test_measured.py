@@ -1,83 +1,93 @@
 """The tables of measurements: pages show the kept data, and scripts still measure what was kept."""
 
-import shlex
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from scripts import bench_survival, compare_sticking, measured, stress
-from scripts.stress_report import table
 from tests.paths import ROOT
+from tests.script import script
 
-TABLES = sorted(path.stem for path in measured.FOLDER.glob("*.json"))
+PAGE = """before
+<!-- measured: cell -->
 
-each_table = pytest.mark.parametrize("name", TABLES)
+| a | b |
+|---|---|
+| 1 | 2 |
 
+*`{}`, solver version 9*
 
-@pytest.mark.parametrize("page", measured.pages(), ids=lambda page: page.name)
-def test_a_page_shows_its_tables_as_they_were_measured(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    assert measured.filled(text) == text
-
-
-@each_table
-def test_a_kept_table_stands_on_one_page(name: str) -> None:
-    shown = [page.name for page in measured.pages() if name in measured.names_on(page.read_text(encoding="utf-8"))]
-    assert len(shown) == 1
+<!-- end -->
+after"""
+COMMAND = "python -m scripts.bench_cell"
 
 
-@each_table
-def test_a_kept_table_names_the_script_that_writes_it(name: str) -> None:
-    command = shlex.split(measured.read_table(name)["command"])
-    assert command[:2] == ["python", "-m"]
-    script = (ROOT / f"{command[2].replace('.', '/')}.py").read_text(encoding="utf-8")
-    assert f'"{name}"' in script
-    assert "parsed(" in script
+@pytest.fixture
+def docs(tmp_path: Path) -> Path:
+    """A page with its table."""
+    (tmp_path / "measured").mkdir()
+    table = {"command": COMMAND, "solver_version": 9, "head": ["a", "b"], "rows": [["1", "2"]]}
+    (tmp_path / "measured/cell.json").write_text(json.dumps(table))
+    (tmp_path / "page.md").write_text(PAGE.format(COMMAND))
+    return tmp_path
 
 
-@each_table
-def test_a_kept_table_is_rectangular(name: str) -> None:
-    kept = measured.read_table(name)
-    assert {len(row) for row in kept["rows"]} == {len(kept["head"])}
+def test_pages_show_each_table_once_as_the_script_that_it_names_has_measured_it() -> None:
+    assert script("measured", "--check") == ""
 
 
-def test_a_place_without_a_table_is_an_error() -> None:
-    with pytest.raises(FileNotFoundError):
-        measured.filled("<!-- measured: no-such-table -->\n<!-- end -->")
+def edit(docs: Path) -> None:
+    (docs / "page.md").write_text(PAGE.format(COMMAND).replace("| 1 |", "| 7 |"))
 
 
-def test_a_table_that_was_edited_on_its_page_is_set_anew() -> None:
-    page = "before\n<!-- measured: sticking -->\n| edited |\n<!-- end -->\nafter"
-    text = measured.filled(page)
-    assert "edited" not in text
-    assert measured.as_text(measured.read_table("sticking")) in text
-    assert (text.startswith("before\n"), text.endswith("-->\nafter")) == (True, True)
+def lose(docs: Path) -> None:
+    (docs / "measured/cell.json").unlink()
 
 
-def test_rough_numbers_are_not_kept(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("sys.argv", ["stress.py", "--light", "--keep"])
-    with pytest.raises(SystemExit) as stopped:
-        stress.main()
-    assert stopped.value.code == 2
-    assert "--keep: found --light" in capsys.readouterr().err
+def show_twice(docs: Path) -> None:
+    (docs / "another.md").write_text(PAGE.format(COMMAND))
 
 
-def test_the_survival_tables_have_the_columns_that_the_script_measures() -> None:
-    assert {tuple(measured.read_table(name)["head"]) for name in ("survival", "survival-modes")} == {
-        bench_survival.HEAD
-    }
+def name_another_script(docs: Path) -> None:
+    path = docs / "measured/cell.json"
+    path.write_text(path.read_text().replace("bench_cell", "bench_none"))
 
 
-@pytest.mark.slow
-def test_the_rows_of_sticking_cells_are_the_ones_that_the_script_measures() -> None:
-    head, rows = compare_sticking.table(compare_sticking.run(cells=1, seed=1))
-    kept = measured.read_table("sticking")
-    assert head[1:] == kept["head"][1:]
-    assert [row[0] for row in rows] == [row[0] for row in kept["rows"]]
+def lengthen_a_row(docs: Path) -> None:
+    path = docs / "measured/cell.json"
+    path.write_text(path.read_text().replace('"2"', '"2", "3"'))
+
+
+@pytest.mark.parametrize(
+    ("fault", "found"),
+    [
+        (edit, "page.md: tables differ from those measured; run python -m scripts.measured"),
+        (lose, "page.md: no table cell"),
+        (show_twice, "cell: shown 2 times, must be shown once"),
+        (name_another_script, "cell: scripts.bench_none does not write it"),
+        (lengthen_a_row, "cell: rows and head differ in length"),
+    ],
+)
+def test_a_fault_of_a_table_is_found(docs: Path, fault: Callable[[Path], None], found: str) -> None:
+    fault(docs)
+    assert found in script("measured", "--check", "--docs", str(docs), code=1).splitlines()
+
+
+def test_a_table_that_was_edited_on_its_page_is_set_anew(docs: Path) -> None:
+    edit(docs)
+    script("measured", "--docs", str(docs))
+    assert (docs / "page.md").read_text() == PAGE.format(COMMAND)
+
+
+def test_rough_numbers_are_not_kept() -> None:
+    assert "--keep: found --light" in script("stress", "--light", "--keep", code=2)
 
 
 @pytest.mark.slow
 def test_the_rows_of_the_stress_table_are_rows_of_its_report() -> None:
-    facts = stress.run(cells=60, seed=1, rechecked=2, max_periods=400, workers=0, systems=0.5, modes=0.0)
-    made = [what for what, _ in table(facts)]
-    assert set(made) >= {row[0] for row in measured.read_table("stress")["rows"]}
+    from rig.stress.report import table
+
+    options = ("--cells", "60", "--recheck", "2", "--workers", "0", "--systems", "0.5", "--modes", "0", "--json")
+    made = {what for what, _ in table(json.loads(script("stress", *options)))}
+    assert made >= {row[0] for row in json.loads((ROOT / "docs/measured/stress.json").read_text())["rows"]}

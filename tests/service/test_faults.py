@@ -32,7 +32,7 @@ from atlas.task import task as jobs
 from atlas.task.attempt import do_job, run_job
 from atlas.task.site import RefusedError, Site, StoreFullError
 from atlas.task.task import Job
-from tests.faults import ATLAS, attempts, environment
+from rig.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import result_variables
 from workers.tile import solve_tile

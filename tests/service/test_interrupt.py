@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults import ATLAS, ROOT
+from rig.faults import ATLAS, ROOT
 
 pytestmark = pytest.mark.slow
 

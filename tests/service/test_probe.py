@@ -39,7 +39,7 @@ def probed(spec: atlas.Spec) -> Probe:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COARSE)
 def test_an_example_costs_what_its_probe_says_within_a_factor_of_two(name: str, tmp_path: Path, client: Client) -> None:
-    """In forcing periods, the same on every machine; seconds follow from them (scripts/bench_probe.py)."""
+    """In forcing periods, the same on every machine; seconds follow from them."""
     spec = coarse(name)
     found = probed(spec)
     done = atlas.run(spec, tmp_path / "out.zarr", client=client)

@@ -24,7 +24,7 @@ from atlas.service.timing import TIMING
 from atlas.store.making import create
 from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import open_handle
-from tests.faults import attempts, environment
+from rig.faults import attempts, environment
 from tests.planes import plane_of
 from tests.waiting import until
 from workers import SOLVER_VERSION

@@ -6,10 +6,9 @@ from dataclasses import replace
 import pytest
 from mpmath import mp
 
-from tests.exponential import flown
-from tests.oracle import Machine, one_sided_orbit, section_jacobian, simulate, symmetric_orbit
-from tests.oracle.closed_form import ImpactOrbit
-from tests.oracle.free_mass import (
+from rig.oracle import Machine, one_sided_orbit, section_jacobian, simulate, symmetric_orbit
+from rig.oracle.closed_form import ImpactOrbit
+from rig.oracle.free_mass import (
     FreeOrbit,
     bouncing_ball_doubling,
     bouncing_ball_fold,
@@ -18,7 +17,8 @@ from tests.oracle.free_mass import (
     impact_pair_orbits,
     impact_pair_symmetry_breaking,
 )
-from tests.oracle.machines import bouncing_ball, impact_pair, single_mass
+from rig.oracle.machines import bouncing_ball, impact_pair, single_mass
+from tests.exponential import flown
 
 pytestmark = pytest.mark.slow
 

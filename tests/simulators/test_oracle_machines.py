@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from mpmath import mp
 
+from rig.oracle import Machine, dense_violation, first_impact_dense, section_jacobian, simulate, two_mass
+from rig.oracle.machines import DAMPINGS, chain, random_machine, rigid_mode
+from rig.oracle.simulate import first_hit
 from tests.exponential import flown
-from tests.oracle import Machine, dense_violation, first_impact_dense, section_jacobian, simulate, two_mass
-from tests.oracle.machines import DAMPINGS, chain, random_machine, rigid_mode
-from tests.oracle.simulate import first_hit
 from tests.paths import DATA
 
 pytestmark = pytest.mark.slow

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from tests.oracle.pieces import Machine, Mode, bifurcation, measures, orbit, simulate
-from tests.oracle.pieces.rows import CRITICAL, GRAZES, belt, soft
-from tests.oracle.pieces.table import PATH, ZERO
+from rig.oracle.pieces import Machine, Mode, bifurcation, measures, orbit, simulate
+from rig.oracle.pieces.rows import CRITICAL, GRAZES, belt, soft
+from rig.oracle.pieces.table import PATH, ZERO
 
 RECORDS: dict[str, dict[str, Any]] = {record["name"]: record for record in json.loads(Path(PATH).read_text())}
 DRIVEN = [

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from tests.oracle.pieces import Contact, Force, Friction, Machine, Mode, Phase, orbit, simulate
-from tests.oracle.pieces.rows import oscillator, soft
+from rig.oracle.pieces import Contact, Force, Friction, Machine, Mode, Phase, orbit, simulate
+from rig.oracle.pieces.rows import oscillator, soft
 
 
 @pytest.mark.parametrize("R", [0.0, 0.5])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from tests.oracle.pieces import Contact, Friction, Machine, Mode, monodromy, simulate
-from tests.oracle.pieces.draw import random_machine, random_state
-from tests.oracle.pieces.rows import oscillator
+from rig.oracle.pieces import Contact, Friction, Machine, Mode, monodromy, simulate
+from rig.oracle.pieces.draw import random_machine, random_state
+from rig.oracle.pieces.rows import oscillator
 from tests.paths import ROOT
 
 AT_REST = 1e-11

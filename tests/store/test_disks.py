@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults import ROOT
+from rig.faults import ROOT
 
 APART = ["unshare", "--mount", "--map-root-user"]
 

@@ -24,7 +24,7 @@ from atlas.store.store import done_tiles, open_arrays, open_handle
 from atlas.task.attempt import run_job
 from atlas.task.site import RefusedError, Site
 from atlas.task.task import Job
-from tests.loopback import ObjectStore, Trouble, object_store
+from rig.loopback import ObjectStore, Trouble, object_store
 from tests.planes import find, plane_of
 from workers.results import REGIME
 

@@ -20,7 +20,7 @@ from atlas.store.tiles import drop_tile
 from atlas.task.attempt import run_job
 from atlas.task.site import Site
 from atlas.task.task import Job
-from tests.loopback import ObjectStore, object_store
+from rig.loopback import ObjectStore, object_store
 from tests.planes import plane_of
 
 pytestmark = pytest.mark.slow

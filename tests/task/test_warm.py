@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -13,14 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import atlas
 from atlas.cli.progress import LogReporter
 from atlas.service.progress import prepare_kernels
+from atlas.spec.examples import example_text
 from atlas.task import compile as warm
 from atlas.task.child import watched_together
-from scripts.compare_processors import PARTS
-from scripts.compare_processors import main as compare_processors
-from tests.faults import ROOT
+from rig.faults import ATLAS
 from tests.handmade import bouncing_ball, impact_pair
+from tests.paths import ROOT
 from tests.workers.attractors.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.workers.continuation.test_branches import ball_orbit, pair_orbit
 from workers import Settings, solve_tile
@@ -41,6 +43,9 @@ OF_ATTRACTORS = [
     *KERNELS,
     *(value for module in (cell, same) for value in vars(module).values() if isinstance(value, jit.Kernel)),
 ]
+
+OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+"""Numba compiles for the oldest 64-bit processor of this architecture, without AVX and fused multiply-add."""
 
 COUNTED = """
 import hashlib, json, sys
@@ -279,7 +284,7 @@ def compiled_in_turn(folder: Path) -> dict[str, tuple[int, str]]:
 
     Compiled for another kind of processor than this one.
     """
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)} | PARTS["kernels"]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)} | OLDEST
     found = {}
     for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES):
         command = [sys.executable, "-c", COUNTED, part]
@@ -307,16 +312,20 @@ def test_a_process_that_compiles_the_kernels_gets_the_bits_of_those_that_load_th
 
 @pytest.mark.slow
 def test_kernels_compiled_for_another_kind_of_processor_give_the_same_bits(
-    compiled_in_turn: dict[str, tuple[int, str]],
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    compiled_in_turn: dict[str, tuple[int, str]], folder: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setitem(PARTS["kernels"], "NUMBA_CACHE_DIR", str(folder))
-    compare_processors(["--part", "kernels", "--light", "--json"])
-    found = json.loads(capsys.readouterr().out)["kernels"]
-    assert found["cells"] == 35
-    assert found["class_differs"] == found["digits_differ"] == 0
+    """7 x 5 cells of the packaged plane."""
+    spec = tmp_path / "plane.toml"
+    spec.write_text(re.sub(r"(?m)^num = (\d+)", lambda found: f"num = {int(found[1]) // 40}", example_text("omega-b")))
+    found = []
+    for name, variables in (("own", {}), ("oldest", OLDEST | {"NUMBA_CACHE_DIR": str(folder)})):
+        command = [*ATLAS, "run", str(spec), "-o", str(tmp_path / f"{name}.zarr")]
+        environment = os.environ | {"PYTHONPATH": str(ROOT)} | variables
+        subprocess.run(command, env=environment, capture_output=True, check=True)
+        ds = atlas.open(tmp_path / f"{name}.zarr")
+        found.append({name: values.values.tobytes() for name, values in ds.data_vars.items()})
+    assert ds["regime"].size == 35
+    assert found[0] == found[1]
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ import pytest
 from atlas.check.rules import broken_rules
 from atlas.errors import InputError
 from atlas.spec.spec import Spec, checked_parameters
-from tests.oracle.pieces.motion import simulate
-from tests.oracle.pieces.rows import belt as belt_of_oracle
+from rig.oracle.pieces.motion import simulate
+from rig.oracle.pieces.rows import belt as belt_of_oracle
 from workers import Settings, System, solve_tile
 from workers.model.entries import DefinitionError
 from workers.results import NO_IMPACT, PERIODIC

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.oracle import Machine, section_jacobian, simulate
-from tests.oracle.machines import random_machine
+from rig.oracle import Machine, section_jacobian, simulate
+from rig.oracle.machines import random_machine
 from tests.oscillators import build_one
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at

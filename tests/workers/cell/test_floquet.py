@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hybrids import follow
+from rig.hybrids import follow
 from workers import Settings, System, solve_tile
 from workers.cell.cells import Results
 from workers.results import CHAOTIC, NO_REASON, PERIODIC

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from tests.hybrids import machines_of
-from tests.oracle.pieces import Machine
+from rig.hybrids import machines_of
+from rig.oracle.pieces import Machine
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, machine_in
 from workers import Settings
 from workers.cell.cells import Cells, Results

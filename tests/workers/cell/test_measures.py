@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from tests.hybrids import built, follow, shown
-from tests.oracle.pieces import measures
-from tests.oracle.pieces.draw import random_state
+from rig.hybrids import built, follow, shown
+from rig.oracle.pieces import measures
+from rig.oracle.pieces.draw import random_state
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, TOUCHES, machine_in, number_in
 from tests.workers.kernel.test_hybrid_random import SENSITIVE, drawn
 from workers import Settings, System, solve_tile, trace

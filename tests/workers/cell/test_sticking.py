@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.oracle.simulate import section_jacobian
 from tests import naive
-from tests.oracle.simulate import section_jacobian
 from tests.oscillators import mass_spring
 from tests.workers.orbit.test_stroboscopic import KINDS, differences, jacobian
 from workers.cell.cells import Cells

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atlas.robustness.linear import slips_at_a_push
-from tests.hybrids import follow
+from rig.hybrids import follow
 from workers import Settings, System, solve_tile
 from workers.kernel.hybrid.state import meet
 from workers.model.oscillator import Oscillator, one_of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hybrids import machines_of
+from rig.hybrids import machines_of
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, TOUCHES, machine_in
 from workers import Settings
 from workers.continuation.admissible import first_fault

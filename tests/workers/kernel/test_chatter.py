@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from tests.hybrids import built, follow
-from tests.oracle.machines import bouncing_ball
-from tests.oracle.pieces import Contact, Machine, simulate
-from tests.oracle.simulate import simulate as simulate_rigid
+from rig.hybrids import built, follow
+from rig.oracle.machines import bouncing_ball
+from rig.oracle.pieces import Contact, Machine, simulate
+from rig.oracle.simulate import simulate as simulate_rigid
 from workers import Settings, System, solve_tile, trace
 from workers.kernel.chatter import chatter_end, hop
 from workers.kernel.motion import RUNNING

@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 
-from tests.faults import ROOT
+from rig.faults import ROOT
 from workers.kernel.device import translated
 from workers.kernel.jit import Kernel, kernel
 

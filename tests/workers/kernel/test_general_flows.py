@@ -8,10 +8,10 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+from rig.hybrids import Array, machines_of
+from rig.oracle.pieces import Contact, Force, Machine, simulate
+from rig.oracle.pieces.draw import random_machine, random_state
 from tests import naive
-from tests.hybrids import Array, machines_of
-from tests.oracle.pieces import Contact, Force, Machine, simulate
-from tests.oracle.pieces.draw import random_machine, random_state
 from tests.oscillators import build_one
 from tests.workers.kernel.test_hybrid_random import check_derivative, check_volume, compare
 from workers.kernel.coordinates import blocks_to_physical, motion_from

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from tests.hybrids import built, follow, machines_of
-from tests.oracle.pieces import Contact, Force, Friction, Machine, Phase, monodromy, simulate
-from tests.oracle.pieces.draw import random_machine, random_state
+from rig.hybrids import built, follow, machines_of
+from rig.oracle.pieces import Contact, Force, Friction, Machine, Phase, monodromy, simulate
+from rig.oracle.pieces.draw import random_machine, random_state
 from workers import Settings, System, solve_tile
 from workers.cell.cells import Cells, Results
 from workers.cell.solve import solve

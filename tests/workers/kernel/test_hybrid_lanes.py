@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.hybrids import machines_of
-from tests.oracle.pieces import Machine
-from tests.oracle.pieces.draw import random_machine, random_state
+from rig.hybrids import machines_of
+from rig.oracle.pieces import Machine
+from rig.oracle.pieces.draw import random_machine, random_state
 from workers import Settings, solve_tile
 from workers.cell.stretch import batch_of, begin, ended, run
 from workers.kernel.lanes.run import Batch

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hybrids import Array, built, follow, machines_of
-from tests.oracle.pieces import Contact, Force, Friction, Machine, Phase
-from tests.oracle.pieces.draw import random_machine, random_state
+from rig.hybrids import Array, built, follow, machines_of
+from rig.oracle.pieces import Contact, Force, Friction, Machine, Phase
+from rig.oracle.pieces.draw import random_machine, random_state
 from workers import Settings
 from workers.cell.cells import Cells, Results
 from workers.cell.solve import solve

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hybrids import Array, Event, Followed, built, code_in, follow
-from tests.oracle.pieces import Machine, Mode
+from rig.hybrids import Array, Event, Followed, built, code_in, follow
+from rig.oracle.pieces import Machine, Mode
 from tests.paths import DATA
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING
 from workers.model.hybrid_modes import code_of

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from tests.hybrids import Array, Followed, built, follow
-from tests.oracle.pieces import Machine, simulate
-from tests.oracle.pieces.draw import random_machine, random_state
+from rig.hybrids import Array, Followed, built, follow
+from rig.oracle.pieces import Machine, simulate
+from rig.oracle.pieces.draw import random_machine, random_state
 from workers.kernel.motion import CONTRACTION, LOST, MODE_MISSING, RUNNING
 from workers.model.oscillator import Oscillator
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.oracle.closed_form import symmetric_orbit
+from rig.oracle.simulate import simulate
 from tests import naive
-from tests.oracle.closed_form import symmetric_orbit
-from tests.oracle.simulate import simulate
 from tests.paths import DATA
 from workers.cell.stretch import run_periods
 from workers.history import trace

@@ -16,11 +16,11 @@ from atlas.query.grazing import grazing_ratio
 from atlas.query.queries import per_unit_time
 from atlas.robustness.norm import weights_of
 from atlas.spec.equation import equation_of
-from tests.oracle import Machine, simulate
-from tests.oracle.machines import random_machine
-from tests.oracle.pieces import Force
-from tests.oracle.pieces import Machine as Pieces
-from tests.oracle.pieces.draw import random_machine as pieces_at_random
+from rig.oracle import Machine, simulate
+from rig.oracle.machines import random_machine
+from rig.oracle.pieces import Force
+from rig.oracle.pieces import Machine as Pieces
+from rig.oracle.pieces.draw import random_machine as pieces_at_random
 from tests.workers.cell.test_family import assert_jacobians_agree, solver_jacobian, solver_sections
 from tests.workers.kernel.test_hybrid_random import SENSITIVE, assert_few_stop, compare
 from workers import Settings, System, solve_tile

@@ -16,11 +16,11 @@ from atlas.cell.law import check_law
 from atlas.errors import InputError
 from atlas.spec.equation import equation_of
 from atlas.spec.spec import Spec
-from tests.hybrids import Array, Followed, follow, machines_of
-from tests.oracle.pieces import Contact, Machine, simulate
-from tests.oracle.pieces.draw import random_machine, random_state
-from tests.oracle.segments import Mass
-from tests.oracle.segments import simulate as simulate_segments
+from rig.hybrids import Array, Followed, follow, machines_of
+from rig.oracle.pieces import Contact, Machine, simulate
+from rig.oracle.pieces.draw import random_machine, random_state
+from rig.oracle.segments import Mass
+from rig.oracle.segments import simulate as simulate_segments
 from workers import Settings, solve_tile
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING, SIMULTANEOUS
 from workers.model import laws

@@ -1,0 +1,26 @@
+"""Faults on cue, for tests: what a script of them needs in its environment."""
+
+import json
+import os
+import sys
+from collections import Counter
+from pathlib import Path
+
+from rig import ROOT
+
+ATLAS = [sys.executable, "-c", "import sys; from atlas.cli.main import main; main(sys.argv[1:])"]
+"""The command, in a process of its own."""
+
+
+def environment(folder: Path, script: dict[str, list[str]]) -> dict[str, str]:
+    """Variables for processes that are to meet the faults of a script; see sitecustomize.py."""
+    folder.mkdir(exist_ok=True)
+    (folder / "script.json").write_text(json.dumps(script))
+    (folder / "log").touch()
+    path = os.pathsep.join(map(str, (Path(__file__).parent, ROOT)))
+    return dict(os.environ) | {"FAULTS": str(folder), "PYTHONPATH": path}
+
+
+def attempts(folder: Path) -> Counter[str]:
+    """How often each tile was tried."""
+    return Counter(line.split()[0] for line in (folder / "log").read_text().splitlines())

@@ -1,0 +1,135 @@
+"""A piecewise-linear machine in numbers: what stands in tests/data/piecewise.json and what the simulator reads.
+
+M x'' + C x' + K x = sum_h (sin_h sin(h omega t) + cos_h cos(h omega t)) + load + forces of contacts and of friction
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from rig.oracle.linear import Number
+
+Vector = Sequence[Number]
+Rows = Sequence[Vector]
+
+
+@dataclass(frozen=True)
+class Force:
+    """Forces on the coordinates at ``order`` times omega: ``sin`` and ``cos`` (n,)."""
+
+    order: int
+    sin: Vector
+    cos: Vector
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Stops on y = row.x at ``upper`` and ``lower``, either of which may be absent.
+
+    Rigid, with a ``restitution``: y' turns into -restitution y'. Soft, without: beyond a stop by delta, the force
+    preload + stiffness delta + damping delta' pushes back. With ``release`` "force" it never pulls: where it falls to
+    zero the stop is left behind until it would push again.
+    """
+
+    row: Vector
+    upper: Number | None = None
+    lower: Number | None = None
+    restitution: Number | None = None
+    stiffness: Number = 0.0
+    damping: Number = 0.0
+    preload: Number = 0.0
+    release: str = "displacement"
+
+    @property
+    def stops(self) -> dict[int, Number]:
+        """Position by side (+1 upper, -1 lower) of the stops that exist."""
+        pairs = ((1, self.upper), (-1, self.lower))
+        return {side: stop for side, stop in pairs if stop is not None and math.isfinite(stop)}
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Coulomb friction on v_r = row.x' - belt: kinetic + slope |v_r| against v_r, up to ``static`` at v_r = 0."""
+
+    row: Vector
+    kinetic: Number
+    static: Number
+    belt: Number = 0.0
+    slope: Number = 0.0
+
+
+@dataclass(frozen=True)
+class Phase:
+    """What holds from ``start`` (a fraction of the forcing period) to the next phase in place of the machine's own.
+
+    ``contacts`` and ``friction``: by index, the numbers of the element's law that are others.
+    """
+
+    start: Number
+    stiffness: Rows | None = None
+    damping: Rows | None = None
+    load: Vector | None = None
+    forces: tuple[Force, ...] | None = None
+    contacts: Mapping[int, Mapping[str, Number]] | None = None
+    friction: Mapping[int, Mapping[str, Number]] | None = None
+
+
+@dataclass(frozen=True)
+class Machine:
+    """``mass``, ``damping``, ``stiffness`` (n, n), ``load`` (n,); entries are exact doubles or mpmath's."""
+
+    mass: Rows
+    damping: Rows
+    stiffness: Rows
+    load: Vector
+    omega: Number
+    forces: tuple[Force, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    friction: tuple[Friction, ...] = ()
+    phases: tuple[Phase, ...] = (Phase(0.0),)
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.mass)
+
+    def during(self, phase: Phase) -> "Machine":
+        """The machine as it is in one phase."""
+        own = {key: getattr(phase, key) for key in ("stiffness", "damping", "load", "forces")}
+        return replace(
+            self,
+            contacts=tuple(replace(c, **(phase.contacts or {}).get(i, {})) for i, c in enumerate(self.contacts)),
+            friction=tuple(replace(f, **(phase.friction or {}).get(i, {})) for i, f in enumerate(self.friction)),
+            phases=(Phase(0.0),),
+            **{key: value for key, value in own.items() if value is not None},
+        )
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> "Machine":
+        """The machine of a JSON record."""
+        lists = {"contacts": Contact, "friction": Friction, "forces": Force}
+        made = {key: tuple(kind(**entry) for entry in record[key]) for key, kind in lists.items()}
+        phases = tuple(_phase(entry) for entry in record.get("phases", ())) or (Phase(0.0),)
+        plain = {key: record[key] for key in ("mass", "damping", "stiffness", "load", "omega")}
+        return cls(**plain, **made, phases=phases)
+
+    def record(self) -> dict[str, Any]:
+        """The machine as JSON can hold it; a contact has only the keys of its law."""
+        result = asdict(self)
+        for contact in result["contacts"]:
+            rigid = contact["restitution"] is not None
+            for key in ("stiffness", "damping", "preload", "release") if rigid else ("restitution",):
+                del contact[key]
+        result["phases"] = [{k: v for k, v in phase.items() if v is not None} for phase in result["phases"]]
+        return result
+
+
+def _phase(record: Mapping[str, Any]) -> Phase:
+    made = dict(record)
+    if "forces" in made:
+        made["forces"] = tuple(Force(**entry) for entry in made["forces"])
+    for key in ("contacts", "friction"):  # JSON's keys are strings
+        if key in made:
+            made[key] = {int(i): numbers for i, numbers in made[key].items()}
+    return Phase(**made)

@@ -1,0 +1,191 @@
+"""The machines of the table of reference orbits; table.py finds their orbits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from rig.oracle.linear import Number
+from rig.oracle.pieces.machine import Contact, Force, Friction, Machine, Phase, Rows, Vector
+
+
+def oscillator(
+    omega: Number, cos: Number = 0.0, *, damping: Number = 0.1, stiffness: Number = 1.0, load: Number = 0.0,
+    contact: Contact | None = None, friction: Friction | None = None, phases: tuple[Phase, ...] = (Phase(0.0),),
+) -> Machine:  # fmt: skip
+    """x'' + damping x' + stiffness x = cos cos(omega t) + load."""
+    return Machine(
+        mass=[[1.0]],
+        damping=[[damping]],
+        stiffness=[[stiffness]],
+        load=[load],
+        omega=omega,
+        forces=(Force(1, [0.0], [cos]),) if cos else (),
+        contacts=() if contact is None else (contact,),
+        friction=() if friction is None else (friction,),
+        phases=phases,
+    )
+
+
+def soft(
+    omega: Number, *, d: float = 0.02, k: float = 29.0, c: float = 0.0, p: float = 0.0, release: str = "displacement"
+) -> Machine:
+    """x'' + d x' + x = .8 omega^2 / 1.26 cos(omega t) with a soft stop at 1."""
+    stop = Contact([1.0], 1.0, stiffness=k, damping=c, preload=p, release=release)
+    return oscillator(omega, 0.8 * omega**2 / 1.26, damping=d, contact=stop)
+
+
+def rubbed(omega: Number, static: float = 1.2, amplitude: float = 2.0) -> Machine:
+    """x'' + .1 x' + x + sgn x' = amplitude cos(omega t)."""
+    return oscillator(omega, amplitude, friction=Friction([1.0], 1.0, static))
+
+
+def belt(velocity: Number = 0.5, omega: float = 1.0, amplitude: float = 0.0) -> Machine:
+    """x'' + .1 x' + x + .4 sgn(x' - velocity) = amplitude cos(omega t), static friction 1."""
+    return oscillator(omega, amplitude, friction=Friction([1.0], 0.4, 1.0, velocity))
+
+
+def two_mass(omega: float, *contacts: Contact) -> Machine:
+    """Two masses of Fig. 3 of Li & Tan (2011): mu_k = 5, mu_m = 2, zeta = .05, f2 = 0, tau = pi."""
+    K = [[1.0, -1.0], [-1.0, 6.0]]
+    C = [[0.1, -0.1], [-0.1, 0.6]]
+    return Machine([[1.0, 0.0], [0.0, 2.0]], C, K, [0.0, 0.0], omega, (Force(1, [-1.0, 0.0], [0.0, 0.0]),), contacts)
+
+
+def capsule() -> Machine:
+    """Inner mass at r from its capsule at x2: soft stop at r = .02, ground friction .5, forced inside."""
+    return Machine(
+        mass=[[1.0, 1.0], [1.0, 6.0]],
+        damping=[[0.1, 0.0], [0.0, 0.0]],
+        stiffness=[[1.0, 0.0], [0.0, 0.0]],
+        load=[0.0, 0.0],
+        omega=0.9,
+        forces=(Force(1, [0.0, 0.0], [1.0, 1.0]),),
+        contacts=(Contact([1.0, 0.0], 0.02, stiffness=15.0),),
+        friction=(Friction([0.0, 1.0], 0.5, 0.5),),
+    )
+
+
+def _between(omega: Number) -> Machine:
+    return oscillator(omega, 2.0, contact=Contact([1.0], 1.0, -1.0, stiffness=10.0))
+
+
+def _rubbed_and_stopped(omega: float) -> Machine:
+    stop = Contact([1.0], 0.8, restitution=0.6)
+    return oscillator(omega, 1.2, contact=stop, friction=Friction([1.0], 0.3, 0.4))
+
+
+def _switched(omega: float, amplitude: float, at: float, contact: Contact | None = None) -> Machine:
+    stiffness: Rows = [[0.5]]
+    return oscillator(
+        omega, amplitude, stiffness=1.5, contact=contact, phases=(Phase(0.0), Phase(at, stiffness=stiffness))
+    )
+
+
+def _stop(row: Vector, R: float, *, upper: float | None = None, lower: float | None = None) -> Contact:
+    return Contact(row, upper, lower, restitution=R)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One orbit: that to which a transient from rest leads; ``later``: counted from so many sections after."""
+
+    name: str
+    machine: Machine
+    periods: int = 1
+    symmetric: bool = False
+    drift: int | None = None
+    later: int = 0
+
+
+def orbits() -> list[Row]:
+    """The periodic orbits of the table but those at bifurcation points."""
+    first, second, between = [1.0, 0.0], [0.0, 1.0], [-1.0, 1.0]
+    both = Contact(first, 0.15, -0.15, stiffness=100.0, damping=0.2)
+    square = oscillator(
+        1.0, load=0.5, phases=(Phase(0.0), Phase(0.5, load=[-0.5])),
+        contact=Contact([1.0], 1.0, stiffness=20.0, damping=0.1),
+    )  # fmt: skip
+    rig = _stop([1.0], 0.7, upper=0.5)
+    left = _stop(first, 0.8, upper=0.3)
+    narrow = (_stop(first, 0.8, upper=0.15), _stop(second, 0.6, lower=-0.05))
+    return [
+        Row("row 2", soft(0.95)),
+        Row("row 3", soft(0.86), 2),
+        Row("row 4", soft(0.95, c=0.5)),
+        Row("row 5", soft(0.95, c=0.5, release="force")),
+        Row("row 6", soft(1.0, d=0.2, k=10.0, p=0.5)),
+        Row("row 7", soft(0.8, d=0.2, k=10.0, p=0.5), 2, later=1),
+        Row("row 8", soft(0.95, k=10.0, p=0.5, c=0.4, release="force")),
+        Row("row 9", _between(1.4), symmetric=True),
+        Row("row 11", two_mass(4.0, both), symmetric=True),
+        Row("row 12", rubbed(0.9), symmetric=True),
+        Row("row 13", rubbed(1.2), symmetric=True),
+        Row("row 15", rubbed(0.4), symmetric=True),
+        Row("row 16", rubbed(0.4, static=1.0), symmetric=True),
+        Row("row 19", belt(amplitude=0.3)),
+        Row("row 20", belt(omega=1.2, amplitude=0.3)),
+        Row("row 21", _rubbed_and_stopped(1.0)),
+        Row("row 22", _rubbed_and_stopped(0.8)),
+        Row("row 23", two_mass(2.0, left, _stop(second, 0.6, lower=-0.1))),
+        Row("row 24", two_mass(3.0, *narrow), 2),
+        Row("row 25", two_mass(2.0, left, _stop(between, 0.6, upper=0.2))),
+        Row("row 26, omega 2", _switched(2.0, 0.5, 0.5)),
+        Row("row 26, omega 1.3", _switched(1.3, 0.5, 0.5)),
+        Row("row 27, omega 1", _switched(1.0, 1.0, 0.4, rig)),
+        Row("row 27, omega 1.5", _switched(1.5, 1.0, 0.4, rig)),
+        Row("row 28", square),
+        Row("row 29", capsule(), drift=1),
+        Row("row 30", two_mass(1.0, _stop(first, 0.3, upper=0.15, lower=-0.15)), symmetric=True),
+    ]
+
+
+def once_in_two(omega: Number) -> Machine:
+    """``soft`` with a stop that is away in the middle of every two forcing periods, which are one period here.
+
+    Row 3 has one contact in two periods. On the way to its period doubling the mass grazes the stop half-way: the
+    orbit goes on with a second contact, and what doubles is a solution of the equations only.
+    """
+    machine = soft(omega)
+    away = {0: {"upper": None}}
+    return replace(
+        machine,
+        omega=omega / 2,
+        forces=tuple(replace(force, order=2) for force in machine.forces),
+        phases=(Phase(0.0), Phase(0.25, contacts=away), Phase(0.75)),
+    )
+
+
+@dataclass(frozen=True)
+class Critical:
+    """An orbit with a multiplier 1 or -1, near a section state and a forcing frequency.
+
+    It closes after one period of ``machine_at``; where ``shown_at`` is given, that is the machine and its ``periods``
+    which the record shows.
+    """
+
+    name: str
+    kind: str
+    machine_at: Callable[[Number], Machine]
+    omega: float
+    start: tuple[float, float]
+    multiplier: int
+    symmetric: bool = False
+    shown_at: Callable[[Number], Machine] | None = None
+    periods: int = 1
+
+
+CRITICAL = (
+    Critical("row 2, PD", "period doubling", soft, 0.9157, (1.12446, 0.15392), -1),
+    Critical("row 3, PD", "period doubling", once_in_two, 0.91585, (1.2431, 0.2153), -1, shown_at=soft, periods=2),
+    Critical("row 10, SB", "symmetry breaking", _between, 1.052, (1.4752, 0.26603), -1, symmetric=True),
+    Critical("row 10, fold", "fold", _between, 3.018, (-1.0002515, 18.8791616), 1, symmetric=True),
+)
+
+ONSETS = (
+    ("row 14", rubbed(0.655453162351025)),
+    ("row 14, lower", rubbed(0.658629504734325, 1.05, 1.8)),
+    ("row 14, upper", rubbed(2.52030194267901, 1.05, 1.8)),
+)
+"""Orbits that turn where the force that would hold them is the static friction: here a stick begins."""
+
+GRAZES = (0.782204086871376, 1.65477114143231)
+"""Frequencies at which the linear answer of ``soft`` touches the stop."""
