@@ -1,7 +1,9 @@
 """What several test files share: one in-process Dask client, a small plane, and its store."""
 
+import json
 import os
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,37 +21,47 @@ dask.config.set({"distributed.worker.profile.enabled": False})  # as local_clust
 cluster.DASHBOARD = "127.0.0.1:0"  # several tests at once: at a port that is taken Dask leaves a socket open
 
 HERE = Path(__file__).parent
+DURATIONS = HERE / "durations.json"
+"""For each stage, by the expression of its marks, the seconds of each file that takes one or more, the longest first.
 
-LONGEST = (
-    "project/test_commands.py",
-    "project/test_docs_site.py",
-    "project/test_release.py",
-    "task/test_warm.py",
-    "explore/test_page.py",
-    "explore/test_follow_page.py",
-    "project/test_portable.py",
-    "workers/kernel/test_hybrid_random.py",
-    "service/test_groups.py",
-    "render/test_page.py",
-    "explore/test_static_page.py",
-    "explore/test_links.py",
-    "workers/cell/test_measures.py",
-    "workers/cell/test_hybrid_cells.py",
-    "store/test_place.py",
-    "overview/test_overview.py",
-    "workers/cell/test_family.py",
-    "explore/test_solving.py",
-    "curves/test_curves_search.py",
-    "service/test_submit.py",
-    "project/test_stress.py",
-)
-"""Files begun first, in this order: begun last they would keep one worker busy alone."""
+Null where none were measured yet.
+"""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first, all others as they were found."""
-    places = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.path.relative_to(HERE).as_posix(), len(LONGEST)))
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``scripts/test --record-durations`` and ``scripts/test slow --record-durations`` measure a stage anew."""
+    parser.addoption("--record-durations", action="store_true", help="write tests/durations.json")
+
+
+class Durations:
+    """Adds up the seconds of each file and writes them; files that this session leaves out keep theirs."""
+
+    def __init__(self, stage: str) -> None:
+        self.stage, self.seconds = stage, Counter[str]()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """With xdist the process that hands out the tests gets the reports of all."""
+        self.seconds[report.nodeid.partition("::")[0].removeprefix("tests/")] += report.duration
+
+    def pytest_sessionfinish(self) -> None:
+        stages = json.loads(DURATIONS.read_text())
+        known = {name: seconds for name, seconds in stages.get(self.stage, {}).items() if (HERE / name).exists()}
+        found = known | {name: round(seconds, 1) for name, seconds in self.seconds.items()}
+        longest = sorted(found, key=lambda name: -(found[name] or 0.0))
+        stages[self.stage] = {name: found[name] for name in longest if found[name] is None or found[name] >= 1.0}
+        DURATIONS.write_text(json.dumps(stages, indent=1) + "\n")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("record_durations") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Durations(config.option.markexpr))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """The longest files first, all others as they were found: begun last they would keep one worker busy alone."""
+    longest = json.loads(DURATIONS.read_text()).get(config.option.markexpr, {})
+    places = {name: place for place, name in enumerate(longest)}
+    items.sort(key=lambda item: places.get(item.path.relative_to(HERE).as_posix(), len(places)))
 
 
 @pytest.fixture(scope="session")

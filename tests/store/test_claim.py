@@ -5,9 +5,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,8 +17,9 @@ from atlas.errors import InputError, RunError
 from atlas.service.lease import Observer, Record, cancel, claimed
 from atlas.service.process import this_process
 from atlas.service.timing import Timing
+from atlas.store import sidecar
 from atlas.store.making import remove_half_made
-from atlas.store.sidecar import CLAIM, Folder, notes_of
+from atlas.store.sidecar import CLAIM, Folder, claim_token, notes_of
 from tests.paths import ROOT
 from tests.waiting import until
 
@@ -63,6 +66,43 @@ def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: Folder) -> No
     maker.start()
     assert notes.read("n") == b"whole"
     maker.join()
+
+
+def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lock(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Workers read the claim before each write; a reader that asked for the lock would hold up its renewal."""
+    locked, lock, done = set(), sidecar.file_lock, threading.Event()
+
+    def noted(*given: Any) -> Any:
+        locked.add(threading.current_thread().name)
+        return lock(*given)
+
+    def renew() -> None:
+        for beat in range(1, 200):
+            notes.put(CLAIM, note(beat), expected=note(beat - 1))
+        done.set()
+
+    def read() -> int:
+        count = 0
+        while not done.is_set():
+            assert claim_token(notes) == "of the run"
+            count += 1
+        return count
+
+    def note(beat: int) -> bytes:
+        return json.dumps({"token": "of the run", "beat": beat}).encode()
+
+    monkeypatch.setattr(sidecar, "file_lock", noted)
+    notes.put(CLAIM, note(0), expected=None)
+    with ThreadPoolExecutor(20, thread_name_prefix="reader") as pool:
+        readers = [pool.submit(read) for _ in range(20)]
+        writer = threading.Thread(target=renew, name="run")
+        writer.start()
+        writer.join()
+        assert min(reader.result() for reader in readers) > 0
+    assert not [name for name in locked if name.startswith("reader")]
+    assert "run" in locked
 
 
 def test_the_last_note_takes_its_folder_with_it(notes: Folder) -> None:

@@ -1,0 +1,167 @@
+# ruff: noqa: E501  (a mutation is a row)
+"""One-line mistakes put into the code one at a time: which of them does a test notice?
+
+Usage: python -m scripts.mutations [PART ...] [--list] [--minutes M] [--trust]
+
+PART chooses the mutations whose file's path contains it, such as atlas/store or workers/kernel; all by default. A
+mutation is made in a copy of its package in a temporary folder, which the tests import in place of the checkout's, so
+that nothing in the checkout changes. The tests named beside it are run until the first fails: the mutation is caught.
+A run that exceeds LIMIT seconds counts as caught, too: the mistake is noticed. Before, the tests have to pass without
+it, unless ``--trust`` says that they do. No new mutation begins after ``--minutes``. Each of workers/ compiles all
+kernels that its tests need. The exit code is 1 if a mutation is missed, or is stale: its line is not in its file once.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+LIMIT = 900.0
+"""Seconds for the tests of one mutation."""
+
+
+class Mutation(NamedTuple):
+    """A text that stands once in a file of atlas/ or workers/, what it becomes, and the tests that should notice."""
+
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+MUTATIONS = tuple(
+    Mutation(*each)
+    for each in (
+        ("atlas/text.py", "if whole < 3600:", "if whole < 360:", "interface/test_text.py"),
+        ("atlas/arguments.py", "and int(n) >= 1 for n in sizes", "and int(n) >= 0 for n in sizes", "interface/test_arguments.py"),
+        ("atlas/spec/cells.py", "if not edges[0] <= value <= edges[-1]:", "if not edges[0] < value < edges[-1]:", "query/test_query.py spec/test_axes.py"),
+        ("atlas/spec/cells.py", "[2.0 * points[0] - middle[0]], middle", "[points[0]], middle", "query/test_query.py spec/test_axes.py"),
+        ("atlas/spec/grown.py", "share = k / factor", "share = (k - 0.5) / factor", "service/test_extend.py"),
+        ("atlas/spec/grown.py", "np.abs(new - near) <= SAME", "np.abs(new - near) < 0 * SAME", "service/test_extend.py"),
+        ("atlas/spec/axis.py", "one == another and self.values == other.values", "one == another", "spec/test_axes.py spec/test_points.py"),
+        ("atlas/store/tiling.py", "return index if canonical and all", "return index if all", "store/test_tiling.py store/test_store.py store/test_spare.py"),
+        ("atlas/store/record.py", "(by_regime == sizes) & (by_reason == sizes)", "by_regime == sizes", "store/test_records.py"),
+        ("atlas/store/record.py", "found.update(variable.name.encode())", "pass", "store/test_records.py"),
+        ("atlas/store/record.py", "row[CELLS] = np.bincount(places,", "row[CELLS] = np.bincount(places[:-1],", "store/test_records.py"),
+        ("atlas/overview/levels.py", "> self.least:", ">= self.least:", "overview/test_overview.py"),
+        ("atlas/overview/levels.py", "min((i + 1) * c, n)", "(i + 1) * c", "overview/test_overview.py overview/test_stacks.py"),
+        ("atlas/overview/coarsen.py", "np.where(periodic, arrays[name], 0)", "np.where(solved, arrays[name], 0)", "overview/test_overview.py"),
+        ("atlas/overview/coarsen.py", "(largest > 0).astype", "(largest >= 0).astype", "overview/test_overview.py"),
+        ("atlas/service/schedule.py", "np.argsort(-guess,", "np.argsort(guess,", "service/test_order.py"),
+        ("atlas/service/schedule.py", "weights=1 / distance", "weights=distance", "service/test_order.py"),
+        ("atlas/query/window.py", "if not 1 <= len(names) <= MOST_AXES:", "if not 1 <= len(names):", "query/test_view.py query/test_query.py"),
+        ("atlas/curves/distance.py", "if here[axis] == end:", "if here[axis] != end:", "measures/test_margin.py"),
+        ("atlas/curves/settings.py", "or value < 1:", "or value < 0:", "curves/test_curves_table.py interface/test_arguments.py curves/test_curves_search.py"),
+        ("atlas/curves/near.py", "distance[each, chord] <= ONE_CELL", "distance[each, chord] <= 2 * ONE_CELL", "curves/test_curves_onward.py curves/test_curves_search.py"),
+        ("atlas/curves/stored.py", 'if values_digest(found[0]) != found[1].get("content"):', "if False:", "check/test_damage.py check/test_verify.py curves/test_curves_search.py"),
+        ("atlas/labels/table.py", "alone=int(np.sum(cells == 1))", "alone=int(np.sum(cells <= 2))", "labels/test_labels.py labels/test_labelling.py"),
+        ("atlas/labels/components.py", "if len(roots) > 1:", "if len(roots) > 2:", "labels/test_labels.py labels/test_labelling.py"),
+        ("atlas/branches/branch.py", "if not low <= seed.values[along] <= high:", "if not low <= high:", "branches/test_branch_cells.py"),
+        ("atlas/branches/table.py", "if len(here) == len(before) > 1:", "if len(here) == len(before) > 2:", "branches/test_branch_pictures.py branches/test_branch_cells.py"),
+        ("atlas/robustness/linear.py", "-1.0 / largest", "-2.0 / largest", "robustness/test_robustness.py"),
+        ("atlas/robustness/norm.py", "if weight <= 0.0:", "if weight < 0.0:", "robustness/test_robustness.py"),
+        ("atlas/robustness/saddles.py", "turns += turns % 2 if inner < 0.0 else 0", "pass", "robustness/test_saddles.py"),
+        ("atlas/measures/cells.py", "if len(table.attractors) < 2:", "if len(table.attractors) < 1:", "measures/test_measure_store.py"),
+        ("atlas/cell/command.py", "if value != field.default:", "if value == field.default:", "interface/test_cli.py query/test_query.py explore/test_cell.py"),
+        ("atlas/cell/shown.py", "turns = max(1, -(-count // _span(orbit)))\n    times", "turns = 1\n    times", "render/test_portrait.py"),
+        ("atlas/render/words.py", "1e-12 and 0 < abs(times) <= 12", "1e-12 and 0 < abs(times) <= 1", "render/test_render.py render/test_portrait.py"),
+        ("atlas/render/numbered.py", "np.log(values / low) / np.log(high / low)", "(values / low) / (high / low)", "explore/test_colors.py render/test_variable_maps.py"),
+        ("atlas/render/scales.py", "return TwoSlopeNorm(0.0, low, high)", "return TwoSlopeNorm(0.5 * high, low, high)", "render/test_colors.py"),
+        ("atlas/render/page.py", "if not low < high:", "if not low <= high:", "render/test_page.py render/test_render.py"),
+        ("workers/results.py", '"rigid_mode", INVALID', '"rigid_mode", FAILED', "workers/model workers/cell/test_family.py"),
+        ("workers/model/chain.py", "*([0.0] * (n - 1))]", "*([1.0] * (n - 1))]", "workers/model/test_systems.py"),
+        ("workers/model/system.py", "[each.rigid for each in own.contacts] != [True]", "True", "workers/model"),
+        ("workers/model/reading_force.py", "if order * turns > HIGHEST:", "if order > HIGHEST:", "workers/model/test_forces.py"),
+        ("workers/model/reading_force.py", "if len(taken) > HARMONICS:", "if len(taken) > 2 * HARMONICS:", "workers/model"),
+        ("workers/model/expression.py", "if len(text) > LONGEST:", "if len(text) > 2 * LONGEST:", "workers/model"),
+        ("workers/model/soundness.py", "not 0.0 <= number <= 1.0:", "not 0.0 <= number <= 1.1:", "workers/model"),
+        ("workers/model/reading.py", "if not found.low <= found.high:", "if not found.low <= 2 * found.high:", "workers/model"),
+        ("workers/model/laws.py", "low < high and high - low < np.inf", "low < high", "workers/model/test_laws.py"),
+        ("workers/model/modes.py", "np.abs(lam) <= FREE * n", "np.abs(lam) <= 0.0 * n", "workers/model/test_modes.py"),
+        ("workers/kernel/flow.py", "near = x > -0.1", "near = x > -10.0", "workers/kernel/test_flight.py"),
+        ("workers/kernel/contact.py", "return REST if load > 0.0 else LEAVE", "return REST", "workers/kernel/test_impact.py"),
+        ("workers/kernel/chatter.py", "2.0 * w / (load * (1.0 - R))", "2.0 * w / (load * (1.0 + R))", "workers/kernel/test_chatter.py"),
+        ("workers/kernel/linalg.py", "for k in range(size - 1, -1, -1):", "for k in range(size - 1, 0, -1):", "workers/orbit/test_section.py workers/kernel/test_orbits.py"),
+        ("workers/kernel/tangent.py", "if norm == 0.0:", "if norm < 0.0:", "workers/kernel/test_exponents.py workers/kernel/test_orbits.py"),
+        ("workers/kernel/elementary.py", "fma(r * r, p, r)", "fma(r * r, p, 1.0000001 * r)", "workers/kernel/test_elementary.py"),
+        ("workers/kernel/signal.py", "rigid = lam == 0.0", "rigid = lam < 0.0", "workers/kernel/test_flight.py workers/kernel/test_hybrid_drift.py"),
+        ("workers/kernel/lanes/rounds.py", "hit = abs(side) == 1.0", "hit = side == 1.0", "workers/kernel/test_batch.py"),
+        ("workers/orbit/newton.py", "if not (arrived and residual <= 0.5 * best.residual):", "if not arrived:", "workers/orbit"),
+        ("workers/orbit/escape.py", "MARGIN = 1.0 + 1e-12", "MARGIN = 1.0 - 1e-3", "workers/orbit workers/kernel/test_range.py"),
+        ("workers/orbit/floquet.py", "coupling = max(coupling, abs", "coupling = min(coupling, abs", "workers/cell/test_floquet.py"),
+        ("workers/cell/exponents.py", "-osc.trace * osc.period + np.where", "-osc.trace + np.where", "workers/cell"),
+        ("workers/cell/exponents.py", "j + np.where(j < size,", "j + 1 + np.where(j < size,", "workers/cell/test_dimension.py"),
+        ("workers/cell/ranges.py", "closed = steady & (harmonics == 1)", "closed = steady", "workers/kernel/test_range.py workers/cell"),
+        ("workers/cell/averages.py", "(mean > CLEAR * error)", "(mean > 0.1 * CLEAR * error)", "workers/cell"),
+        ("workers/attractors/starts.py", "(y > lower[k]) & (y < upper[k])", "y < upper[k]", "workers/attractors/test_starts.py"),
+        ("workers/attractors/same.py", "if here < nearest:", "if here > nearest:", "workers/attractors"),
+        ("workers/sweep.py", "if not -len(shape) <= axis < len(shape):", "if not axis < len(shape):", "workers service/test_continuation.py"),
+    )
+)  # fmt: skip
+
+
+def outcome(mutation: Mutation, folder: Path) -> str:
+    """Whether the tests notice a mutation: "caught", "missed" or "stale"."""
+    text = (ROOT / mutation.file).read_text(encoding="utf-8")
+    if text.count(mutation.old) != 1:
+        return "stale"
+    package = mutation.file.split("/")[0]
+    shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / mutation.file).write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
+    return "missed" if passes(mutation.tests, folder) else "caught"
+
+
+def passes(tests: str, first: Path | None = None) -> bool:
+    """Whether tests pass with the packages of a folder in place of the checkout's; SystemExit if none could run."""
+    path = f"{first} {ROOT}" if first else str(ROOT)
+    paths = [f"tests/{each}" for each in tests.split()]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider", "-o"]
+    environment = os.environ | {"PYTHONPATH": path.replace(" ", os.pathsep)}
+    if first is not None and (first / "workers").exists():
+        environment["NUMBA_CACHE_DIR"] = str(first / "kernels")
+    try:
+        done = subprocess.run(
+            [*command, f"pythonpath={path}", *paths], cwd=ROOT, env=environment, timeout=LIMIT, capture_output=True
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    if done.returncode not in (0, 1, 2):  # 2: a module cannot even be imported
+        raise SystemExit(f"{tests}: pytest ended with {done.returncode}\n{done.stdout.decode()[-2000:]}")
+    return done.returncode == 0
+
+
+def main() -> int:
+    """Try the mutations and print what became of each; 1 if one is missed or stale."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", nargs="*", help="of the path of a file; default: all")
+    parser.add_argument("--list", action="store_true", help="print the mutations and try none")
+    parser.add_argument("--minutes", type=float, default=60.0, help="after which no mutation begins")
+    parser.add_argument("--trust", action="store_true", help="do not run the tests without the mutation before")
+    given = parser.parse_args()
+    end, sound = time.monotonic() + 60.0 * given.minutes, {}
+    found = {"caught": 0, "missed": 0, "stale": 0, "not tried": 0}
+    for each in MUTATIONS:
+        if given.part and not any(part in each.file for part in given.part):
+            continue
+        became = "not tried"
+        if not given.list and time.monotonic() < end:
+            if not given.trust and each.tests not in sound:
+                sound[each.tests] = passes(each.tests)
+                if not sound[each.tests]:
+                    raise SystemExit(f"{each.tests}: fails without a mutation")
+            with TemporaryDirectory(prefix="mutations-") as folder:
+                became = outcome(each, Path(folder))
+        found[became] += 1
+        print(f"{became}: {each.file}: {each.old!r} -> {each.new!r}  ({each.tests})", flush=True)
+    print(", ".join(f"{count} {name}" for name, count in found.items()))
+    return 1 if found["missed"] or found["stale"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
