@@ -1,7 +1,7 @@
 """All attractors of a cell that was clicked: those that the store has, else found on the cluster from many starts."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from atlas.cell.attractors import in_words
 from atlas.explore.known import Cell
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Errand
+from atlas.explore.patches import Question
 from atlas.explore.subject import Subject
 from atlas.explore.tiles import Arrays
 from atlas.query.queries import at
@@ -48,15 +48,11 @@ def known_attractors(subject: Subject, cell: Cell) -> KeptAttractors | None:
     return _answer(found["coexisting"], found, stored=True)
 
 
-def search_job(subject: Subject, cell: Cell, take: Callable[[KeptAttractors], None]) -> Errand:
-    """All attractors of a cell to be found; ``take`` gets them, or why there are none."""
+def attractors_asked(subject: Subject, cell: Cell) -> Question[KeptAttractors]:
+    """All attractors of a cell to be found."""
     plane, x, y = subject.point(cell.parameters)
     patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
-
-    def taken(arrays: Arrays) -> None:
-        take(_found(subject, arrays))
-
-    return Errand((solve_patch, patch), taken, lambda why: take(KeptAttractors(trouble=why)), cells=1)
+    return Question(solve_patch, patch, partial(_found, subject), cells=1)
 
 
 def _found(subject: Subject, arrays: Arrays) -> KeptAttractors:

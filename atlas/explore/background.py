@@ -21,10 +21,10 @@ T = TypeVar("T")
 
 
 class Background:
-    """Threads of a page's own, made in the document's thread, in which ``refuse`` hears what the user can mend."""
+    """Threads of a page's own, made in the document's thread, in which ``refuse`` hears why something is not done."""
 
     def __init__(self, document: Document, refuse: Callable[[str], None]) -> None:
-        self._document, self._refuse, self._loop = document, refuse, IOLoop.current()
+        self._document, self.refuse, self._loop = document, refuse, IOLoop.current()
         self._lock, self.closed = threading.Lock(), False
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
 
@@ -41,17 +41,18 @@ class Background:
         if not self.closed and self._document.session_context is not None:
             self._document.add_next_tick_callback(act)
 
-    def run(self, work: Callable[[], Show]) -> None:
-        """Have something done in a thread of the page, then what it returns in that of the document."""
+    def run(self, work: Callable[[], Show], refuse: Callable[[str], None] | None = None) -> None:
+        """Have something done in a thread of the page, then what it returns in that of the document, or ``refuse``."""
+        refused = refuse or self.refuse
 
         def whole() -> None:
             try:
                 act = work()
             except (InputError, RunError, OSError) as error:
-                act = partial(self._refuse, str(error))
+                act = partial(refused, str(error))
             except BaseException as error:  # a mistake of ours must not leave the page without a word for good
                 logging.getLogger(__name__).exception("the page could not do something")
-                act = partial(self._refuse, f"this could not be done: {why(error)}")
+                act = partial(refused, f"this could not be done: {why(error)}")
             self.show(act)
 
         with self._lock:

@@ -1,13 +1,12 @@
 """The basins of a cell that was clicked: which attractor each initial state of a plane of them reaches."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.explore.patches import Errand
+from atlas.explore.patches import Question
 from atlas.explore.subject import Subject
 from atlas.task.compile import ATTRACTORS, compile_once, kernels_for
 from workers import Settings
@@ -53,11 +52,10 @@ class Grid:
         return {"x0": [x - 0.5 * width], "y0": [y - 0.5 * height]} | size
 
 
-def basin_job(
-    grid: Grid, rows: slice, take: Callable[[Grid, slice, NDArray[np.int32]], None], refuse: Callable[[str], None]
-) -> Errand:
+def labels_asked(grid: Grid, rows: slice) -> Question[tuple[slice, NDArray[np.int32]]]:
     """Some rows of a plane of initial states to be solved."""
-    return Errand((solve_rows, (grid, rows)), partial(take, grid, rows), refuse, len(grid.x[1]) * len(grid.y[1][rows]))
+    count = len(grid.x[1]) * len(grid.y[1][rows])
+    return Question(solve_rows, (grid, rows), lambda labels: (rows, labels), count)
 
 
 def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:

@@ -1,7 +1,6 @@
 """The panel that shows the basins of a cell that was clicked."""
 
 import html
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -13,9 +12,10 @@ from numpy.typing import NDArray
 
 from atlas.explore.access import named
 from atlas.explore.background import Background
-from atlas.explore.basins import BAND, SIDE, UNSOLVED, Grid, basin_job
+from atlas.explore.basins import BAND, SIDE, UNSOLVED, Grid, labels_asked
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
+from atlas.explore.panel import Panel
 from atlas.explore.plot import quiet
 from atlas.explore.style import TEXT
 from atlas.explore.words import symbol_of
@@ -23,14 +23,11 @@ from atlas.render.classes import BASINS
 from atlas.text import plural
 
 
-class BasinsPanel:
-    """The button that asks for basins, and the plane of initial states that shows them."""
+class BasinsPanel(Panel[Cell]):
+    """The button that asks for the basins of a cell, and the plane of initial states that shows them."""
 
     def __init__(self, explorer: Explorer, background: Background) -> None:
-        self._explorer = explorer
-        self._background = background
-        self._told, self._refuse = background.later(self._take), background.later(self._refused)
-        self._cell: Cell | None = None
+        super().__init__(explorer, background)
         self._labels = np.zeros((0, 0), dtype=np.int32)
         self._button = Button(label="basins of this cell", visible=False, sizing_mode="stretch_width")
         self._button.on_click(self._ask)
@@ -48,44 +45,32 @@ class BasinsPanel:
         quiet(self._plot)
         self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
 
-    def offer(self, cell: Cell) -> None:
+    def begin(self, cell: Cell) -> None:
         """Offer the basins of a cell, where they can be found."""
-        if cell is self._cell or not self._explorer.subject.searched:
-            return
         self.clear()
-        self._cell = cell
-        self._button.visible = True
+        self._button.visible = self._subject.searched
 
     def clear(self) -> None:
-        """Offer nothing, and want nothing more."""
-        self._cell = None
+        """Offer nothing."""
         self._button.visible = self._says.visible = self._plot.visible = False
-        self.close()
 
-    def close(self) -> None:
-        """Want nothing more."""
-        self._explorer.patches.want(self, ())
+    def refuse(self, why: str) -> None:
+        """Say why there are no basins."""
+        self._says.text = html.escape(f"basins: {why}")
 
     def _ask(self) -> None:
-        cell = self._cell
+        cell = self.about
         if cell is None:
             return
         self._says.update(text="solving initial states", visible=True)
         self._button.visible = False
+        self.work(lambda: partial(self._lay_out, cell, Grid.of_cell(self._subject, cell.parameters)))
 
-        def work() -> Callable[[], None]:
-            return partial(self._begin, cell, Grid.of_cell(self._explorer.subject, cell.parameters))
-
-        self._background.run(work)
-
-    def _begin(self, cell: Cell, grid: Grid) -> None:
+    def _lay_out(self, cell: Cell, grid: Grid) -> None:
         """Have the initial states of a plane solved."""
-        if cell is not self._cell:
-            return
-        system = self._explorer.subject.system
         self._labels = np.full((SIDE, SIDE), UNSOLVED, dtype=np.int32)
         self._plot.xaxis[0].axis_label, self._plot.yaxis[0].axis_label = (
-            symbol_of(system, name) for name in (grid.x[0], grid.y[0])
+            symbol_of(self._subject.system, name) for name in (grid.x[0], grid.y[0])
         )
         own = [cell.parameters[name] for name in (grid.x[0], grid.y[0])]
         self._start.data = {"start_x": own[:1], "start_y": own[1:]}
@@ -94,15 +79,10 @@ class BasinsPanel:
         self._plot.y_range.update(start=low, end=low + height)
         self._plot.visible = True
         rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
-        jobs = [basin_job(grid, each, partial(self._told, cell), self._refuse) for each in rows]
-        self._explorer.patches.want(self, jobs)
+        self.ask([labels_asked(grid, each) for each in rows], partial(self._take, grid))
 
-    def _refused(self, why: str) -> None:
-        self._says.text = html.escape(f"basins: {why}")
-
-    def _take(self, cell: Cell, grid: Grid, rows: slice, labels: NDArray[np.int32]) -> None:
-        if cell is not self._cell:
-            return
+    def _take(self, grid: Grid, found: tuple[slice, NDArray[np.int32]]) -> None:
+        rows, labels = found
         self._labels[rows] = labels
         self._image.data = {"basins": [painted(self._labels)], **grid.box}
         count = np.unique(self._labels[self._labels >= 0]).size

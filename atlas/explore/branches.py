@@ -1,6 +1,6 @@
 """Branches as they are drawn; and the branch of a cell's orbit, orbit by orbit, with the events next to each."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +17,7 @@ from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, FollowedOrbit, Range
 from atlas.explore.chosen import Point as Where
 from atlas.explore.motion import POINTS, MotionPicture, motion_through
-from atlas.explore.patches import Errand
+from atlas.explore.patches import Question
 from atlas.explore.subject import Subject, slider_range
 from atlas.explore.words import number
 from atlas.task.compile import ORBITS, compile_once, kernels_for
@@ -217,24 +217,17 @@ def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> Foll
     return FollowedOrbit(along, min(low, value), max(high, value), 0, value)
 
 
-def follow_job(
-    subject: Subject,
-    cell: Where,
-    follow: FollowedOrbit,
-    take: Callable[[FollowedBranch], None],
-    refuse: Callable[[str], None],
-) -> Errand:
-    """The branch of a cell's orbit to be found."""
+def branch_asked(subject: Subject, cell: Where, part: tuple[str, float, float]) -> Question[FollowedBranch]:
+    """The branch of a cell's orbit along a parameter to be found, in smaller steps between two values of that."""
 
-    def taken(found: FollowedBranch) -> None:
-        found.motion(found.here(found.own, follow.value))  # loads the kernels here, not in the page's thread
-        take(found)
+    def read(found: FollowedBranch) -> FollowedBranch:
+        found.motion(found.here(found.own, found.values[found.own]))  # loads the kernels here, not in the page's thread
+        return found
 
-    axes, part = dict(zip(subject.axes, subject.spec.axes, strict=False)), (follow.low, follow.high)
-    ends = (*part, *(axes[follow.along].values if follow.along in axes else ()))
-    windows = (min(ends), max(ends)), part
-    asked = subject.system, subject.values(*cell), subject.spec.settings, follow.along, windows
-    return Errand((follow_orbit, asked), taken, refuse)
+    (along, low, high), axes = part, dict(zip(subject.axes, subject.spec.axes, strict=False))
+    ends = (low, high, *(axes[along].values if along in axes else ()))
+    windows = (min(ends), max(ends)), (low, high)
+    return Question(follow_orbit, (subject.system, subject.values(*cell), subject.spec.settings, along, windows), read)
 
 
 def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> FollowedBranch:

@@ -1,9 +1,8 @@
 """The cells along a line over a plane, coarse first, with their section states; and the branches through them."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from atlas.errors import InputError
 from atlas.explore.branches import Drawn
 from atlas.explore.chosen import Cut
 from atlas.explore.patch import packed, solve_patch
-from atlas.explore.patches import Errand
+from atlas.explore.patches import Question
 from atlas.explore.subject import Subject, SubjectPlane
 from atlas.query.machine import gap_rows
 from workers.model.observables import ENERGY_LOSS, GAP, MAXIMUM, MINIMUM, OF_IMPACTS, Observable
@@ -105,9 +104,7 @@ class CutCells:
         return CutCells(index, results)
 
 
-def cut_job(
-    line: Line, part: tuple[int, ...], take: Callable[[Line, CutCells], None], refuse: Callable[[str], None]
-) -> Errand:
+def cells_asked(line: Line, part: tuple[int, ...]) -> Question[CutCells]:
     """Points of a line to be solved: the diagonal of a grid of their values."""
     subject, index = line.subject, np.array(part)
     points = line.points(index)
@@ -117,12 +114,11 @@ def cut_job(
         asked = {"observe": line.observe.name, "observe_values": SAMPLES}
     patch = replace(grid, settings=replace(subject.settings, **asked))
 
-    def taken(found: dict[str, NDArray[Any]]) -> None:
+    def read(found: dict[str, NDArray[Any]]) -> CutCells:
         if line.observe is not None:
             shown, number = found.pop(line.observe.variable), found.pop(line.observe.number)
             more = (found["period"] > 0) & ((number > SAMPLES) | (number < 0))
-            take(line, CutCells(index, found | {"shown": shown, "more": more}))
-            return
+            return CutCells(index, found | {"shown": shown, "more": more})
         values: dict[str, float | Array] = dict(line.plane.parameters)
         values.update(zip(subject.axes, points, strict=True))
         rows = gap_rows(subject.system, values)
@@ -130,17 +126,9 @@ def cut_job(
         gap = np.einsum("ni,nki->nk", rows, section[..., : rows.shape[1]])
         period = found["period"][:, None]
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
-        take(line, CutCells(index, found | {"shown": gap}))
+        return CutCells(index, found | {"shown": gap})
 
-    key = line, part, take
-    return Errand((solve_patch, patch), taken, lambda why: refuse(f"part of the cut: {why}"), len(part), key)
-
-
-def branch_job(
-    line: Line, sweep: "xr.Dataset", take: Callable[[Line, Drawn], None], refuse: Callable[[str], None]
-) -> Errand:
-    """The branches through the periodic cells of a line, which is this sweep, to be followed."""
-    return Errand((follow, sweep), partial(take, line), refuse)
+    return Question(solve_patch, patch, read, len(part))
 
 
 def follow(sweep: "xr.Dataset") -> Drawn:

@@ -34,16 +34,17 @@ from atlas.explore.cut import (
     SECTION_WORDS,
     CutCells,
     Line,
-    branch_job,
-    cut_job,
+    cells_asked,
     exponents,
+    follow,
     shown_points,
     sweep_of,
     to_observe,
     too_long,
 )
 from atlas.explore.explorer import Explorer
-from atlas.explore.patches import Errand
+from atlas.explore.panel import Panel
+from atlas.explore.patches import Question
 from atlas.explore.plot import quiet
 from atlas.explore.state import State, Store
 from atlas.explore.style import CUT, CUT_HEAD, DIAGRAM, TEXT
@@ -80,14 +81,12 @@ dot.setv({data: {at_x: [at(0, share)], at_y: [at(1, share)]}}, {sync: false})
 """
 
 
-class CutPanel:
+class CutPanel(Panel[Line]):
     """The diagrams along the line that is chosen, and what finds them."""
 
     def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
-        self._explorer, self._store, self._plane = explorer, store, plane
-        self._told, self._refuse = background.later(self._take), background.later(lambda why: store.set(trouble=why))
-        self._branched, self._unbranched = background.later(self._take_branches), background.later(self._ended)
-        self._shown: Line | None = None
+        super().__init__(explorer, background)
+        self._store, self._plane = store, plane
         self._cells: CutCells | None = None
         self._note = ""
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
@@ -124,51 +123,41 @@ class CutPanel:
             button.on_click(partial(self._straight, k))
         self._link([lattice.log for lattice in lattices])
 
-    def close(self) -> None:
-        """Want nothing more."""
-        self._explorer.patches.want(self, ())
-
     def show(self, state: State) -> None:
         """Show the diagrams along the line that is chosen, in the plane that is chosen."""
-        chosen, old = state.chosen, self._shown
-        if chosen.cut is None:
-            if old is not None:
-                self._shown = None
-                self.panel.visible = False
-                self._drawn.data = {"xs": [], "ys": []}
-                self.close()
-            return
-        line = Line(self._explorer.subject, chosen.plane, chosen.cut, self._possible[str(self._shows.value)])
-        if line == old:
-            return
-        self._shown = line
-        x0, y0, x1, y1 = chosen.cut
+        chosen, observe = state.chosen, self._possible[str(self._shows.value)]
+        self.turn(None if chosen.cut is None else Line(self._subject, chosen.plane, chosen.cut, observe))
+
+    def clear(self) -> None:
+        """Show no line and no diagram."""
+        self.panel.visible = False
+        self._drawn.data = {"xs": [], "ys": []}
+
+    def begin(self, line: Line) -> None:
+        """Show a line and diagrams without cells, and have these solved."""
+        x0, y0, x1, y1 = line.ends
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
         self._cells = None
         for source in self._sources.values():
             source.data = {name: [] for name in source.data}
         self._show_branches(None)
-        low, high = sorted((chosen.cut[line.along], chosen.cut[2 + line.along]))
+        low, high = sorted((line.ends[line.along], line.ends[2 + line.along]))
         self._along.data = {"along": [line.along]}
         self._section.x_range.update(start=low, end=high)
         self._label(line, low, high)
         self._section.yaxis[0].axis_label = str(self._shows.value)
-        self._note, self._follow.disabled = "solving the cells along the cut", line.observe is not None
-        self._say()
-        self._note = ""
+        self._ended("solving the cells along the cut")
+        self._follow.disabled, self._note = line.observe is not None, ""
         self.panel.visible = True
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
-        self._explorer.patches.want(self, self._missing(line))
+        self.ask([cells_asked(line, part) for part in line.parts()], partial(self._take, line))
 
-    def _missing(self, line: Line) -> list[Errand]:
-        """What solves the points of a line that are not known."""
-        known = set() if self._cells is None else {*self._cells.index.tolist()}
-        return [cut_job(line, part, self._told, self._refuse) for part in line.parts() if not known.issuperset(part)]
+    def refuse(self, why: str) -> None:
+        """Say that some cells cannot be shown, and why."""
+        super().refuse(f"part of the cut: {why}")
 
     def _take(self, line: Line, cells: CutCells) -> None:
         """Show more cells of the line."""
-        if line != self._shown:
-            return
         self._cells = found = cells.joined(self._cells)
         self._sources["shown"].data = dict(shown_points(line, found))
         self._sources["exponents"].data = dict(exponents(line, found))
@@ -182,38 +171,33 @@ class CutPanel:
         self._says.text = "; ".join(filter(None, (count, long, html.escape(self._note))))
 
     def _find_branches(self) -> None:
-        line, cells = self._shown, self._cells
-        if line is None or cells is None:
+        if self.about is None or self._cells is None:
             return
         try:
-            job = branch_job(line, sweep_of(line, cells), self._branched, partial(self._unbranched, line))
+            sweep = sweep_of(self.about, self._cells)
         except InputError as error:
-            self._ended(line, str(error))
+            self._ended(str(error))
             return
-        self._note = "following branches"
-        self._say()
+        self._ended("following branches")
         self._follow.disabled = True  # no worker can be called back: each click would take another one
-        self._explorer.patches.want(self, [job, *self._missing(line)])
+        self.ask([Question(follow, sweep)], self._take_branches, self._ended)
 
-    def _ended(self, line: Line, says: str) -> None:
-        """Say how the following of branches of a line has ended."""
-        if line == self._shown:
-            self._note, self._follow.disabled = says, False
-            self._say()
+    def _ended(self, says: str) -> None:
+        """Say what becomes of the branches, which may be followed again."""
+        self._note, self._follow.disabled = says, False
+        self._say()
 
-    def _take_branches(self, line: Line, found: Drawn) -> None:
-        if line != self._shown:
-            return
+    def _take_branches(self, found: Drawn) -> None:
         self._show_branches(found)
         counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
         long = 0 if self._cells is None else too_long(self._cells)
         omitted = f"; without {plural(long, 'cell')} whose orbits have more than {LONGEST} impacts" if long else ""
-        self._ended(line, f"branches: {counts}{omitted}; point at an event to read it")
+        self._ended(f"branches: {counts}{omitted}; point at an event to read it")
 
     def _straight(self, along: int) -> None:
         """Cut along one axis, through the cell that was clicked or the middle of the view."""
         chosen = self._store.now.chosen
-        x, y = chosen.middle(self._explorer.subject)
+        x, y = chosen.middle(self._subject)
         ends: Cut = (chosen.x[0], y, chosen.x[1], y) if along == 0 else (x, chosen.y[0], x, chosen.y[1])
         self._store.choose(cut=ends)
 

@@ -1,7 +1,7 @@
 """The column on cells: the one under the pointer, and the one clicked, with its portrait and all its attractors."""
 
 import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -12,20 +12,21 @@ from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
-from atlas.explore.attractors import KeptAttractors, known_attractors, search_job
+from atlas.explore.attractorspanel import AttractorsPanel
 from atlas.explore.background import Background, Latest, Show
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
 from atlas.explore.followpanel import FollowPanel
 from atlas.explore.known import Cell
-from atlas.explore.motion import MotionPicture, motion_of, motions
+from atlas.explore.motion import motion_of
 from atlas.explore.motionpanel import MotionPanel
+from atlas.explore.panel import Panel
 from atlas.explore.state import Store
 from atlas.explore.style import POINTER, TEXT
 from atlas.explore.subject import SubjectPlane
 from atlas.explore.view import Sight
-from atlas.explore.words import attractors_table, cell_line, cell_table, cell_text, point_line
+from atlas.explore.words import cell_line, cell_table, cell_text, point_line
 
 POINTED = "<h4>cell under the pointer</h4>"
 HELP = f"""{POINTED}<span class="waiting">point at the plane: all numbers of a cell<br>
@@ -46,11 +47,10 @@ PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" ti
  onclick="this.classList.toggle('large')">"""
 ROW = 15.6
 """Pixels of a row of a table."""
-ALL = "<h4>all attractors of this cell</h4>"
 
 
-class Details:
-    """The panels, and what fills them.
+class Details(Panel[Point]):
+    """The cell clicked, and the panels about it; and the cell under the pointer.
 
     sight   gives the view that the page shows
     mark    where the page marks the cell clicked, x and y
@@ -66,19 +66,18 @@ class Details:
         mark: ColumnDataSource,
         plane: figure,
     ) -> None:
-        self._explorer, self._subject, self._store = explorer, explorer.subject, store
-        self._background, self._sight, self._mark = background, sight, mark
-        self._detailed: Point | None = None
+        super().__init__(explorer, background)
+        self._store, self._sight, self._mark = store, sight, mark
         self._pointer = Latest(background, self._look_up)
-        self._clicks = 0
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
         rows = len(self._subject.numbers) + 5  # as many as any cell fills, so that nothing below it moves
         look = {"stylesheets": [TEXT, POINTER], "styles": {"min-height": f"{round(rows * ROW)}px"}}
         self._pointed = Div(text=HELP, **style | look)
         read_out: Any = {"html_attributes": {"aria-live": "polite"}}
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **read_out, **style)
-        self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
-        self._motion, self._basins = MotionPanel(self._subject), BasinsPanel(explorer, background)
+        self._portrait, self._numbers, self._motion = Div(**style), Div(**style), MotionPanel(self._subject)
+        self._attractors = AttractorsPanel(explorer, background, self._motion)
+        self._basins = BasinsPanel(explorer, background)
         self._follow = FollowPanel(explorer, background, store, plane)
         self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
@@ -90,14 +89,13 @@ class Details:
     def panels(self) -> list[Any]:
         """What it consists of, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
-        found = [self._attractors, self._motion.panel, self._basins.panel, self._portrait]
+        found = [self._attractors.panel, self._motion.panel, self._basins.panel, self._portrait]
         return [self._pointed, self._clicked, line, self._follow.panel, *found, self._numbers, self._copy_all]
 
     def close(self) -> None:
         """Want nothing more."""
-        self._explorer.patches.want(self, ())
-        self._basins.close()
-        self._follow.close()
+        for each in (self._attractors, self._basins, self._follow):
+            each.close()
 
     def point(self, event: MouseMove) -> None:
         """Say what is known of the cell under the pointer."""
@@ -121,14 +119,17 @@ class Details:
         if data != self._mark.data:
             self._mark.data = data
         self._follow.show(chosen)
-        if cell is not None and at and cell != self._detailed and self._sight() is not None:
-            self._detailed = cell
-            self._clicks += 1
-            self._clicked.text = f"{CLICKED}solving it"
-            self._motion.clear()
-            self._basins.clear()
-            self._follow.offer(None)
-            self._background.run(partial(self._detail, cell, self._clicks))
+        if cell is not None and at and self._sight() is not None:
+            self.turn(cell)
+
+    def begin(self, cell: Point) -> None:
+        """Say that a cell is being solved."""
+        self._clicked.text = f"{CLICKED}solving it"
+        self._motion.clear()
+        self._attractors.turn(None)
+        self._basins.turn(None)
+        self._follow.offer(None)
+        self.work(partial(self._detail, cell, self.soon()))
 
     def _cell(self, plane: SubjectPlane, point: tuple[float, float]) -> Cell | None:
         sight = self._sight()
@@ -144,57 +145,27 @@ class Details:
         text = POINTED + (cell_table(cell, self._subject) if cell else "not known yet")
         return lambda: self._pointed.update(text=text)
 
-    def _detail(self, at: Point, click: int) -> Show:
-        if click != self._clicks:  # there was another one meanwhile
-            return lambda: None
+    def _detail(self, at: Point, soon: Callable[[Show], None]) -> Show:
         plane, point = at[0], at[1:]  # not the plane of now: a slider may have moved on
         cell = self._cell(plane, point)
         if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
             cell = self._explorer.known.solved(plane, *point)
-        found = known_attractors(self._subject, cell)
-        answer = partial(self._answer, cell.parameters, click)
-        self._background.show(partial(answer, found))
-        if found is None and not self._background.closed:
-            self._explorer.patches.want(self, [search_job(self._subject, cell, self._background.later(answer))])
-        self._background.show(partial(self._show, cell, "drawing its portrait", click))
+        soon(partial(self._show, cell, "drawing its portrait"))
         try:
             orbit = orbit_of(self._subject, cell)
-            self._background.show(partial(self._move, motion_of(orbit), click))
+            soon(partial(self._motion.show, motion_of(orbit)))
             drawn = PORTRAIT.format(portrait_image(orbit))
         except InputError as error:
             drawn = html.escape(str(error))
-        return partial(self._show, cell, drawn, click)
+        return partial(self._show, cell, drawn)
 
-    def _show(self, cell: Cell, drawn: str, click: int) -> None:
-        if click != self._clicks:
-            return
+    def _show(self, cell: Cell, drawn: str) -> None:
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)
         self._copy.visible = self._copy_all.visible = True
         self._copy_all.tags = [cell_text(cell)]
         self._portrait.text = drawn
-        self._basins.offer(cell)
+        self._attractors.turn(cell)
+        self._basins.turn(cell)
         self._follow.offer(cell)
-
-    def _answer(self, parameters: Mapping[str, float], click: int, found: KeptAttractors | None) -> None:
-        """Show attractors, or that they are sought."""
-        if click != self._clicks:
-            return
-        if found is None:
-            count = self._subject.starts.count
-            self._attractors.text = f'{ALL}<span class="waiting">being sought from {count} initial states</span>'
-        else:
-            self._attractors.text = ALL + attractors_table(found, self._subject)
-            if len(found.each) > 1:
-                self._background.run(partial(self._portraits, found, parameters, click))
-
-    def _move(self, motion: MotionPicture, click: int) -> None:
-        if click == self._clicks:
-            self._motion.show(motion)
-
-    def _portraits(self, found: KeptAttractors, parameters: Mapping[str, float], click: int) -> Show:
-        """Draw the portraits of all attractors in one phase plane."""
-        states = [each["state"] for each in found.each if "state" in each]
-        drawn = motions(self._subject, parameters, states)
-        return lambda: self._motion.portray(drawn) if drawn and click == self._clicks else None

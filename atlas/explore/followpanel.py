@@ -1,7 +1,6 @@
 """The orbit of the cell clicked, followed along a parameter: its slider, its motion, its marks over the plane."""
 
 import html
-from functools import partial
 from typing import Any
 
 from bokeh.layouts import column, row
@@ -10,12 +9,13 @@ from bokeh.plotting import figure
 
 from atlas.explore.background import Background
 from atlas.explore.branches import Arrow as Reach
-from atlas.explore.branches import Drawn, FollowedBranch, Here, arrows, beginning, distance, follow_job
+from atlas.explore.branches import Drawn, FollowedBranch, Here, arrows, beginning, branch_asked, distance
 from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Chosen, FollowedOrbit, Point, Range, followable
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.motionpanel import MotionPanel
+from atlas.explore.panel import Panel
 from atlas.explore.plot import quiet
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
@@ -32,13 +32,12 @@ INK = "#aa3377"
 """The colour of what belongs to the orbit that is followed."""
 
 
-class FollowPanel:
+class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
     """What starts and ends following, and what is shown meanwhile."""
 
     def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
-        self._explorer, self._subject, self._store = explorer, explorer.subject, store
-        self._found, self._refused = background.later(self._take), background.later(self._refuse)
-        self._asked: tuple[Point, tuple[str, float, float]] | None = None
+        super().__init__(explorer, background)
+        self._store = store
         self._shown: _Shown | None = None
         system = explorer.subject.system
         options = [
@@ -60,29 +59,38 @@ class FollowPanel:
     def offer(self, cell: Cell | None) -> None:
         """Offer to follow the orbit of a cell where it has one."""
         there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
-        self.panel.visible = there_is_one or self._asked is not None
-
-    def close(self) -> None:
-        """Want nothing more."""
-        self._explorer.patches.want(self, ())
+        self.panel.visible = there_is_one or self.about is not None
 
     def show(self, chosen: Chosen) -> None:
         """Follow what is chosen, and show where it is."""
         follow, cell = chosen.follow, chosen.cell
-        asked = None if follow is None or cell is None else (cell, follow[:3])
-        if asked != self._asked:
-            self._asked = asked
-            self._end()
-            if follow is not None and cell is not None:
-                self.panel.visible, self._along.value = True, follow.along
-                self._says.text = (
-                    f"following its branch along {html.escape(symbol_of(self._subject.system, follow.along))}"
-                )
-                take, refuse = partial(self._found, asked), partial(self._refused, asked)
-                self._explorer.patches.want(self, [follow_job(self._subject, cell, follow, take, refuse)])
-            self._label()
+        self.turn(None if follow is None or cell is None else (cell, follow[:3]))
         if self._shown is not None and follow is not None and cell is not None:
             self._mark(chosen, cell, self._shown.found, self._shown.move(follow))
+
+    def begin(self, about: tuple[Point, tuple[str, float, float]]) -> None:
+        """Have a branch found."""
+        self.clear()
+        cell, (along, low, high) = about
+        self.panel.visible, self._along.value = True, along
+        self._label()
+        self._say(f"following its branch along {symbol_of(self._subject.system, along)}")
+        self.ask([branch_asked(self._subject, cell, (along, low, high))], self._take)
+
+    def clear(self) -> None:
+        """Show no branch."""
+        if self._shown is not None:
+            self._shown.motion.clear()
+        self._shown, self._body.children = None, []
+        self._say("")
+        self._label()
+        self._marker.data = {name: [] for name in self._marker.data}
+        self._arrows.data = {name: [] for name in _COLUMNS}
+
+    def refuse(self, why: str) -> None:
+        """End following, and say why."""
+        self._store.choose(follow=None)
+        self._say(why)
 
     def _follows(self) -> bool:
         """Whether the orbit is followed along the parameter in the menu."""
@@ -99,30 +107,14 @@ class FollowPanel:
         elif chosen.cell is not None:
             self._store.choose(follow=beginning(self._subject, chosen, chosen.cell, str(self._along.value)))
 
-    def _take(self, asked: object, found: FollowedBranch) -> None:
-        if asked == self._asked:
-            self._say("")
-            self._shown = _Shown(self._explorer, self._store, found)
-            self._body.children = self._shown.parts
-            self.show(self._store.now.chosen)
-
-    def _refuse(self, asked: object, why: str) -> None:
-        if asked == self._asked:
-            self._store.choose(follow=None)
-            self._say(why)
+    def _take(self, found: FollowedBranch) -> None:
+        self._say("")
+        self._shown = _Shown(self._explorer, self._store, found)
+        self._body.children = self._shown.parts
+        self.show(self._store.now.chosen)
 
     def _say(self, text: str) -> None:
         self._says.update(text=html.escape(text), visible=bool(text))
-
-    def _end(self) -> None:
-        """Show no branch, and want none."""
-        self.close()
-        if self._shown is not None:
-            self._shown.motion.clear()
-        self._shown, self._body.children = None, []
-        self._say("")
-        self._marker.data = {name: [] for name in self._marker.data}
-        self._arrows.data = {name: [] for name in _COLUMNS}
 
     def _over_plane(self, plane: figure) -> None:
         """The orbit's marker over the plane, and its arrows to the next events."""

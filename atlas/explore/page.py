@@ -51,7 +51,6 @@ clearTimeout(page.timer)
 page.timer = setTimeout(() => { page.rests = true }, 1500)
 """
 """A view at which somebody rested stays in the browser's history."""
-PROBING = "<h4>new atlas</h4>solving a few cells for its cost"
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
@@ -86,7 +85,7 @@ class Page:
     def __init__(self, document: Document, explorer: Explorer, store: Store, folder: Path, home: Explorer) -> None:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
         self._folder, self._home, chosen = folder, home, store.now.chosen
-        self._background = Background(document, self._refused)
+        self._background = Background(document, lambda why: store.set(trouble=why))
         self._controls = Controls(self._subject, store, self._go)
         inputs = self._controls.vmin, self._controls.vmax
         self._pane = Pane(explorer, self._background, chosen, inputs, self._heard)
@@ -216,11 +215,6 @@ class Page:
         self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, shares=found.shares)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
-    def _refused(self, why: str) -> None:
-        self._store.set(trouble=why)
-        if self._made.text == PROBING:
-            self._made.visible = False
-
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
@@ -268,7 +262,7 @@ class Page:
     def _make(self) -> None:
         chosen, cells = self._store.now.chosen, int(self._controls.cells.value or 2)
         x, y = self._store.now.box or (chosen.x, chosen.y)
-        self._made.update(text=PROBING, visible=True)
+        self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
 
         def work() -> Callable[[], None]:
             made = new_atlas(self._subject, chosen, x, y, cells, self._folder)
@@ -277,4 +271,8 @@ class Page:
             shown = f"<h4>new atlas: {file}</h4><pre>{text}</pre><pre>{line}</pre><pre>{cost}</pre>"
             return lambda: self._made.update(text=shown)
 
-        self._background.run(work)
+        def refuse(why: str) -> None:
+            self._made.visible = False
+            self._background.refuse(why)
+
+        self._background.run(work, refuse)

@@ -10,10 +10,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from atlas.errors import InputError, RunError
 from atlas.explore.threads import steady, why
@@ -32,6 +32,7 @@ RATE_SECONDS = 10.0
 
 _LOST = LOST.partition(";")[0]  # what follows is advice for a run
 
+A = TypeVar("A")
 Task = tuple[Callable[[Any], Any], Any]
 """A function and its argument."""
 
@@ -67,26 +68,38 @@ class PatchJob(Protocol):
         """Take note that the job is given up, for bad input or after ATTEMPTS tries, and what it raised."""
 
 
-@dataclass(frozen=True)
-class Errand(PatchJob):
-    """A job for one who waits: ``take`` gets what the worker found, so many ``cells``, ``refuse`` why the job is given
-    up, both in a thread of this service. Errands of one key are one job.
+@dataclass(frozen=True, eq=False)
+class Question(Generic[A]):
+    """What a panel asks of the crew: a function of one value.
+
+    read    the answer that the function's result is, made in a thread of this service
+    cells   how many cells are solved for it
     """
 
-    task: Task = field(compare=False)
-    take: Callable[[Any], None] = field(compare=False)
-    refuse: Callable[[str], None] = field(compare=False)
-    cells: int = field(compare=False, default=0)
-    key: Hashable = field(default_factory=object)
+    function: Callable[[Any], Any]
+    value: Any
+    read: Callable[[Any], A] = lambda found: found
+    cells: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Errand(PatchJob):
+    """A question and who waits for its answer: ``take`` gets that, ``refuse`` why there is none, both in a thread of
+    this service.
+    """
+
+    question: Question[Any]
+    take: Callable[[Any], None]
+    refuse: Callable[[str], None]
 
     def make(self) -> tuple[Task, Any]:
         """See ``PatchJob``."""
-        return self.task, None
+        return (self.question.function, self.question.value), None
 
     def solved(self, held: Any, found: Any) -> int:
         """See ``PatchJob``."""
-        self.take(found)
-        return self.cells
+        self.take(self.question.read(found))
+        return self.question.cells
 
     def failed(self, why: str) -> None:
         """See ``PatchJob``."""
@@ -108,10 +121,11 @@ class Patches:
         self._state = WorkState()
         self._thread = steady("atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again"))
 
-    def want(self, who: Hashable, jobs: Iterable[PatchJob]) -> None:
-        """From now on these jobs are wanted, in this order; an empty list cancels all."""
+    def want(self, who: Hashable, jobs: Iterable[PatchJob], too: bool = False) -> None:
+        """From now on these jobs are wanted, in this order, with ``too`` before those that were; none cancels all."""
         wanted = deque(jobs)
         with self._lock:
+            wanted.extend(self._wanted.get(who, ()) if too else ())
             if wanted:
                 self._wanted[who] = wanted
                 if who not in self._turn:

@@ -4,23 +4,19 @@ from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from bokeh.models import ColumnDataSource
-from bokeh.plotting import figure
 from distributed import Client
 
 import atlas
 from atlas.explore.actions import new_atlas
-from atlas.explore.attractors import KeptAttractors, known_attractors, search_job
+from atlas.explore.attractors import KeptAttractors, attractors_asked, known_attractors
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import beginning
-from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
-from atlas.explore.state import State, Store
+from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.words import attractors_table
 from atlas.query.queries import at
@@ -39,7 +35,7 @@ CELL = {"omega": 4.1234567, "b": 0.1}
 def asked(explorer: Explorer, cell: Cell) -> KeptAttractors:
     """The attractors that the explorer finds of a cell."""
     answers: SimpleQueue[KeptAttractors] = SimpleQueue()
-    explorer.patches.want("test", [search_job(explorer.subject, cell, answers.put)])
+    explorer.patches.want("test", [Errand(attractors_asked(explorer.subject, cell), answers.put, pytest.fail)])
     return answers.get(timeout=120.0)
 
 
@@ -63,23 +59,6 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
     assert [each["share"] for each in found.each] == alone["share"][: found.found].tolist()
     assert [each["largest"] for each in found.each] == alone["largest"][: found.found].tolist()
     assert (found.starts, found.own, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
-
-
-def test_an_answer_about_a_cell_that_was_clicked_before_another_is_not_shown(finished: Path) -> None:
-    subject, works = subject_of(str(finished)), list[object]()
-    background = SimpleNamespace(later=lambda act: act, run=works.append)
-    explorer = SimpleNamespace(subject=subject, patches=SimpleNamespace(want=lambda *_: None))
-    store = Store(State(beginning(subject)))
-    mark = ColumnDataSource({"x": [], "y": []})
-    shown: list[Any] = [explorer, background, store, lambda: "a sight", mark, figure()]
-    details = Details(*shown)
-    for x in (2.5, 3.5):
-        details.show(replace(store.now.chosen, cell=(subject.plane, x, 0.2)))
-    assert len(works) == 2
-    found = KeptAttractors(trouble="of the first", starts=1), KeptAttractors(trouble="of the second", starts=1)
-    for click, answer in ((2, found[1]), (1, found[0])):
-        details._answer(CELL, click, answer)
-    assert "of the second" in details._attractors.text
 
 
 def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:
@@ -128,7 +107,7 @@ def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finishe
     for each, offered in ((subject, True), (fixed, False)):
         explorer = SimpleNamespace(subject=each, patches=SimpleNamespace(want=lambda who, jobs: None))
         panel = BasinsPanel(explorer, SimpleNamespace(later=lambda act: act))  # type: ignore[arg-type]
-        panel.offer(Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+        panel.turn(Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
         assert panel._button.visible == offered
 
 

@@ -12,7 +12,7 @@ import atlas
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
 from atlas.explore import motion
-from atlas.explore.basins import BAND, SIDE, Grid, basin_job
+from atlas.explore.basins import BAND, SIDE, Grid, labels_asked
 from atlas.explore.basinspanel import BasinsPanel, painted
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of, motions
@@ -115,13 +115,12 @@ def test_a_motion_that_cannot_be_shown_leaves_the_others_their_places(
 def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subject) -> None:
     grid = Grid(subject.system, {"omega": 4.0, "b": 0.1}, subject.settings, subject.starts,
                 ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
-    came: list[np.ndarray] = []
-    job = basin_job(grid, slice(1, 3), lambda _, rows, labels: came.append(labels), pytest.fail)
-    (function, argument), held = job.make()
-    assert job.solved(held, function(argument)) == 10
+    question = labels_asked(grid, slice(1, 3))
+    rows, found = question.read(question.function(question.value))
+    assert (rows, question.cells) == (slice(1, 3), 10)
     states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
     periods = [atlas.point({**grid.parameters, **each}, settings=subject.settings)["period"] for each in states]
-    labels = came[0].ravel().tolist()
+    labels = found.ravel().tolist()
     assert min(labels) >= 0 and len(set(periods)) == 2
     of_label = {label: {p for p, k in zip(periods, labels, strict=True) if k == label} for label in labels}
     assert all(len(found) == 1 for found in of_label.values())
@@ -146,10 +145,10 @@ def test_the_plane_of_initial_states_is_laid_out_away_from_the_thread_of_the_doc
     subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     works, made, of_cell = list[Any](), list[Grid](), Grid.of_cell
-    background = SimpleNamespace(later=lambda act: act, run=works.append)
-    wanted = SimpleNamespace(want=lambda who, jobs: made.extend(job.task[1][0] for job in jobs))
+    background = SimpleNamespace(later=lambda act: act, run=lambda work, refuse: works.append(work))
+    wanted = SimpleNamespace(want=lambda who, jobs, too=False: made.extend(job.question.value[0] for job in jobs))
     panel = BasinsPanel(SimpleNamespace(subject=subject, patches=wanted), background)  # type: ignore[arg-type]
-    panel.offer(cell_at(subject, 4.0, 0.1))
+    panel.turn(cell_at(subject, 4.0, 0.1))
     monkeypatch.setattr(Grid, "of_cell", pytest.fail)
     panel._ask()
     assert not made

@@ -6,21 +6,21 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.branches import Drawn
 from atlas.explore.cut import (
     LONGEST,
     SAMPLES,
     STEPS,
     CutCells,
     Line,
-    branch_job,
-    cut_job,
+    cells_asked,
     exponents,
+    follow,
     shown_points,
     sweep_of,
     to_observe,
     too_long,
 )
+from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, subject_of
 from tests.explore.test_solving import exploring, waited
 from workers.results import CHAOTIC, PERIODIC
@@ -33,14 +33,11 @@ def subject() -> Subject:
 
 def solved(line: Line, parts: list[tuple[int, ...]]) -> CutCells:
     """Cells of a line, solved here."""
-    came: list[CutCells] = []
-    for part in parts:
-        job = cut_job(line, part, lambda _, cells: came.append(cells), pytest.fail)
-        (function, argument), held = job.make()
-        assert job.solved(held, function(argument)) == len(part)
     found = None
-    for each in came:
-        found = each.joined(found)
+    for part in parts:
+        question = cells_asked(line, part)
+        assert question.cells == len(part)
+        found = question.read(question.function(question.value)).joined(found)
     assert found is not None
     return found
 
@@ -109,11 +106,7 @@ def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subj
     """The symmetry breaking at b = 0.087 of the example of ``atlas.branch``."""
     line = Line(subject, subject.plane, (4.0, 0.05, 4.0, 0.15))
     assert line.name == "b"
-    sweep, came = sweep_of(line, solved(line, line.parts()[:1])), []
-    job = branch_job(line, sweep, lambda _, found: came.append(found), pytest.fail)
-    (function, argument), held = job.make()
-    job.solved(held, function(argument))
-    found: Drawn = came[0]
+    found = follow(sweep_of(line, solved(line, line.parts()[:1])))
     alone = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15), settings=subject.settings)
     where = [value for kind, value, _ in found.events if kind == "symmetry_breaking"]
     expected = alone.events["b"][alone.events["kind"] == "symmetry_breaking"].to_list()
@@ -130,11 +123,11 @@ def test_branches_along_a_slanted_cut_are_refused(subject: Subject) -> None:
 def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject: Subject, client: Client) -> None:
     with exploring("omega-b", client) as explorer:
         line, came = Line(explorer.subject, explorer.subject.plane, (3.7, 0.45, 3.9, 0.45)), []
-        jobs = [cut_job(line, part, lambda _, cells: came.append(cells), pytest.fail) for part in line.parts()[:2]]
-        explorer.patches.want("page", jobs)
+        jobs = [Errand(cells_asked(line, part), came.append, pytest.fail) for part in line.parts()]
+        explorer.patches.want("page", jobs[:2])
         assert waited(lambda: explorer.patches.left("page") == 0)
         assert sum(cells.index.size for cells in came) == sum(map(len, line.parts()[:2]))
-        explorer.patches.want("page", [cut_job(line, part, lambda *_: None, pytest.fail) for part in line.parts()])
+        explorer.patches.want("page", jobs)
         explorer.patches.want("page", ())
         assert explorer.patches.left("page") == 0
 

@@ -7,12 +7,14 @@ from urllib.parse import parse_qs
 
 import numpy as np
 import pytest
+from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.branches import Arrow, FollowedBranch, Here, arrows, beginning, distance, follow_job, follow_orbit
+from atlas.explore.branches import Arrow, FollowedBranch, Here, arrows, beginning, branch_asked, distance, follow_orbit
 from atlas.explore.chosen import Chosen, FollowedOrbit, Point, followable, from_address, to_address
+from atlas.explore.details import Details
 from atlas.explore.followpanel import FollowPanel, label_of
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
@@ -40,13 +42,9 @@ def cell_of(subject: Subject) -> Point:
 
 def followed(subject: Subject, chosen: Chosen, along: str) -> FollowedBranch:
     """The branch of the cell that is chosen, found here."""
-    came: list[FollowedBranch] = []
     assert chosen.cell is not None
-    follow = beginning(subject, chosen, chosen.cell, along)
-    job = follow_job(subject, chosen.cell, follow, came.append, pytest.fail)
-    (function, argument), held = job.make()
-    job.solved(held, function(argument))
-    return came[0]
+    question = branch_asked(subject, chosen.cell, beginning(subject, chosen, chosen.cell, along)[:3])
+    return question.read(question.function(question.value))
 
 
 @pytest.fixture(scope="module")
@@ -300,14 +298,14 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
 ) -> None:
     store, jobs = Store(State(at_cell(subject))), list[Any]()
     explorer: Any = SimpleNamespace(
-        subject=subject, patches=SimpleNamespace(want=lambda _, wanted: jobs.append(wanted))
+        subject=subject, patches=SimpleNamespace(want=lambda _, wanted, too=False: jobs.append(wanted))
     )
     background: Any = SimpleNamespace(later=lambda act: act)
     panel = FollowPanel(explorer, background, store, figure())
     store.listen(lambda _, now: panel.show(now.chosen))
     store.choose(follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
     assert len(jobs[-1]) == 1 and "following" in panel.panel.children[1].text
-    panel._take(panel._asked, found)
+    jobs[-1][0].take(found)
     (slider, typed), text = (each.children if hasattr(each, "children") else each for each in panel._body.children[:2])
     assert slider.end == len(found.values) - 1 and "1-2-2 symmetric" in text.text
     slider.value = found.own + 4
@@ -318,3 +316,15 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
     assert found.values[slider.value] < 1.7312345 < found.values[slider.value + 1]
     store.escape()
     assert panel._body.children == [] and jobs[-1] == ()
+
+
+def test_a_link_to_a_followed_orbit_has_its_branch_found_and_shows_its_cell(subject: Subject) -> None:
+    chosen, wanted, works = at_cell(subject, follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"])), {}, list[Any]()
+    patches = SimpleNamespace(want=lambda who, jobs, too=False: wanted.update({type(who): list(jobs)}))
+    background = SimpleNamespace(later=lambda act: act, run=lambda work, refuse: works.append(work))
+    mark = ColumnDataSource({"x": [], "y": []})
+    made: list[Any] = [SimpleNamespace(subject=subject, patches=patches), background, Store(State(chosen))]
+    details = Details(*made, lambda: "a sight", mark, figure())  # type: ignore[arg-type, return-value]
+    details.show(chosen)
+    assert details.about == chosen.cell and len(works) == 1
+    assert [errand.question.function for errand in wanted[FollowPanel]] == [follow_orbit]

@@ -21,7 +21,7 @@ from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Errand, Patches, PatchJob, Task
+from atlas.explore.patches import Errand, Patches, PatchJob, Question, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Subject, SubjectPlane, subject_of
 from atlas.explore.tiles import Memory, Tiles
@@ -406,7 +406,7 @@ def test_a_result_that_went_with_its_worker_is_asked_for_again_and_never_waited_
     monkeypatch.setattr(Future, "result", late)
     patches = Patches(connect)
     try:
-        patches.want("test", [Errand((abs, -3), found.append, pytest.fail)])
+        patches.want("test", [Errand(Question(abs, -3), found.append, pytest.fail)])
         assert waited(lambda: patches.left("test") == 0)
     finally:
         patches.stop()

@@ -16,7 +16,7 @@ from atlas.explore.chosen import beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.painter import Painted, Painter
-from atlas.explore.patches import Errand, Patches
+from atlas.explore.patches import Errand, Patches, Question
 from atlas.explore.server import PageServer
 from atlas.explore.subject import subject_of
 from atlas.explore.view import TILE, TileKey
@@ -74,7 +74,7 @@ def test_the_thread_that_has_jobs_done_goes_on_with_a_new_client_after_any_excep
     raise_once(monkeypatch, Patches, step, error)
     patches = Patches(connect)
     try:
-        patches.want("test", [Errand((abs, -3), found.append, pytest.fail)])
+        patches.want("test", [Errand(Question(abs, -3), found.append, pytest.fail)])
         assert waited(lambda: patches.left("test") == 0)
         assert patches.state.trouble == ""
     finally:

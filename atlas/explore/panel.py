@@ -1,0 +1,82 @@
+"""Panels of a page: each is about one thing at a time, asks what is to be found of that, and shows the answers.
+
+An answer that comes once its panel is about something else is dropped: here, and nowhere else.
+"""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+from atlas.explore.background import Background, Show
+from atlas.explore.explorer import Explorer
+from atlas.explore.patches import Errand, Question
+
+A = TypeVar("A")
+
+
+class Panel(Generic[A]):
+    """What ``turn`` says it is ``about``, None for nothing; the panels have ``begin``, ``clear`` and ``refuse``."""
+
+    def __init__(self, explorer: Explorer, background: Background) -> None:
+        self._explorer, self._subject, self._background = explorer, explorer.subject, background
+        self.about: A | None = None
+        self._turns = 0
+
+    def begin(self, about: A) -> None:
+        """Show that nothing is known of a thing yet, and ask."""
+        raise NotImplementedError
+
+    def clear(self) -> None:
+        """Show nothing."""
+
+    def refuse(self, why: str) -> None:
+        """Say why something is not found."""
+        self._background.refuse(why)
+
+    def turn(self, about: A | None) -> None:
+        """Be about something else, unless it is this already: what was asked is wanted no more."""
+        if about == self.about:
+            return
+        self.about = about
+        self._turns += 1
+        self._explorer.patches.want(self, ())
+        if about is None:
+            self.clear()
+        else:
+            self.begin(about)
+
+    def close(self) -> None:
+        """Want nothing more."""
+        self._explorer.patches.want(self, ())
+
+    def ask(
+        self,
+        questions: Iterable[Question[Any]],
+        take: Callable[[Any], None],
+        refuse: Callable[[str], None] | None = None,
+    ) -> None:
+        """Ask the crew, before what was asked earlier: ``take`` shows each answer, ``refuse`` why there is none."""
+        told = [self._background.later(self._current(act)) for act in (take, refuse or self.refuse)]
+        self._explorer.patches.want(self, [Errand(each, *told) for each in questions], too=True)
+
+    def work(self, work: Callable[[], Show]) -> None:
+        """Have something found in a thread of the page, and shown by what ``work`` returns."""
+        turns, shown = self._turns, self._current(_do)
+
+        def whole() -> Show:
+            return partial(shown, work()) if turns == self._turns else lambda: None
+
+        self._background.run(whole, self._current(self.refuse))
+
+    def soon(self) -> Callable[[Show], None]:
+        """What has something shown at once, in a thread of ``work`` that goes on; ask for it before that begins."""
+        return self._background.later(self._current(_do))
+
+    def _current(self, act: Callable[..., None]) -> Callable[..., None]:
+        """An act for the document's thread that does nothing once the panel is about something else."""
+        turns = self._turns
+        return lambda *given: act(*given) if turns == self._turns else None
+
+
+def _do(show: Show) -> None:
+    show()

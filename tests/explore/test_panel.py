@@ -1,0 +1,103 @@
+"""A panel shows answers about what it is about now: what is asked, found or refused about anything else is dropped."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from atlas.explore.background import Show
+from atlas.explore.panel import Panel
+from atlas.explore.patches import Errand, Question
+
+
+class Letters(Panel[str]):
+    """A panel on a letter, which notes what it shows."""
+
+    def __init__(self) -> None:
+        self.shown, self.wanted, self.works = list[str](), list[Errand](), list[tuple[Callable[[], Show], Any]]()
+
+        def want(who: object, jobs: list[Errand], too: bool = False) -> None:
+            self.wanted = [*jobs, *(self.wanted if too else ())]
+
+        explorer: Any = SimpleNamespace(subject=None, patches=SimpleNamespace(want=want))
+        background: Any = SimpleNamespace(later=lambda act: act, run=lambda *given: self.works.append(given))
+        super().__init__(explorer, background)
+
+    def begin(self, about: str) -> None:
+        self.shown.append(f"begin {about}")
+        self.ask([Question(str.upper, about)], self.shown.append)
+
+    def clear(self) -> None:
+        self.shown.append("clear")
+
+    def refuse(self, why: str) -> None:
+        self.shown.append(why)
+
+    def answer(self, errand: Errand) -> None:
+        """Have the crew answer."""
+        (function, value), held = errand.make()
+        errand.solved(held, function(value))
+
+
+@pytest.fixture
+def panel() -> Letters:
+    made = Letters()
+    made.turn("a")
+    return made
+
+
+def test_an_answer_is_shown_while_the_panel_is_about_the_same(panel: Letters) -> None:
+    panel.turn("a")
+    panel.answer(panel.wanted[0])
+    assert panel.shown == ["begin a", "A"]
+
+
+def test_answers_and_refusals_about_something_else_are_dropped(panel: Letters) -> None:
+    (first,) = panel.wanted
+    panel.turn("b")
+    panel.answer(first)
+    first.refuse("no a")
+    panel.wanted[0].refuse("no b")
+    assert panel.shown == ["begin a", "begin b", "no b"]
+
+
+def test_an_answer_to_a_question_before_last_about_the_same_is_dropped_too(panel: Letters) -> None:
+    (first,) = panel.wanted
+    panel.turn(None)
+    panel.turn("a")
+    panel.answer(first)
+    assert panel.shown == ["begin a", "clear", "begin a"]
+
+
+def test_what_was_asked_about_something_else_is_wanted_no_more(panel: Letters) -> None:
+    panel.turn("b")
+    assert [errand.question.value for errand in panel.wanted] == ["b"]
+    panel.turn(None)
+    assert panel.wanted == [] and panel.about is None
+
+
+def test_what_is_asked_later_comes_before_what_was_asked_already(panel: Letters) -> None:
+    panel.ask([Question(str.upper, "later")], panel.shown.append)
+    assert [errand.question.value for errand in panel.wanted] == ["later", "a"]
+
+
+def test_work_on_something_else_is_neither_begun_nor_shown(panel: Letters) -> None:
+    begun, soon = list[str](), panel.soon()
+
+    def work() -> Show:
+        begun.append("work")
+        return lambda: panel.shown.append("found")
+
+    panel.work(work)
+    panel.work(work)
+    (first, refuse), (second, _) = panel.works
+    first()()
+    shown = first()
+    soon(lambda: panel.shown.append("soon"))
+    panel.turn("b")
+    shown()
+    soon(lambda: panel.shown.append("too late"))
+    second()()
+    refuse("no a")
+    assert begun == ["work", "work"] and panel.shown == ["begin a", "found", "soon", "begin b"]
