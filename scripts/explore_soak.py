@@ -168,9 +168,9 @@ class Report:
         self._memory.append(memory)
         self._minutes.append(self.seconds / 60.0)
         server, scheduler, worker = memory
-        known, sheets = explorer.known.tiles, explorer.keeper.sheets
-        cached = f"{threading.active_count()} threads, tiles {known.memory.bytes / 2**20:.0f} MiB"
-        cached += f", {explorer.keeper.waiting} to keep"
+        tiles, sheets = explorer.tiles, explorer.tiles.keeper.sheets
+        cached = f"{threading.active_count()} threads, tiles {tiles.memory.bytes / 2**20:.0f} MiB"
+        cached += f", {tiles.keeper.waiting} to keep"
         cached += "".join(f", {count} sheets {what}" for what, count in (sheets.counts if sheets else {}).items())
         print(
             f"{self.seconds:5.0f} s  {self.moves:4d} moves  {sum(self.counts.values()):6d} tiles  "

@@ -123,7 +123,7 @@ def explore(
                 prepare=prepare,
             )
             try:
-                if running.explorer.keeper.handle is not None:
+                if running.explorer.tiles.keeper.handle is not None:
                     say(f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none")
                 click.echo(running.url)
                 if running.place != running.url:

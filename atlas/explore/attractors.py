@@ -10,8 +10,7 @@ from atlas.cell.attractors import in_words
 from atlas.explore.known import Cell
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Question
-from atlas.explore.subject import Subject
-from atlas.explore.tiles import Arrays
+from atlas.explore.subject import Arrays, Subject
 from atlas.query.queries import at
 from workers.results import ATTRACTOR
 

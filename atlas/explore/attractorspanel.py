@@ -12,7 +12,8 @@ from atlas.explore.motion import motions
 from atlas.explore.motionpanel import MotionPanel
 from atlas.explore.panel import Panel
 from atlas.explore.style import TEXT
-from atlas.explore.words import attractors_table
+from atlas.explore.words import attractors_table, compiled_first
+from atlas.task.compile import ATTRACTORS
 
 ALL = "<h4>all attractors of this cell</h4>"
 
@@ -27,8 +28,7 @@ class AttractorsPanel(Panel[Cell]):
 
     def begin(self, cell: Cell) -> None:
         """Look for the attractors of a cell in the store, and have them sought otherwise."""
-        count = self._subject.starts.count
-        self.panel.text = f'{ALL}<span class="waiting">being sought from {count} initial states</span>'
+        self.panel.text = ALL
         self.work(lambda: partial(self._known, cell, known_attractors(self._subject, cell)))
 
     def clear(self) -> None:
@@ -41,6 +41,9 @@ class AttractorsPanel(Panel[Cell]):
 
     def _known(self, cell: Cell, found: KeptAttractors | None) -> None:
         if found is None:
+            first = compiled_first(self._subject.system, ATTRACTORS)
+            sought = f"being sought from {self._subject.starts.count} initial states{first}"
+            self.panel.text = f'{ALL}<span class="waiting">{sought}</span>'
             self.ask([attractors_asked(self._subject, cell)], partial(self._take, cell))
         else:
             self._take(cell, found)

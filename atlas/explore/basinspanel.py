@@ -18,8 +18,9 @@ from atlas.explore.known import Cell
 from atlas.explore.panel import Panel
 from atlas.explore.plot import quiet
 from atlas.explore.style import TEXT
-from atlas.explore.words import symbol_of
+from atlas.explore.words import compiled_first, symbol_of
 from atlas.render.classes import BASINS
+from atlas.task.compile import ATTRACTORS
 from atlas.text import plural
 
 
@@ -62,7 +63,8 @@ class BasinsPanel(Panel[Cell]):
         cell = self.about
         if cell is None:
             return
-        self._says.update(text="solving initial states", visible=True)
+        first = compiled_first(self._subject.system, ATTRACTORS)
+        self._says.update(text=f"solving initial states{first}", visible=True)
         self._button.visible = False
         self.work(lambda: partial(self._lay_out, cell, Grid.of_cell(self._subject, cell.parameters)))
 

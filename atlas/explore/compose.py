@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.explore.subject import Subject, SubjectPlane
-from atlas.explore.tiles import Arrays
+from atlas.explore.subject import Arrays, Subject, SubjectPlane
 from atlas.explore.view import Sight, TileKey
 from atlas.query.open import note_store
 from atlas.query.resample import view as read_view

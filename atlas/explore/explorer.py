@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.explore.kept import MOST_BYTES, Keeper
-from atlas.explore.known import KnownTiles
+from atlas.explore.known import KnownCells
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Patches, PatchJob, Task
-from atlas.explore.subject import Subject, SubjectPlane
-from atlas.explore.tiles import Arrays, Memory
+from atlas.explore.subject import Arrays, Subject, SubjectPlane
+from atlas.explore.tiles import Memory, TileStore
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.timing import TIMING, Timing
 
@@ -36,7 +36,8 @@ class Explorer:
 
     ``connect`` leads to the cluster, or is the explorer whose cluster and memory this one shares.
 
-    known      what is known of the subject
+    tiles      what is solved of the subject
+    known      the cells of these tiles, and of the atlas
     failures   when tiles could not be solved, in seconds of ``time.monotonic``
     """
 
@@ -50,24 +51,23 @@ class Explorer:
     ) -> None:
         self.subject, self.failures = subject, dict[tuple[SubjectPlane, TileKey], float]()
         self._keeping = keep, most_bytes
-        self._kept_planes = {subject.plane}
         self._listeners: dict[Hashable, Callable[[SubjectPlane, TileKey], None]] = {}
         self._lock = threading.Lock()
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
         self._ending: list[Keeper] = []
-        self.keeper = Keeper(subject, most_bytes, keep)
         self.patches: Patches
         memory: Memory
         if isinstance(connect, Explorer):
-            self.patches, memory = connect.patches, connect.known.tiles.memory
+            self.patches, memory = connect.patches, connect.tiles.memory
         else:
             self.patches, memory = Patches(connect, timing), Memory()
-        self.known: KnownTiles = KnownTiles(subject, self.keeper, memory)
+        self.tiles: TileStore = TileStore(subject, Keeper(subject, most_bytes, keep), memory)
+        self.known = KnownCells(self.tiles)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
-        for keeper in (*self._ending, *(each.keeper for each in (*self._others.values(), self))):
+        for keeper in (*self._ending, *(each.tiles.keeper for each in (*self._others.values(), self))):
             keeper.stop()
 
     def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
@@ -84,9 +84,8 @@ class Explorer:
             idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
             self._ending = [keeper for keeper in self._ending if not keeper.ended]
             for key in idle[: max(0, len(self._others) - MOST_OTHERS)]:
-                gone = self._others.pop(key)
-                gone.keeper.end()  # its last tiles are written while the page goes on
-                gone.known.tiles.clear()
+                gone = self._others.pop(key).tiles
+                gone.drop()  # its last tiles are written while the page goes on
                 self._ending.append(gone.keeper)
             return found
 
@@ -106,23 +105,6 @@ class Explorer:
         with self._lock:
             return list(self._listeners)
 
-    def keeps(self, plane: SubjectPlane) -> bool:
-        """Whether tiles of this plane are kept as they are solved, where anything is."""
-        with self._lock:
-            return plane in self._kept_planes
-
-    def keep_plane(self, plane: SubjectPlane, on: bool = True) -> None:
-        """Keep this plane too, with what is known of it; or nothing more of it."""
-        with self._lock:
-            if on == (plane in self._kept_planes):
-                return
-            self._kept_planes ^= {plane}
-        if not on:
-            return
-        for key, arrays in self.known.tiles.of(plane):
-            if arrays.keys() >= self.subject.variables.keys():
-                self.keeper.offer(plane, key, arrays)
-
     def want(self, who: Hashable, plane: SubjectPlane, sight: Sight, stages: range) -> int:
         """Have what is not known of the view solved, at these stages in this order, and return how many tiles.
 
@@ -133,7 +115,7 @@ class Explorer:
             TileJob(self, plane, key)
             for stage in stages
             for key in sight.tiles(stage)
-            if self.failures.get((plane, key), -math.inf) <= since and not self.known.has(plane, key)
+            if self.failures.get((plane, key), -math.inf) <= since and not self.tiles.has(plane, key)
         ]
         self.patches.want(who, wanted)
         return len(wanted)
@@ -148,15 +130,12 @@ class Explorer:
 
     def take(self, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         """Keep a solved tile, and tell the pages."""
-        with self._lock:
-            wanted, listeners = plane in self._kept_planes, list(self._listeners.values())
-        kept = wanted and self.keeper.can_keep(key)
-        self.known.tiles.put(plane, key, arrays, only_here=wanted and not kept)
+        self.tiles.put(plane, key, arrays)
         self.failures.pop((plane, key), None)
+        with self._lock:
+            listeners = list(self._listeners.values())
         for told in listeners:
             told(plane, key)
-        if kept:
-            self.keeper.offer(plane, key, arrays)
 
 
 @dataclass(frozen=True)
@@ -169,14 +148,15 @@ class TileJob(PatchJob):
 
     def ready(self) -> bool:
         """Cells that are to be kept are solved no faster than they can be written."""
-        return not (self.explorer.keeper.full and self.explorer.keeps(self.plane))
+        tiles = self.explorer.tiles
+        return not (tiles.keeper.full and tiles.keeps(self.plane))
 
     def make(self) -> tuple[Task, Any] | None:
         """The patch of the tile less the cells that the tile above has, and which cells it has, and those others."""
-        known = self.explorer.known
-        if known.whole(self.plane, self.key) is not None:
+        tiles = self.explorer.tiles
+        if tiles.whole(self.plane, self.key) is not None:
             return None
-        parent = known.parent(self.plane, self.key)
+        parent = tiles.parent(self.plane, self.key)
         solved = np.zeros((TILE, TILE), dtype=bool)
         solved[::2, ::2] = parent is not None
         return (solve_patch, self.explorer.subject.patch(self.plane, self.key, solved)), (~solved, parent)

@@ -19,7 +19,8 @@ from atlas.explore.panel import Panel
 from atlas.explore.plot import quiet
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
-from atlas.explore.words import number, symbol_of
+from atlas.explore.words import compiled_first, number, symbol_of
+from atlas.task.compile import ORBITS
 from atlas.text import plural
 
 FOLLOWABLE = "periodic", "no_impact"
@@ -74,7 +75,8 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         cell, (along, low, high) = about
         self.panel.visible, self._along.value = True, along
         self._label()
-        self._say(f"following its branch along {symbol_of(self._subject.system, along)}")
+        system = self._subject.system
+        self._say(f"following its branch along {symbol_of(system, along)}{compiled_first(system, ORBITS)}")
         self.ask([branch_asked(self._subject, cell, (along, low, high))], self._take)
 
     def clear(self) -> None:

@@ -13,9 +13,8 @@ from contextlib import suppress
 
 from atlas.errors import InputError, RunError
 from atlas.explore.sheets import SheetKey, Sheets, depth
-from atlas.explore.subject import Subject, SubjectPlane
+from atlas.explore.subject import Arrays, Subject, SubjectPlane
 from atlas.explore.threads import steady, why
-from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
 from atlas.service.lease import claimed
 from atlas.store.sidecar import CLAIM, notes_of
@@ -51,7 +50,6 @@ class Keeper:
         self._most, self._recent = most_bytes, recent
         self._lock, self._stopped = threading.RLock(), threading.Event()
         self._waiting: OrderedDict[tuple[SubjectPlane, TileKey], Arrays] = OrderedDict()
-        self._seen: dict[tuple[str, str], float] = {}
         self._sizes: dict[tuple[str, str], int] = {}
         self.handle = subject.handle if wanted else None
         self._trouble, self._lost, self._lately = "" if self.handle is not None else "nothing is kept", 0, ""
@@ -71,7 +69,7 @@ class Keeper:
         """Why tiles are not kept at this moment, and how many could not be kept at all; empty if nothing is wrong."""
         with self._lock:
             lost = f"{plural(self._lost, 'solved tile')} could not be kept: {self._lately}" if self._lost else ""
-            return "; ".join(filter(None, (self._trouble, lost)))
+            return "; ".join(filter(None, (self._trouble, lost, self.sheets.trouble if self.sheets else "")))
 
     @property
     def full(self) -> bool:
@@ -99,7 +97,7 @@ class Keeper:
         with self._lock:
             if (plane, key) in self._waiting:
                 return True
-        return self.handle is not None and self.sheets is not None and self.sheets.has(plane, key)
+        return self.sheets is not None and self.sheets.has(plane, key)
 
     def can_keep(self, key: TileKey) -> bool:
         """Whether a tile can be kept at all: not one with cells out of the valid ranges."""
@@ -107,20 +105,10 @@ class Keeper:
 
     def load(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
         """These variables of those of the tiles that are kept and can be read; all variables of those that wait."""
-        if self.sheets is None:
-            return {}
-        wanted: dict[SheetKey, list[TileKey]] = {}
         with self._lock:
             found = {key: self._waiting[plane, key] for key in keys if (plane, key) in self._waiting}
-        for key in keys:
-            if key not in found and self.has(plane, key):
-                wanted.setdefault(SheetKey.of(key), []).append(key)
-        for of, tiles in wanted.items():
-            sheet = self.sheets.find(plane, of)
-            if sheet is not None:
-                found |= self.sheets.read(sheet, tiles, list(names))
-                self._see(plane, of)
-        return found
+        rest = [key for key in keys if key not in found]
+        return found | (self.sheets.load(plane, rest, list(names)) if self.sheets is not None else {})
 
     def end(self) -> None:
         """Write what waits, and end, without waiting for that."""
@@ -130,12 +118,6 @@ class Keeper:
         """Write what waits, and end."""
         self.end()
         self._thread.join()
-
-    def _see(self, plane: SubjectPlane, of: SheetKey) -> None:
-        """Note that a sheet was looked at."""
-        assert self.sheets is not None
-        with self._lock:
-            self._seen[self.sheets.digest(plane), of.name] = time.time()
 
     def _say(self, trouble: str) -> None:
         with self._lock:
@@ -154,7 +136,7 @@ class Keeper:
             ending = self._stopped.wait(pause)
             with self._lock:
                 batch = [(key, self._waiting[key]) for key in list(self._waiting)[:TOGETHER]]
-            due = batch or self._trouble or (self._seen and time.monotonic() - noted > RECENT)
+            due = batch or self._trouble or (self.sheets and self.sheets.seen and time.monotonic() - noted > RECENT)
             if self.handle is not None and due:  # in trouble too, which is over once a turn has come to its end
                 noted = time.monotonic()
                 self._turn(self.handle, batch)
@@ -207,7 +189,7 @@ class Keeper:
         if index not in done_tiles(sheet.handle) or index in sheet.bad:
             write_tile(sheet.handle.at(sheet.handle.place.behind(handle.place.fence)), index, arrays)
         self.sheets.note(sheet, index)
-        self._see(plane, of)
+        self.sheets.look(plane, of)
         self._sizes.pop((self.sheets.digest(plane), of.name), None)
 
     def _trim(self, handle: Atlas) -> None:
@@ -217,10 +199,7 @@ class Keeper:
         for each in all_sheets:
             if each not in self._sizes:
                 self._sizes[each] = sheet_bytes(handle, *each)
-        seen = seen_sheets(handle)
-        with self._lock:
-            seen |= self._seen
-            self._seen = {}
+        seen = seen_sheets(handle) | self.sheets.take_seen()
         total = sum(self._sizes[each] for each in all_sheets)
         recent = time.time() - self._recent
         for each in sorted(all_sheets, key=lambda one: (seen.get(one, 0.0), -depth(one[1]))):

@@ -1,30 +1,21 @@
 """What is known of a subject: cells of the atlas itself, tiles in memory, tiles kept; one cell is solved if asked."""
 
-import time
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
-from atlas.explore.compose import atlas_cells, atlas_covers, composed, seen_atlas
-from atlas.explore.kept import Keeper
+from atlas.explore.compose import composed, seen_atlas
 from atlas.explore.patch import solve_patch
-from atlas.explore.sheets import LOOK
-from atlas.explore.subject import Subject, SubjectPlane
-from atlas.explore.tiles import Arrays, Memory, Tiles
+from atlas.explore.subject import Arrays, SubjectPlane
+from atlas.explore.tiles import TileStore
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
-from atlas.store.store import done_tiles
 from workers.results import (
-    INVALID,
     NO_REASON,
-    OUT_OF_RANGE,
-    PENDING,
     REASON,
     REASONS,
     REGIME,
@@ -36,8 +27,6 @@ if TYPE_CHECKING:
 
 DEPTH = 12
 """So many coarser levels are looked through for what was kept."""
-MOST_ROWS = 4096
-"""Rows and columns of tiles of which it is remembered whether they have a point in the valid range."""
 
 
 @dataclass(frozen=True)
@@ -49,35 +38,19 @@ class Cell:
     of_atlas: bool
 
 
-class KnownTiles:
-    """Finds what is known. ``tiles`` are those in memory; ``keeper`` has those of the store."""
+class KnownCells:
+    """The cells of a subject that are known, by its tiles and its atlas."""
 
-    def __init__(self, subject: Subject, keeper: Keeper, memory: Memory | None = None) -> None:
-        self.subject, self.tiles, self.keeper = subject, Tiles(memory), keeper
-        self._invalid = subject.without_results(subject.variables, (TILE, TILE))
-        self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
-        self._admits = lru_cache(MOST_ROWS)(
-            lambda along, level, number: bool(subject.admitted(along, level, number, 1).any())
-        )
-        self._done: NDArray[np.bool_] | None = None
-        self._looked = float("-inf")
+    def __init__(self, tiles: TileStore) -> None:
+        self.tiles, self.subject = tiles, tiles.subject
 
-    def look(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> None:
+    def look(self, plane: SubjectPlane, sight: Sight, names: Collection[str]) -> None:
         """Read what is kept of the cells in view: finest first, and coarser ones only where these leave gaps."""
-        wanted = {*names, REGIME.name}
         hidden: set[TileKey] = set()
         for stage in range(max(STAGES, min(DEPTH, max(sight.x.level, sight.y.level))) + 1):
             tiles = sight.tiles(stage)
-            missing = [key for key in tiles if key not in hidden and not self.tiles.has(plane, key, wanted)]
-            for key, arrays in self.keeper.load(plane, missing, wanted).items():
-                self.tiles.put(plane, key, arrays)
-            shown = {key for key in tiles if key in hidden or self.tiles.has(plane, key, wanted)}
+            shown = hidden | self.tiles.get(plane, [key for key in tiles if key not in hidden], names).keys()
             hidden = {above for above in {key.above for key in tiles} if all(b in shown for b in below(above))}
-
-    def has(self, plane: SubjectPlane, key: TileKey) -> bool:
-        """Whether a tile need not be solved."""
-        known = self.tiles.has(plane, key, {REGIME.name}) or self.outside(key) or self.keeper.has(plane, key)
-        return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
     def shares(self, plane: SubjectPlane, sight: Sight) -> tuple[float, ...]:
         """Of each stage, the coarsest first, the share of the view that is known as densely or more so."""
@@ -85,7 +58,7 @@ class KnownTiles:
         for stage in range(STAGES + 1):
             for key in sight.tiles(stage):
                 place = sight.place(key)
-                if not known[place].all() and self.has(plane, key):
+                if not known[place].all() and self.tiles.has(plane, key):
                     known[place] = True
             if stage >= max(sight.x.level, sight.y.level):
                 known |= self._in_atlas(plane, sight)
@@ -94,7 +67,7 @@ class KnownTiles:
 
     def _in_atlas(self, plane: SubjectPlane, sight: Sight) -> NDArray[np.bool_]:
         """Which cells in view lie in a cell of the atlas itself that is solved."""
-        done = self.atlas_done() if plane == self.subject.plane else None
+        done = self.tiles.atlas_done() if plane == self.subject.plane else None
         if done is None:
             return np.zeros(sight.shape, dtype=bool)
         places, inside = [], []
@@ -105,46 +78,11 @@ class KnownTiles:
             places.append(np.clip(place, 0, count - 1))
         return np.asarray(done[np.ix_(*places)] & np.outer(*inside))
 
-    def outside(self, key: TileKey) -> bool:
-        """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
-        return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
-
-    def whole(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
-        """All variables of a tile, from memory or from the store; None where it is not known."""
-        names = self.subject.variables.keys()
-        arrays = self.tiles.get(plane, key)
-        if arrays is not None and arrays.keys() >= names:
-            return arrays
-        if self.outside(key):
-            return self._invalid
-        kept = self.keeper.load(plane, [key], names).get(key)
-        if kept is not None and kept.keys() >= names:
-            self.tiles.put(plane, key, kept)
-            return kept
-        return None
-
-    def parent(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
-        """What is known of every fourth cell of a tile, by the tile above or by the atlas where it is solved alike."""
-        above = key.above
-        whole = self.whole(plane, above)
-        if whole is not None:
-            return {name: array[key.quarter] for name, array in whole.items()}
-        subject, names = self.subject, self.subject.variables.keys()
-        if subject.ds is None or not subject.same_settings:
-            return None
-        if not atlas_covers(subject, self.atlas_done(), plane, above):
-            return None
-        rows, columns = (cells[part] for cells, part in zip(above.of_atlas, key.quarter, strict=True))
-        with suppress(OSError, RunError):
-            return atlas_cells(subject, names, rows, columns)
-        return None
-
     def seen(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> "xr.Dataset":
         """The cells in view as far as they are known."""
         wanted = list(names)
         base = seen_atlas(self.subject, sight, wanted) if plane == self.subject.plane else None
-        tiles = self.tiles.shown(plane, sight) + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
-        return composed(self.subject, plane, sight, tiles, wanted, base)
+        return composed(self.subject, plane, sight, self.tiles.shown(plane, sight), wanted, base)
 
     def cell(self, plane: SubjectPlane, sight: Sight, x: float, y: float) -> Cell | None:
         """The finest cell that is known at a point in view; None where none is."""
@@ -156,7 +94,7 @@ class KnownTiles:
                     return found
             j, i = self.subject.x.nearest(level_x, x), self.subject.y.nearest(level_y, y)
             key = TileKey(level_x, level_y, j // TILE, i // TILE)
-            arrays = self.whole(plane, key)
+            arrays = self.tiles.whole(plane, key)
             if arrays is not None:
                 return self._cell_of(plane, arrays, (i % TILE, j % TILE), self._at(level_x, level_y, j, i), (x, y))
         return self._atlas_cell(plane, x, y)
@@ -174,24 +112,6 @@ class KnownTiles:
         """The cell at exactly this point, solved here and now."""
         found = solve_patch(self.subject.grid(plane, (x,), (y,)))
         return self._cell_of(plane, found, (0,), (x, y), (x, y))
-
-    def atlas_done(self) -> NDArray[np.bool_] | None:
-        """Which cells (y, x) of the atlas itself are solved; None without an atlas.
-
-        Of an atlas of all attractors those that keep the one that the cell's own initial state reaches.
-        """
-        ds, subject = self.subject.ds, self.subject
-        if ds is None or subject.stored is None:
-            return None
-        if time.monotonic() - self._looked > LOOK and (self._done is None or not self._done.all()):
-            self._looked = time.monotonic()
-            tiling = subject.stored.tiling
-            done = np.zeros(tiling.shape, dtype=bool)
-            for index in done_tiles(subject.stored):
-                done[tiling.at(index).slices] = True
-            done = done[subject.layer] if done.ndim > 2 else done
-            self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
-        return self._done
 
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
         """The parameters of a column and a row of a level."""

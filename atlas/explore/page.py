@@ -133,7 +133,7 @@ class Page:
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
         controls.rescale.on_click(self._rescale)
-        controls.keep.on_click(lambda on: self._explorer.keep_plane(store.now.chosen.plane, on))
+        controls.keep.on_click(lambda on: self._explorer.tiles.keep_plane(store.now.chosen.plane, on))
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
@@ -166,7 +166,7 @@ class Page:
     def _changed(self, old: State, new: State) -> None:
         """Show what the state says now."""
         chosen = new.chosen
-        self._controls.show(new, self._explorer.keeps(chosen.plane))
+        self._controls.show(new, self._explorer.tiles.keeps(chosen.plane))
         self._details.show(chosen)
         self._cut.show(new)
         if min(new.size) >= LEAST:
@@ -219,7 +219,7 @@ class Page:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
         left = explorer.patches.left(self._pane.painter)
-        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble], now.shares)
+        text = progress(explorer.patches.state, left, [*self._notes(), explorer.tiles.keeper.trouble], now.shares)
         if trouble:
             text = f'<span class="trouble" role="alert">{html.escape(trouble)}</span> &middot; {text}'
         self._line.text = f"<span>{text}</span>"
@@ -227,7 +227,7 @@ class Page:
     def _notes(self) -> list[str]:
         subject, chosen = self._subject, self._store.now.chosen
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
-        keeper = self._explorer.keeper
+        keeper = self._explorer.tiles.keeper
         if keeper.handle is not None and not keeper.trouble and chosen.plane == subject.plane:
             notes.append(f"kept in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
@@ -237,7 +237,7 @@ class Page:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            kept = keeper.handle is not None and self._explorer.keeps(chosen.plane)
+            kept = keeper.handle is not None and self._explorer.tiles.keeps(chosen.plane)
             notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])

@@ -15,12 +15,12 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from atlas.errors import InputError
-from atlas.explore.threads import why
+from atlas.explore.threads import steady, why
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -45,12 +45,11 @@ class PageServer:
     ) -> None:
         self._make, self._asked, self._host = make, port, host
         self.token = token or ("" if host == HOST else secrets.token_urlsafe(16))
-        self._ready, self._error = threading.Event(), ""
+        self._ready, self._stopped, self._error = threading.Event(), threading.Event(), ""
         self._stop: Callable[[], None] = lambda: None
         self.port = 0
         self._mistake = ""
-        self._thread = threading.Thread(target=self._run, name="atlas-page", daemon=True)
-        self._thread.start()
+        self._thread = steady("atlas-page", self._run, lambda _: None)
         self._ready.wait()
         if self._error:
             raise InputError(self._error)
@@ -65,15 +64,20 @@ class PageServer:
 
     def stop(self) -> None:
         """Close all pages and end."""
+        self._stopped.set()
         if self._thread.is_alive():
-            self._stop()
+            with suppress(RuntimeError):  # of a loop that has just ended by itself
+                self._stop()
             self._thread.join()
 
     def _run(self) -> None:
+        """Serve until ``stop``; once pages were served, any exception has ``steady`` serve on, at the same port."""
         try:
             self._serve()
-        except BaseException as error:  # the one thread that no other can begin anew: its port is lost with it
-            logging.getLogger(__name__).exception("the server of the page has ended")
+        except BaseException as error:
+            if self._ready.is_set():
+                raise
+            logging.getLogger(__name__).exception("the server of the page did not begin")
             self._mistake = why(error)
         finally:
             self._ready.set()
@@ -89,8 +93,10 @@ class PageServer:
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
         try:
-            sockets = bind_sockets(self._asked, self._host)
+            sockets = bind_sockets(self.port or self._asked, self._host)
         except OSError as error:
+            if self._ready.is_set():
+                raise
             self._error = f"host {self._host}, port {self._asked}: cannot be used: {error.strerror or error}"
             self._ready.set()
             return
@@ -108,7 +114,8 @@ class PageServer:
             ending.callback(server.stop, wait=False)
             self._stop = lambda: loop.add_callback(loop.stop)
             loop.add_callback(self._ready.set)
-            loop.start()
+            if not self._stopped.is_set():
+                loop.start()
 
 
 def own_hosts(port: int) -> list[str]:

@@ -6,17 +6,16 @@ A sheet is a store of its own within the store, a block of a level of a plane.
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from atlas.errors import InputError
-from atlas.explore.subject import Subject, SubjectPlane
-from atlas.explore.tiles import Arrays
+from atlas.errors import InputError, RunError
+from atlas.explore.subject import Arrays, Subject, SubjectPlane
 from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.location import Place
 from atlas.store.making import create, remove_half_made
@@ -58,7 +57,10 @@ class SheetKey(NamedTuple):
 
 @dataclass
 class Sheet:
-    """A sheet that is open: where its first tile lies, and which of its tiles are done; bad ones cannot be read."""
+    """A sheet that is open: where its first tile lies, which of its tiles are done, and which of those are damaged.
+
+    looked, refused   when its tiles were listed, and when the disk last refused to read them
+    """
 
     handle: Atlas
     first: tuple[int, int]
@@ -66,6 +68,7 @@ class Sheet:
     done: set[tuple[int, ...]]
     bad: set[tuple[int, ...]] = field(default_factory=set)
     looked: float = 0.0
+    refused: float = float("-inf")
 
     def index(self, key: TileKey) -> tuple[int, int]:
         """The tile's index in the sheet."""
@@ -73,12 +76,14 @@ class Sheet:
 
 
 class Sheets:
-    """The sheets of a subject in its store."""
+    """The sheets of a subject in its store; ``seen`` says when each was last looked at, until that is noted there."""
 
     def __init__(self, subject: Subject, handle: Atlas) -> None:
         self._subject, self._handle, self._lock = subject, handle, threading.RLock()
         self._open: OrderedDict[tuple[SubjectPlane, SheetKey], Sheet] = OrderedDict()
         self._absent: OrderedDict[tuple[SubjectPlane, SheetKey], float] = OrderedDict()
+        self.seen: dict[tuple[str, str], float] = {}
+        self._refusal = float("-inf"), ""
         self.digest = lru_cache(MOST_PLANES)(lambda plane: subject.digest(plane)[:16])
 
     @property
@@ -86,6 +91,12 @@ class Sheets:
         """How many sheets are open, and of how many it is known that there are none."""
         with self._lock:
             return {"open": len(self._open), "absent": len(self._absent)}
+
+    @property
+    def trouble(self) -> str:
+        """Why kept tiles could not be read a moment ago; empty if nothing was wrong."""
+        when, said = self._refusal
+        return said if time.monotonic() - when < 2.0 * LOOK else ""
 
     def find(self, plane: SubjectPlane, key: SheetKey) -> Sheet | None:
         """A sheet, open; None where there is none yet. Tiles that others write are looked for now and then."""
@@ -96,14 +107,14 @@ class Sheets:
                 sheet = self._open[at]
                 if now - sheet.looked > LOOK:
                     sheet.looked = now
-                    with suppress(OSError):
+                    with self._asking():
                         sheet.done = done_tiles(sheet.handle) - sheet.bad
                 return sheet
             if now - self._absent.get(at, -LOOK) < LOOK:
                 return None
             span = self.span(key)
             if span is not None:
-                with suppress(Exception):  # as of ``read``: a sheet that is damaged is made anew
+                with self._asking():  # a sheet that is damaged is made anew
                     return self._opened(at, self._place(plane, key), span)
             self._absent[at] = now
             self._absent.move_to_end(at)
@@ -148,10 +159,34 @@ class Sheets:
                 del self._open[plane, key]
 
     def has(self, plane: SubjectPlane, key: TileKey) -> bool:
-        """Whether a tile is kept."""
+        """Whether a tile is kept, and the disk did not refuse to read its sheet a moment ago."""
         with self._lock:
             sheet = self.find(plane, SheetKey.of(key))
-            return sheet is not None and sheet.index(key) in sheet.done
+            return sheet is not None and sheet.index(key) in sheet.done and time.monotonic() - sheet.refused > LOOK
+
+    def load(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
+        """These variables of those of the tiles that are kept and can be read."""
+        wanted, found = dict[SheetKey, list[TileKey]](), dict[TileKey, Arrays]()
+        for key in keys:
+            if self.has(plane, key):
+                wanted.setdefault(SheetKey.of(key), []).append(key)
+        for of, tiles in wanted.items():
+            sheet = self.find(plane, of)
+            if sheet is not None:
+                found |= self._read(sheet, tiles, names)
+                self.look(plane, of)
+        return found
+
+    def look(self, plane: SubjectPlane, key: SheetKey) -> None:
+        """Note that a sheet is looked at."""
+        with self._lock:
+            self.seen[self.digest(plane), key.name] = time.time()
+
+    def take_seen(self) -> dict[tuple[str, str], float]:
+        """When sheets were last looked at, to be noted in the store."""
+        with self._lock:
+            seen, self.seen = self.seen, {}
+            return seen
 
     def note(self, sheet: Sheet, index: tuple[int, int]) -> None:
         """Note that a tile is written."""
@@ -159,15 +194,21 @@ class Sheets:
             sheet.bad.discard(index)
             sheet.done.add(index)
 
-    def read(self, sheet: Sheet, tiles: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
-        """These variables of tiles of a sheet; nothing of those that cannot be read."""
+    def _read(self, sheet: Sheet, tiles: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
+        """These variables of tiles of a sheet; nothing where it cannot be read.
+
+        Damaged tiles are solved again. What a disk refuses to read stays: it is asked again after LOOK seconds.
+        """
         places = np.array([sheet.index(key) for key in tiles]) * TILE
         low, high = places.min(axis=0), places.max(axis=0) + TILE
         box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
         try:
             blocks = {name: np.asarray(sheet.arrays[name][box]) for name in names if name in sheet.arrays}
-        except Exception:  # a codec that meets bytes it never wrote may raise anything: these are solved again
+        except Exception as error:  # a codec that meets bytes it never wrote may raise anything
             with self._lock:
+                if self._was_refused(error):
+                    sheet.refused = time.monotonic()
+                    return {}
                 bad = {sheet.index(key) for key in tiles}
                 sheet.bad |= bad
                 sheet.done -= bad
@@ -194,6 +235,21 @@ class Sheets:
         span = self.span(SheetKey.of(key))
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
+    @contextmanager
+    def _asking(self) -> Iterator[None]:
+        """Around what may fail: what a disk refuses is told, and of what else there is the sheet is not there."""
+        try:
+            yield
+        except Exception as error:
+            self._was_refused(error)
+
+    def _was_refused(self, error: Exception) -> bool:
+        """Whether it is the disk that refused, which is told."""
+        refused = _refused(error)
+        if refused:
+            self._refusal = time.monotonic(), f"kept cells cannot be read: {error}"
+        return refused
+
     def _place(self, plane: SubjectPlane, key: SheetKey) -> Place:
         return sheet_place(self._handle, self.digest(plane), key.name)
 
@@ -209,7 +265,7 @@ class Sheets:
 
 def _refused(error: BaseException) -> bool:
     """Whether a disk or a server refused to read something that may be there, which says nothing of what it is."""
-    found = error.__cause__ if isinstance(error, InputError) else error
+    found = error.__cause__ if isinstance(error, InputError | RunError) else error
     return isinstance(found, OSError) and not isinstance(found, FileNotFoundError)
 
 

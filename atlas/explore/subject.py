@@ -33,6 +33,9 @@ from workers.results import REASON, REGIME, Variable, empty_results
 if TYPE_CHECKING:
     import xarray as xr
 
+Arrays = dict[str, NDArray[Any]]
+"""Results by name."""
+
 TOLERANCE = 0.05
 """Standard error of the largest exponent that exploring asks for: finer than a map can show."""
 SURVIVAL = 2000
@@ -204,7 +207,7 @@ class Subject:
         every = self.variables.values()
         return [each.name for each in every if not each.extra and each.name not in (REGIME.name, REASON.name)]
 
-    def without_results(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
+    def without_results(self, names: Collection[str], shape: tuple[int, int]) -> Arrays:
         """Arrays of cells that have no results yet."""
         return empty_results(tuple(self.variables[name] for name in names), shape, extra_sizes(self.spec))
 

@@ -1,84 +1,186 @@
-"""The tiles that are in memory: those seen last, of all that a server explores together up to so many bytes."""
+"""The one store of a subject's solved tiles: in memory first, then the cells of the atlas, then what exploring kept."""
 
 import threading
+import time
 from collections import OrderedDict
-from typing import Any
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from functools import lru_cache
 
+import numpy as np
 from numpy.typing import NDArray
 
-from atlas.explore.subject import SubjectPlane
-from atlas.explore.view import Sight, TileKey
+from atlas.errors import RunError
+from atlas.explore.compose import atlas_cells, atlas_covers
+from atlas.explore.kept import Keeper
+from atlas.explore.sheets import LOOK
+from atlas.explore.subject import Arrays, Subject, SubjectPlane
+from atlas.explore.view import TILE, Sight, TileKey
+from atlas.store.store import done_tiles
+from workers.results import INVALID, OUT_OF_RANGE, PENDING, REASON, REGIME
 
 MOST_BYTES = 384 * 2**20
-
-Arrays = dict[str, NDArray[Any]]
+"""Bytes of tiles in memory."""
+MOST_ROWS = 4096
+"""Rows and columns of tiles of which it is remembered whether they have a point in the valid range."""
 
 
 class Memory:
-    """The tiles of several subjects: the least recently used go where there is no room.
+    """The tiles of several stores that were seen last: others go where there is no room.
 
-    At each tile lie its arrays, and whether they are nowhere else.
+    At each tile lie its arrays, perhaps of some variables only, and whether they are nowhere else.
     """
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self.most, self.bytes, self.lock = most_bytes, 0, threading.Lock()
-        self.tiles: OrderedDict[tuple[Tiles, SubjectPlane, TileKey], tuple[Arrays, bool]] = OrderedDict()
+        self.most, self.bytes, self._lock = most_bytes, 0, threading.Lock()
+        self._tiles: OrderedDict[tuple[object, SubjectPlane, TileKey], tuple[Arrays, bool]] = OrderedDict()
 
-
-class Tiles:
-    """Arrays (TILE, TILE, ...) of a subject by plane, tile and name, in a memory that others may share.
-
-    A tile may have been read with some of its variables only.
-    """
-
-    def __init__(self, memory: Memory | None = None) -> None:
-        self.memory = memory or Memory()
-
-    def put(self, plane: SubjectPlane, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
-        """Keep arrays of a tile, beside those that it has.
+    def put(self, whose: object, plane: SubjectPlane, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
+        """Hold arrays of a tile, beside those that it has.
 
         The tiles not seen for longest go where there is no room; those that are ``only_here`` after all others.
         """
-        at, memory = (self, plane, key), self.memory
-        with memory.lock:
-            known, before = memory.tiles.pop(at, ({}, False))
-            memory.tiles[at] = made, _ = known | arrays, only_here or before
-            memory.bytes += _size(made) - _size(known)
-            while memory.bytes > memory.most and len(memory.tiles) > 1:
-                others = (each for each, (_, alone) in memory.tiles.items() if not alone and each != at)
-                memory.bytes -= _size(memory.tiles.pop(next(others, next(iter(memory.tiles))))[0])
+        at = whose, plane, key
+        with self._lock:
+            known, before = self._tiles.pop(at, ({}, False))
+            self._tiles[at] = made, _ = known | arrays, only_here or before
+            self.bytes += _size(made) - _size(known)
+            while self.bytes > self.most and len(self._tiles) > 1:
+                others = (each for each, (_, alone) in self._tiles.items() if not alone and each != at)
+                self.bytes -= _size(self._tiles.pop(next(others, next(iter(self._tiles))))[0])
 
-    def get(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
-        """The arrays of a tile, which now counts as seen; None where it is not in memory."""
-        at, memory = (self, plane, key), self.memory
-        with memory.lock:
-            if at not in memory.tiles:
-                return None
-            memory.tiles.move_to_end(at)
-            return memory.tiles[at][0]
+    def get(self, whose: object, plane: SubjectPlane, key: TileKey) -> Arrays:
+        """The arrays of a tile, which now counts as seen; none where it is not in memory."""
+        at = whose, plane, key
+        with self._lock:
+            if at not in self._tiles:
+                return {}
+            self._tiles.move_to_end(at)
+            return self._tiles[at][0]
 
-    def has(self, plane: SubjectPlane, key: TileKey, names: set[str]) -> bool:
-        """Whether a tile is in memory with these variables."""
-        with self.memory.lock:
-            return names <= self.memory.tiles.get((self, plane, key), ({}, False))[0].keys()
+    def of(self, whose: object, plane: SubjectPlane) -> list[tuple[TileKey, Arrays]]:
+        """The tiles of a plane."""
+        with self._lock:
+            found = self._tiles.items()
+            return [(key, arrays) for (who, of, key), (arrays, _) in found if who is whose and of == plane]
+
+    def drop(self, whose: object) -> None:
+        """Forget the tiles of a store."""
+        with self._lock:
+            for at in [each for each in self._tiles if each[0] is whose]:
+                self.bytes -= _size(self._tiles.pop(at)[0])
+
+
+class TileStore:
+    """Arrays (TILE, TILE, ...) of a subject by plane, tile and name; ``memory`` may be that of other stores too."""
+
+    def __init__(self, subject: Subject, keeper: Keeper, memory: Memory | None = None) -> None:
+        self.subject, self.keeper, self.memory = subject, keeper, memory or Memory()
+        self._kept_planes, self._lock = {subject.plane}, threading.Lock()
+        self._invalid = subject.without_results(subject.variables, (TILE, TILE))
+        self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
+        self._admits = lru_cache(MOST_ROWS)(
+            lambda along, level, number: bool(subject.admitted(along, level, number, 1).any())
+        )
+        self._done: NDArray[np.bool_] | None = None
+        self._looked = float("-inf")
+
+    def has(self, plane: SubjectPlane, key: TileKey) -> bool:
+        """Whether a tile need not be solved."""
+        known = bool(self.memory.get(self, plane, key)) or self.outside(key) or self.keeper.has(plane, key)
+        return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
+
+    def get(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
+        """Those of the tiles that are known with these variables; what was kept of them is in memory then."""
+        wanted = {*names, REGIME.name}
+        found = {key: self.memory.get(self, plane, key) for key in keys}
+        missing = [key for key, arrays in found.items() if not arrays.keys() >= wanted]
+        for key, arrays in self.keeper.load(plane, missing, wanted).items():
+            self.memory.put(self, plane, key, arrays)
+            found[key] = found[key] | arrays
+        return {key: arrays for key, arrays in found.items() if arrays.keys() >= wanted}
+
+    def put(self, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
+        """Hold a solved tile, and keep it if its plane is kept and it can be."""
+        wanted = self.keeps(plane)
+        kept = wanted and self.keeper.can_keep(key)
+        self.memory.put(self, plane, key, arrays, only_here=wanted and not kept)
+        if kept:
+            self.keeper.offer(plane, key, arrays)
+
+    def drop(self) -> None:
+        """Forget all; what waits to be kept still is."""
+        self.keeper.end()
+        self.memory.drop(self)
 
     def of(self, plane: SubjectPlane) -> list[tuple[TileKey, Arrays]]:
-        """The tiles of a plane."""
-        with self.memory.lock:
-            found = self.memory.tiles.items()
-            return [(key, arrays) for (whose, mine, key), (arrays, _) in found if whose is self and mine == plane]
-
-    def clear(self) -> None:
-        """Forget all."""
-        memory = self.memory
-        with memory.lock:
-            for at in [each for each in memory.tiles if each[0] is self]:
-                memory.bytes -= _size(memory.tiles.pop(at)[0])
+        """The tiles of a plane that are in memory."""
+        return self.memory.of(self, plane)
 
     def shown(self, plane: SubjectPlane, sight: Sight) -> list[tuple[TileKey, Arrays]]:
-        """The tiles of a plane in view that are as dense as the view or less, coarse ones first."""
+        """The tiles in view that are as dense as the view or less, coarse ones first; last those out of any range."""
         found = [(key, arrays) for key, arrays in self.of(plane) if sight.shows(key)]
-        return sorted(found, key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
+        found.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
+        return found + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
+
+    def keeps(self, plane: SubjectPlane) -> bool:
+        """Whether tiles of this plane are kept as they are solved, where anything is."""
+        with self._lock:
+            return plane in self._kept_planes
+
+    def keep_plane(self, plane: SubjectPlane, on: bool = True) -> None:
+        """Keep this plane too, with what is known of it; or nothing more of it."""
+        with self._lock:
+            if on == (plane in self._kept_planes):
+                return
+            self._kept_planes ^= {plane}
+        for key, arrays in self.of(plane) if on else ():
+            if arrays.keys() >= self.subject.variables.keys():
+                self.keeper.offer(plane, key, arrays)
+
+    def whole(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
+        """All variables of a tile; None where it is not known."""
+        if self.outside(key):
+            return self._invalid
+        return self.get(plane, [key], self.subject.variables).get(key)
+
+    def parent(self, plane: SubjectPlane, key: TileKey) -> Arrays | None:
+        """What is known of every fourth cell of a tile, by the tile above or by the atlas where it is solved alike."""
+        above = key.above
+        whole = self.whole(plane, above)
+        if whole is not None:
+            return {name: array[key.quarter] for name, array in whole.items()}
+        subject, names = self.subject, self.subject.variables.keys()
+        if subject.ds is None or not subject.same_settings:
+            return None
+        if not atlas_covers(subject, self.atlas_done(), plane, above):
+            return None
+        rows, columns = (cells[part] for cells, part in zip(above.of_atlas, key.quarter, strict=True))
+        with suppress(OSError, RunError):
+            return atlas_cells(subject, names, rows, columns)
+        return None
+
+    def outside(self, key: TileKey) -> bool:
+        """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
+        return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
+
+    def atlas_done(self) -> NDArray[np.bool_] | None:
+        """Which cells (y, x) of the atlas itself are solved; None without an atlas.
+
+        Of an atlas of all attractors those that keep the one that the cell's own initial state reaches.
+        """
+        ds, subject = self.subject.ds, self.subject
+        if ds is None or subject.stored is None:
+            return None
+        if time.monotonic() - self._looked > LOOK and (self._done is None or not self._done.all()):
+            self._looked = time.monotonic()
+            tiling = subject.stored.tiling
+            done = np.zeros(tiling.shape, dtype=bool)
+            for index in done_tiles(subject.stored):
+                done[tiling.at(index).slices] = True
+            done = done[subject.layer] if done.ndim > 2 else done
+            self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
+        return self._done
 
 
 def _size(arrays: Arrays) -> int:

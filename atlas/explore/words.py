@@ -22,6 +22,7 @@ from atlas.query.extremes import regimes_with
 from atlas.render.classes import PALETTE
 from atlas.render.screen import Screen
 from atlas.spec.system import impacts_of
+from atlas.task.compile import kernels_for, warming
 from atlas.text import plain, plural
 from workers.model.system import System
 from workers.results import ERROR, LARGEST, REASON, REGIME, REGIMES
@@ -196,6 +197,12 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return number(float(value), 5) if isinstance(value, float) else str(value)
+
+
+def compiled_first(system: System, *more: str) -> str:
+    """The kernels that workers on this machine compile before they begin, as the end of a sentence; perhaps empty."""
+    said = warming(*kernels_for(system, *more))
+    return f"; workers on this machine begin by {said}" if said.startswith("compiling") else ""
 
 
 def point_line(cell: Cell, subject: Subject) -> str:

@@ -110,7 +110,7 @@ def test_turning_to_other_axes_does_not_wait_for_a_layer_whose_tiles_are_being_w
     monkeypatch.setattr("atlas.explore.explorer.MOST_OTHERS", 1)
     with exploring(stack, client) as explorer:
         layer = explorer.turned(("omega", "b"), 0.05)
-        layer.keeper.offer(layer.subject.plane, TileKey(0, 0, 0, 0), {})
+        layer.tiles.keeper.offer(layer.subject.plane, TileKey(0, 0, 0, 0), {})
         assert explorer.turned(("R", "b")) is not explorer.turned(("R", "omega"))
         assert not written
         go_on.set()
@@ -165,14 +165,13 @@ def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
 def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they_are_forgotten(
     explorer: Explorer,
 ) -> None:
-    turned = explorer.turned(("b", "omega"))
+    turned, memory = explorer.turned(("b", "omega")), explorer.tiles.memory
     key, arrays = TileKey(0, 0, 0, 0), {"regime": np.zeros((4, 4), np.int8)}
     for each in (explorer, turned):
-        each.known.tiles.put(each.subject.plane, key, arrays)
-    memory = explorer.known.tiles.memory
-    assert turned.known.tiles.memory is memory and memory.bytes == 32
-    turned.known.tiles.clear()
-    assert memory.bytes == 16 and explorer.known.tiles.get(explorer.subject.plane, key) is not None
+        memory.put(each.tiles, each.subject.plane, key, arrays)
+    assert turned.tiles.memory is memory and memory.bytes == 32
+    turned.tiles.drop()
+    assert memory.bytes == 16 and explorer.tiles.of(explorer.subject.plane) != []
 
 
 def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:

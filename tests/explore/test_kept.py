@@ -12,9 +12,8 @@ from atlas.cli.explore import GB, explore
 from atlas.explore import kept
 from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.session import explore as session
-from atlas.explore.sheets import Sheets
-from atlas.explore.subject import Subject, subject_of
-from atlas.explore.tiles import Arrays
+from atlas.explore.sheets import SheetKey, Sheets
+from atlas.explore.subject import Arrays, Subject, subject_of
 from atlas.explore.view import TILE, TileKey
 from atlas.store.making import create
 from atlas.store.store import Atlas, open_handle
@@ -133,6 +132,34 @@ def test_a_damaged_sheet_is_made_anew_and_keeping_goes_on(
         again.stop()
     fresh = Sheets(subject, open_handle(finished))
     assert all(fresh.has(subject.plane, key) for key in KEYS)
+
+
+@pytest.mark.parametrize("where", ["_opened", "Sheet.arrays"])
+def test_what_the_disk_refuses_to_read_is_said_and_stays_and_is_read_when_the_disk_is_well_again(
+    keeper: Keeper, subject: Subject, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    class Refusing(dict[str, object]):
+        __getitem__ = refuse  # type: ignore[assignment]
+
+    monkeypatch.setattr("atlas.explore.sheets.LOOK", 0.2)
+    offer(keeper, subject)
+    assert all_written(keeper, subject)
+    fresh, names = Sheets(subject, open_handle(subject.stored.place)), [REGIME.name]  # type: ignore[union-attr]
+    with monkeypatch.context() as broken:
+        if where == "_opened":
+            broken.setattr("atlas.explore.sheets.open_handle", refuse)
+        else:
+            sheet = fresh.find(subject.plane, SheetKey.of(KEYS[0]))
+            assert sheet is not None
+            broken.setattr(sheet, "arrays", Refusing(sheet.arrays))
+        assert fresh.load(subject.plane, KEYS, names) == {}
+        assert "kept cells cannot be read: [Errno 5] Input/output error" in fresh.trouble
+        assert not any(fresh.has(subject.plane, key) for key in KEYS)
+    assert waited(lambda: fresh.load(subject.plane, KEYS, names).keys() == {*KEYS})
+    assert waited(lambda: fresh.trouble == "")
 
 
 def test_a_sheet_that_another_explorer_made_meanwhile_is_taken_as_it_is(keeper: Keeper, subject: Subject) -> None:

@@ -210,7 +210,7 @@ def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:
     tab.until(lambda: "R=" in tab.address())
     tab.until(lambda: "another plane than the atlas's" in tab.text())
     plane = from_address(running.explorer.subject, arguments(tab)).plane
-    tab.until(lambda: len({key.level_x for key, _ in running.explorer.known.tiles.of(plane)}) == STAGES + 1, 120.0)
+    tab.until(lambda: len({key.level_x for key, _ in running.explorer.tiles.of(plane)}) == STAGES + 1, 120.0)
 
 
 def test_a_number_typed_beside_a_slider_moves_it_and_one_out_of_range_is_refused(tab: Tab) -> None:

@@ -70,7 +70,7 @@ def test_while_a_slider_moves_the_first_stage_alone_is_solved(
 
     def stages() -> set[int]:
         sight = painter.sight
-        return set() if sight is None else {sight.x.level - key.level_x for key, _ in explorer.known.tiles.of(plane)}
+        return set() if sight is None else {sight.x.level - key.level_x for key, _ in explorer.tiles.of(plane)}
 
     assert waited(lambda: stages() == {STAGES}, 3.0)
     assert waited(lambda: stages() == set(range(STAGES + 1)) and not painter.busy)

@@ -24,7 +24,7 @@ from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Errand, Patches, PatchJob, Question, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Subject, SubjectPlane, subject_of
-from atlas.explore.tiles import Memory, Tiles
+from atlas.explore.tiles import Memory
 from atlas.explore.view import TILE, Sight, TileKey
 from atlas.service.lease import claimed
 from atlas.store.sidecar import notes_of
@@ -95,23 +95,23 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
 
 def test_a_view_is_known_stage_by_stage_coarse_to_fine(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
-        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        known, tiles, plane, sight = explorer.known, explorer.tiles, explorer.subject.plane, view_of(explorer.subject)
         assert known.shares(plane, sight) == (0.0, 0.0, 0.0, 0.0)
         explorer.want("test", plane, sight, range(3, 0, -1))  # all but the full density
         assert waited(lambda: explorer.patches.left("test") == 0)
         assert known.shares(plane, sight) == (1.0, 1.0, 1.0, 0.0)
         first, *_ = sight.tiles(0)
         rows, columns = sight.place(first)
-        known.tiles.put(plane, first, known.whole(plane, first.above) or {})
+        tiles.memory.put(tiles, plane, first, tiles.whole(plane, first.above) or {})
         share = (rows.stop - rows.start) * (columns.stop - columns.start) / (sight.x.count * sight.y.count)
         assert known.shares(plane, sight) == (1.0, 1.0, 1.0, pytest.approx(share))
 
 
 def test_a_tile_that_is_known_in_full_counts_for_all_coarser_stages(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
-        known, plane, sight = explorer.known, explorer.subject.plane, view_of(explorer.subject)
+        known, tiles, plane, sight = explorer.known, explorer.tiles, explorer.subject.plane, view_of(explorer.subject)
         for key in sight.tiles(0):
-            known.tiles.put(plane, key, known.subject.without_results(known.subject.variables, (TILE, TILE)))
+            tiles.memory.put(tiles, plane, key, known.subject.without_results(known.subject.variables, (TILE, TILE)))
         assert known.shares(plane, sight) == (1.0, 1.0, 1.0, 1.0)
 
 
@@ -187,8 +187,8 @@ def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
     with exploring(finished, client) as explorer:
         tiles = solved(explorer, view_of(explorer.subject))
         assert len(tiles) > 3
-        assert waited(lambda: explorer.keeper.waiting == 0)
-        assert all(explorer.keeper.has(explorer.subject.plane, key) for key in tiles)
+        assert waited(lambda: explorer.tiles.keeper.waiting == 0)
+        assert all(explorer.tiles.keeper.has(explorer.subject.plane, key) for key in tiles)
 
 
 def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(finished: Path, client: Client) -> None:
@@ -196,10 +196,10 @@ def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(f
         sight, plane = view_of(explorer.subject), explorer.subject.plane
         with claimed(notes_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
             tiles = solved(explorer, sight)
-            explorer.known.tiles = Tiles(Memory(1))
-            assert len(tiles) > 3 and explorer.keeper.waiting == len(tiles)
+            explorer.tiles.memory = Memory(1)
+            assert len(tiles) > 3 and explorer.tiles.keeper.waiting == len(tiles)
             assert explorer.want("page", plane, sight, range(3, -1, -1)) == 0
-            arrays = [explorer.known.whole(plane, key) for key in tiles]
+            arrays = [explorer.tiles.whole(plane, key) for key in tiles]
         assert all(each is not None and (each[REGIME.name] != PENDING).all() for each in arrays)
 
 
@@ -249,18 +249,18 @@ def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, clie
         plane = subject.moved(subject.plane, "R", 0.71)
         solved(explorer, sight, plane)
         assert not (finished / "zoom").exists()
-        explorer.keep_plane(plane)
+        explorer.tiles.keep_plane(plane)
     assert {name for name, _ in sheets(open_handle(finished))} == {subject.digest(plane)[:16]}
 
 
 def test_the_keeping_of_another_plane_ends_where_that_is_asked_for(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         plane = explorer.subject.moved(explorer.subject.plane, "R", 0.71)
-        kept = [explorer.keeps(plane)]
+        kept = [explorer.tiles.keeps(plane)]
         for on in (True, True, False):
-            explorer.keep_plane(plane, on)
-            kept.append(explorer.keeps(plane))
-        assert kept == [False, True, True, False] and explorer.keeps(explorer.subject.plane)
+            explorer.tiles.keep_plane(plane, on)
+            kept.append(explorer.tiles.keeps(plane))
+        assert kept == [False, True, True, False] and explorer.tiles.keeps(explorer.subject.plane)
 
 
 @pytest.mark.slow
@@ -268,9 +268,9 @@ def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finishe
     with exploring(finished, client) as explorer:
         with claimed(notes_of(finished), str(finished)):
             solved(explorer, view_of(explorer.subject))
-            assert waited(lambda: "kept later" in explorer.keeper.trouble)
+            assert waited(lambda: "kept later" in explorer.tiles.keeper.trouble)
             assert not (finished / "zoom").exists()
-        assert waited(lambda: explorer.keeper.trouble == "" and (finished / "zoom").exists())
+        assert waited(lambda: explorer.tiles.keeper.trouble == "" and (finished / "zoom").exists())
 
 
 @pytest.mark.slow
@@ -291,7 +291,7 @@ def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Clie
     atlas.pack(finished, tmp_path / "packed.zip")
     with exploring(tmp_path / "packed.zip", client) as explorer:
         sight = view_of(explorer.subject)
-        assert solved(explorer, sight) and "read only" in explorer.keeper.trouble
+        assert solved(explorer, sight) and "read only" in explorer.tiles.keeper.trouble
 
 
 @pytest.mark.slow
@@ -305,9 +305,9 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         assert solved(explorer, sight)
-        assert waited(lambda: "kept later" in explorer.keeper.trouble)
-        assert "cannot be written: Read-only file system" in explorer.keeper.trouble
-        assert explorer.keeper.waiting > 0
+        assert waited(lambda: "kept later" in explorer.tiles.keeper.trouble)
+        assert "cannot be written: Read-only file system" in explorer.tiles.keeper.trouble
+        assert explorer.tiles.keeper.waiting > 0
 
 
 @pytest.mark.slow
@@ -461,7 +461,7 @@ def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) 
 
 def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
-        subject, known = explorer.subject, explorer.known
+        subject, known = explorer.subject, explorer.tiles
         outside, partly = TileKey(0, 0, 0, -40), TileKey(2, 2, 0, -1)
         assert known.has(subject.plane, outside) and not known.outside(partly)
         found = known.whole(subject.plane, outside)

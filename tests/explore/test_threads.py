@@ -1,16 +1,20 @@
 """No thread of the explorer ends silently: what it raises is logged and shown, and its work begins again."""
 
 import asyncio
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
+from bokeh.document import Document
 from distributed import Client
+from tornado.ioloop import IOLoop
 
 from atlas.explore.chosen import beginning
 from atlas.explore.explorer import Explorer
@@ -91,9 +95,11 @@ def test_the_thread_that_keeps_tiles_keeps_all_of_them_after_any_exception(
     raise_once(monkeypatch, Keeper, step, error)
     with exploring(finished, client) as explorer:
         tiles = solved(explorer, view_of(explorer.subject))
-        assert len(tiles) > 3 and waited(lambda: explorer.keeper.waiting == 0 and explorer.keeper.trouble == "")
-        assert explorer.keeper.sheets is not None
-        assert all(explorer.keeper.sheets.has(explorer.subject.plane, key) for key in tiles)
+        assert len(tiles) > 3 and waited(
+            lambda: explorer.tiles.keeper.waiting == 0 and explorer.tiles.keeper.trouble == ""
+        )
+        assert explorer.tiles.keeper.sheets is not None
+        assert all(explorer.tiles.keeper.sheets.has(explorer.subject.plane, key) for key in tiles)
     assert any(str(error) in said for said in shown)
 
 
@@ -144,3 +150,24 @@ def test_a_server_that_cannot_begin_says_why_and_is_not_waited_for(monkeypatch: 
     monkeypatch.setattr("atlas.explore.server._guarded_pages", broken)
     with pytest.raises(RuntimeError, match="ValueError: no pages"):
         PageServer(lambda document: None)
+
+
+def test_a_server_whose_loop_ends_by_an_exception_serves_on_at_its_address() -> None:
+    made = list[Document]()
+
+    def fill(document: Document) -> None:
+        made.append(document)
+        if len(made) == 1:
+            IOLoop.current().add_callback(sys.exit, "the loop ends")
+
+    def answers() -> bool:
+        with suppress(OSError), urlopen(server.url, timeout=20.0) as found:
+            return int(found.status) == 200
+        return False
+
+    server = PageServer(fill)
+    try:
+        assert waited(lambda: answers() and len(made) > 1)
+    finally:
+        server.stop()
+    assert not answers()

@@ -14,19 +14,21 @@ from atlas.errors import InputError
 from atlas.explore.chosen import beginning, from_address, kinds, overlays, to_address
 from atlas.explore.compose import composed
 from atlas.explore.curvelist import CurveList
+from atlas.explore.kept import Keeper
 from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
 from atlas.explore.patches import WorkState as Work
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, SubjectPlane, exploring, subject_of
-from atlas.explore.tiles import Memory, Tiles
+from atlas.explore.tiles import Memory, TileStore
 from atlas.explore.view import STAGES, TILE, TileKey
-from atlas.explore.words import plain, progress, progress_bar, refinement, ticks
+from atlas.explore.words import compiled_first, plain, progress, progress_bar, refinement, ticks
 from atlas.render import SCALAR
 from atlas.render.screen import screen
 from atlas.spec.axis import Axis
 from atlas.spec.toml_text import spec_toml
 from atlas.store.store import open_handle
+from atlas.task.compile import ATTRACTORS
 from tests.pictures import atlas as atlas_of
 from tests.pictures import curves
 from workers.results import PENDING, PERIODIC, REGIME, empty_results, result_variables
@@ -122,10 +124,17 @@ def filled(subject: Subject, key: TileKey, value: float) -> dict[str, np.ndarray
     return arrays
 
 
+def memory_alone(subject: Subject) -> TileStore:
+    """Tiles that are kept nowhere."""
+    keeper = Keeper(subject, wanted=False)
+    keeper.stop()
+    return TileStore(subject, keeper)
+
+
 def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Subject) -> None:
     sight = subject.sight((2.3, 2.9), (0.2, 0.3), (300, 200))
     coarse, fine = sight.tiles(2)[0], sight.tiles(0)[0]
-    tiles = Tiles()
+    tiles = memory_alone(subject)
     for key, value in ((fine, 1.0), (coarse, 4.0)):
         tiles.put(subject.plane, key, filled(subject, key, value))
     ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
@@ -141,7 +150,7 @@ def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Su
     key = sight.tiles(1)[0]
     arrays = filled(subject, key, 0.0)
     arrays["largest"] += subject.x.values(key.level_x, key.columns.index)
-    tiles = Tiles()
+    tiles = memory_alone(subject)
     tiles.put(subject.plane, key, arrays)
     ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
     off = np.abs(ds.largest.values - ds.omega.values)[sight.place(key)] / np.diff(ds.omega.values).mean()
@@ -151,23 +160,23 @@ def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Su
 def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject) -> None:
     keys = [TileKey(0, 0, i, 0) for i in range(4)]
     arrays = filled(subject, keys[0], 0.0)
-    tiles = Tiles(Memory(3 * sum(array.nbytes for array in arrays.values())))
+    memory = Memory(3 * sum(array.nbytes for array in arrays.values()))
     for key in keys[:3]:
-        tiles.put(subject.plane, key, arrays)
-    tiles.get(subject.plane, keys[0])
-    tiles.put(subject.plane, keys[3], arrays)
-    assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
+        memory.put(None, subject.plane, key, arrays)
+    memory.get(None, subject.plane, keys[0])
+    memory.put(None, subject.plane, keys[3], arrays)
+    assert [memory.get(None, subject.plane, key) != {} for key in keys] == [True, False, True, True]
 
 
 def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subject) -> None:
     keys = [TileKey(0, 0, i, 0) for i in range(4)]
     arrays = filled(subject, keys[0], 0.0)
-    tiles = Tiles(Memory(2 * sum(array.nbytes for array in arrays.values())))
+    memory = Memory(2 * sum(array.nbytes for array in arrays.values()))
     for key, only_here in zip(keys, (True, False, True, True), strict=True):
-        tiles.put(subject.plane, key, arrays, only_here)
+        memory.put(None, subject.plane, key, arrays, only_here)
         if key == keys[2]:
-            assert [tiles.get(subject.plane, each) is not None for each in keys] == [True, False, True, False]
-    assert [tiles.get(subject.plane, each) is not None for each in keys] == [False, False, True, True]
+            assert [memory.get(None, subject.plane, each) != {} for each in keys] == [True, False, True, False]
+    assert [memory.get(None, subject.plane, each) != {} for each in keys] == [False, False, True, True]
 
 
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
@@ -387,3 +396,13 @@ def test_a_value_between_two_planes_of_a_stack_selects_the_nearest(tmp_path: Pat
     assert (picked.layer, picked.spec.parameters["R"]) == (1, 0.7)
     with pytest.raises(InputError, match=r"R = 1 lies outside the grid; valid: 0.55 to 0.85"):
         subject_of(str(tmp_path / "stack.toml"), {"R": 1.0})
+
+
+def test_who_waits_for_kernels_reads_that_they_are_compiled_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    system = subject_of("omega-b").system
+    for said, told in (
+        ("loading the kernels", ""),
+        ("compiling the kernels, about 40 s", "; workers on this machine begin by compiling the kernels, about 40 s"),
+    ):
+        monkeypatch.setattr("atlas.explore.words.warming", lambda *parts, said=said: said)
+        assert compiled_first(system, ATTRACTORS) == told
