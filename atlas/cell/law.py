@@ -1,7 +1,7 @@
 """Comparison of a coarse plane with a second one whose laws have twice as many segments."""
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,13 @@ CLASS = ("regime", "period", "impacts_upper", "impacts_lower")
 """What tells the classes of cells apart."""
 
 _Element = TypeVar("_Element", Contact, Friction, Spring)
+
+
+class FinerLaws(NamedTuple):
+    """A system whose laws have about twice as many segments, and how many of each law by its entry, here and there."""
+
+    record: System
+    segments: dict[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -53,16 +60,15 @@ class LawCheck:
         return {"segments": self.segments, "cells": self.cells, "invalid": self.beyond, "changed": changed, **change}
 
 
-def check_law(spec: Spec, cells: int = CELLS) -> LawCheck:
-    """Compare a coarse plane of a spec, ``cells`` along each axis, with that of laws within a quarter of their bounds.
+def finer(spec: Spec) -> FinerLaws:
+    """The laws of a spec that are expressions, within a quarter of their bounds.
 
-    States converge as the square of the segments' length, exponents only within an envelope: the classes and the states
-    of periodic cells are compared. InputError where no law is an expression, or the finer one has too many segments.
+    InputError where none is, where the finer ones have too many segments, and where the spec is no plane.
     """
     if spec.points:
         raise InputError("points: found a table of parameter sets; check-law takes a plane, [axes.NAME]")
-    fine = replace(spec.record, definition=_finer(spec.record.definition))
-    segments = _segments(spec.record, fine)
+    record = replace(spec.record, definition=_finer(spec.record.definition))
+    segments = _segments(spec.record, record)
     if not segments:
         raise InputError(f"{spec.system}: no law is an expression; a law given as a table is exact")
     for where, (_, count) in segments.items():
@@ -70,13 +76,22 @@ def check_law(spec: Spec, cells: int = CELLS) -> LawCheck:
             raise InputError(
                 f"{where}: takes {count} segments within a quarter of its bound, must be at most {SEGMENTS}"
             )
+    return FinerLaws(record, segments)
+
+
+def check_law(spec: Spec, fine: FinerLaws, cells: int = CELLS) -> LawCheck:
+    """Compare a coarse plane of a spec, ``cells`` along each axis, with that of its finer laws.
+
+    States converge as the square of the segments' length, exponents only within an envelope: the classes and the states
+    of periodic cells are compared.
+    """
     lines = [
         np.unique(np.asarray(axis.values)[np.linspace(0, len(axis) - 1, cells).round().astype(int)])
         for axis in spec.axes
     ]
     grids = dict(zip((axis.name for axis in spec.axes), np.meshgrid(*lines), strict=True))
     params = {**spec.parameters, **{name: grid.ravel() for name, grid in grids.items()}}
-    here, there = (solve_tile(record, params, spec.settings) for record in (spec.record, fine))
+    here, there = (solve_tile(record, params, spec.settings) for record in (spec.record, fine.record))
     invalid = (here["regime"] == INVALID) | (there["regime"] == INVALID)
     other = np.any([here[name] != there[name] for name in CLASS], axis=0) & ~invalid
 
@@ -90,7 +105,7 @@ def check_law(spec: Spec, cells: int = CELLS) -> LawCheck:
     if not np.all(np.isnan(change)):
         k = int(np.nanargmax(change))
         state = float(change[k]), float(change[k] / np.max(np.abs(here["state"][k]))), at(k)
-    return LawCheck(segments, len(other), int(np.sum(invalid)), changed, state)
+    return LawCheck(fine.segments, len(other), int(np.sum(invalid)), changed, state)
 
 
 def _finer(definition: Definition) -> Definition:
@@ -127,4 +142,4 @@ def _named(found: dict[str, Any], k: int) -> str:
     return f"{name} {period} ({', '.join(map(str, impacts))})" if period > 0 else name
 
 
-__all__ = ["CELLS", "LawCheck", "check_law"]
+__all__ = ["CELLS", "FinerLaws", "LawCheck", "check_law", "finer"]

@@ -2,7 +2,7 @@
 
 import click
 
-from atlas.cell.law import CELLS, check_law
+from atlas.cell.law import CELLS, check_law, finer
 from atlas.cli.options import examples, json_option, spec_argument
 from atlas.cli.output import print_table, to_json
 from atlas.cli.progress import solving
@@ -19,8 +19,9 @@ SHOWN = 20
 def check(spec: str, cells: int, as_json: bool) -> None:
     """Check whether the segments of SPEC's laws matter: solve a coarse plane with twice as many."""
     read = Spec.from_toml(spec)
+    fine = finer(read)
     with solving(read.record):
-        found = check_law(read, cells)
+        found = check_law(read, fine, cells)
     if as_json:
         click.echo(to_json(found.as_dict()))
         return

@@ -64,9 +64,9 @@ def coarse(example: str) -> str:
 
 
 EXAMPLES = """
-bistable-harvester bouncing-ball capsule chain-3 energy-harvester energy-sink friction-oscillator gear-mesh
-impact-damper impact-pair rotor-rub shaken-base simpson-ghosh-2026 single-mass soft-impact soft-suspension stick-slip
-two-stops
+bistable-harvester bouncing-ball capsule chain-3 duffing-stop energy-harvester energy-sink friction-oscillator
+gear-mesh hertz-ball impact-damper impact-pair rotor-rub shaken-base simpson-ghosh-2026 single-mass soft-impact
+soft-suspension stick-slip stribeck-belt two-stops
 """
 """Of other systems, each with a plane of its own."""
 POINTS = """

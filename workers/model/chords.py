@@ -25,18 +25,22 @@ FIRST_LOOK = 64
 """Points ahead among which the end of a segment is sought first; four times as many each time that it is not there."""
 
 
-def fewest(law: Callable[[Array], Array], end: float, bound: float, least: float = -np.inf) -> Array:
+def fewest(
+    law: Callable[[Array], Array], end: float, bound: float, least: float = -np.inf, reach: float = 0.0
+) -> Array:
     """Vertices (V, 2) from 0 to ``end``, of either sign, of the law that is within ``bound`` there.
 
-    No slope, with the sign of ``end``, is below ``least``. Not finite where the law is not.
+    No slope, with the sign of ``end``, is below ``least``. The law is looked at every POINTS-th part of ``reach``, of
+    |end| where that is larger: the sides of an odd law are alike as far as both go. Not finite where the law is not.
     """
-    x = np.linspace(0.0, end, POINTS + 1)
-    f, run = law(x), np.abs(x)
+    run = max(abs(end), reach) / POINTS * np.arange(POINTS)
+    run = np.append(run[run < abs(end)], abs(end))
+    f = law(np.copysign(run, end))
     if not (np.all(np.isfinite(f)) and bound > 0.0 and end != 0.0):
         return np.full((2, 2), np.nan)
     i, at, y = 0, 0.0, float(f[0])
     found = [(at, y)]
-    while i < POINTS:
+    while i < len(run) - 1:
         j, at, y = _segment(run, f, (1.0 - SPARE) * bound, i, at, y, least)
         found.append((float(np.copysign(at, end)), y))
         i = j

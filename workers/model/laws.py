@@ -87,7 +87,8 @@ def _fitted(
     forces = [force(np.linspace(0.0, end, POINTS + 1)) for end in (low, high)]
     bound = within * float(np.max(np.abs(forces)))
     rises = isinstance(element, Contact) and bool(np.all(np.diff(forces[1]) >= 0.0))
-    sides = [fewest(force, end, bound, 0.0 if rises else -np.inf) for end in (low, high) if end != 0.0]
+    least, reach = 0.0 if rises else -np.inf, max(-low, high)
+    sides = [fewest(force, end, bound, least, reach) for end in (low, high) if end != 0.0]
     found = sides[-1] if high != 0.0 else sides[0][::-1]
     if len(sides) == 2:
         found = np.concatenate([sides[0][:0:-1], found])
@@ -113,7 +114,8 @@ def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
     x, slope, rises = _chords(table)
     first = table[:, 0, 1]
     found = _segments(x[:, :-1], np.where(np.isfinite(x[:, 1:]), slope, np.nan))
-    last = np.take_along_axis(slope, np.sum(np.isfinite(x), axis=1)[:, None] - 2, axis=1)[:, 0]
+    end = np.maximum(np.sum(np.isfinite(x), axis=1) - 2, 0)
+    last = np.take_along_axis(slope, end[:, None], axis=1)[:, 0]
     sound = rises & (x[:, 0] == 0.0) & (last >= 0.0)
     above = np.where(np.isfinite(x), table[..., 1] >= 0.0, True)
     sound &= np.all(above if falls else slope >= 0.0, axis=1)
