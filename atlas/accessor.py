@@ -42,7 +42,7 @@ class DrawnComparison(Comparison):
 
     @takes(ScaleOptions)
     def plot(self, path: str | Path | None = None, **look: Unpack[ScaleOptions]) -> "Figure":
-        """A matplotlib Figure of both maps: differences of exponents, and where regimes differ.
+        """A matplotlib Figure of both maps: differences of exponents, and cells whose regimes differ.
 
         Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
         """
@@ -72,12 +72,12 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
 
 @xr.register_dataset_accessor("atlas")
 class AtlasAccessor:
-    """Queries of the atlas that a dataset is, and pictures of it.
+    """Queries of an atlas, opened as a dataset, and its pictures.
 
-    Of an atlas of all attractors every method but ``at`` takes the one with the largest share in each cell;
-    ``ds.isel(attractor=1).atlas`` that with the next one.
-    All take any selection of an atlas along its axes. A ``window`` limits any axis to values from low to high, given as
-    (low, high). Bad input raises ``atlas.errors.InputError`` in one line.
+    In an atlas of all attractors every method but ``at`` takes the attractor with the largest share in each cell;
+    ``ds.isel(attractor=1).atlas`` takes the next one. All methods take any selection of an atlas along its axes. A
+    ``window`` limits any axis to values from low to high, given as (low, high). Bad input raises
+    ``atlas.errors.InputError`` in one line.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
@@ -98,7 +98,7 @@ class AtlasAccessor:
         return query.at(self._whole, given_values(given, point))
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
-        """The atlas with the results of all other regimes taken out, ``where_regime("chaotic")``.
+        """The atlas with the results of all other regimes masked, ``where_regime("chaotic")``.
 
         See ``queries.where_regime``.
         """
@@ -109,11 +109,11 @@ class AtlasAccessor:
         return query.fractions(self._ds, window)
 
     def reasons(self, window: Window | None = None) -> dict[str, int]:
-        """How many cells have no result, or an uncertain one, by the reason in words. See ``queries.reasons``."""
+        """Numbers of cells without a certain result, by the reason in words. See ``queries.reasons``."""
         return query.reasons(self._ds, window)
 
     def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> "pd.DataFrame":
-        """Where a variable is smallest and largest in each regime, period or pattern of impacts, or in "all" cells.
+        """Smallest and largest values of a variable in each regime, period or pattern of impacts, or in "all" cells.
 
         See ``extremes.extremes``.
         """
@@ -136,13 +136,13 @@ class AtlasAccessor:
         return connected.labels(self._ds, by, value, window, min_cells)
 
     def basin_measures(self, window: Window | None = None) -> dict[str, Any]:
-        """Of a plane of initial states: its attractors, their shares, entropy and dimension. See ``basins.basins``."""
+        """The attractors of a plane of initial states: shares, entropy and dimension. See ``basins.basins``."""
         return basins(self._ds, window)
 
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None
     ) -> list[NDArray[np.float64]]:
-        """Lines, arrays (points, 2) of (x, y), where a regime meets another, or any. See ``queries.boundary``."""
+        """Lines, arrays (points, 2) of (x, y), between a regime and another one, or any. See ``queries.boundary``."""
         return query.boundary(self._ds, regime, other, window)
 
     def per_unit_time(self) -> xr.Dataset:
@@ -159,7 +159,7 @@ class AtlasAccessor:
     def distance_to(
         self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float
     ) -> "pd.DataFrame":
-        """How far an operating point is from events of its orbit, ``distance_to(omega=3, b=0.15, kind="fold")``.
+        """The distances of an operating point to events of its orbit, ``distance_to(omega=3, b=0.15, kind="fold")``.
 
         Along each axis either way the first event, of one kind or any, the nearest first. See
         ``atlas.curves.distance.distance_to``.
@@ -169,7 +169,7 @@ class AtlasAccessor:
         return _table(distance_to(self._ds, kind, given_values(given, point)))
 
     def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
-        """This atlas held against another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
+        """This atlas compared with another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
 
         See ``compare.Comparison``.
         """
@@ -188,7 +188,7 @@ class AtlasAccessor:
     ) -> DrawnBranches:
         """The branch of the orbit of the cell nearest to a point.
 
-        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the orbit as it is stored. See
+        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See
         ``atlas.branch``.
         """
         seed = seed_of_cell(self._ds, given_values(given, point))
@@ -200,7 +200,7 @@ class AtlasAccessor:
     ) -> "Figure":
         """Maps of this atlas and of others side by side on one scale, ``beside(other, width="85mm")``.
 
-        ``kind`` is "exponent" or "period", by default the first that all of them hold.
+        ``kind`` is "exponent" or "period", by default the first that all atlases hold.
         """
         drawn: Figure = figure([self._ds, *others], kind, window, **look)
         return drawn
@@ -210,7 +210,7 @@ class AtlasAccessor:
         """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.
 
         ``plot("period", width="85mm", overlay="grazing")``. ``kind`` is one of ``atlas.render.KINDS``, by default the
-        first that fits the axes: ``atlas plot --help`` says what each shows. ``window`` gives for any axis the
+        first that fits the axes: ``atlas plot --help`` describes them. ``window`` gives for any axis the
         (low, high) ends of the part to draw. Options have the command's names.
         """
         return figure(self._whole, kind, window=window, **options)
@@ -227,12 +227,13 @@ class AtlasAccessor:
         port: int = 0,
         host: str = "127.0.0.1",
     ) -> "Exploration":
-        """A page on this atlas to look anywhere in it, at any depth; a notebook shows it in place, ``stop()`` ends it.
+        """A page that shows this atlas anywhere, at any depth; a notebook shows it in place, ``stop()`` ends it.
 
         Cells are solved on a Dask ``client`` of yours, on the cluster of a ``scheduler``, or on ``workers`` processes
-        of this machine, by default one a processor; ``tolerance`` is that of their exponents, by default 0.05. With
-        ``keep`` they stay in the store. Specs of new atlases are written into ``folder``, by default the working
-        directory. ``port`` is that of the page, by default any free one; on another ``host`` its address has a token.
+        of this machine, by default one a processor; ``tolerance`` is the standard error of their exponents, by default
+        0.05. With ``keep`` they stay in the store. Specs of new atlases are written into ``folder``, by default the
+        working directory. ``port`` is the port of the page, by default any free one; on another ``host`` its address
+        has a token.
         """
         from atlas.explore.session import explore_dataset
         from atlas.explore.subject import TOLERANCE
@@ -245,8 +246,8 @@ class AtlasAccessor:
     def page(self, path: str | Path) -> Path:
         """Write this plane as one HTML file that opens in any browser without a server, ``page("plane.html")``.
 
-        It has at most 20 MB: the cells with all their numbers, every kind of map, the curves of the store, the spec
-        and what to cite. See ``atlas.explore.static.page.write_page``.
+        It has at most 20 MB: the cells with all their numbers, every kind of map, the curves of the store, the spec and
+        citations. See ``atlas.explore.static.page.write_page``.
         """
         from atlas.explore.static.page import write_page
 
@@ -258,7 +259,7 @@ class AtlasAccessor:
     ) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
 
-        Of an atlas of all attractors it is that of the attractor with the largest share, or of the one selected.
+        In an atlas of all attractors it shows the attractor with the largest share, or the selected one.
         A matplotlib Figure, shown by a notebook, also written to ``path`` if given:
         ``portrait(omega=3, b=0.15, width="85mm")``. See ``atlas.portrait``.
         """

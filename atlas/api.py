@@ -61,7 +61,7 @@ def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any]
     """The atlas of a store as an xarray Dataset, read from disk as it is used; ``ds.atlas`` is its accessor.
 
     The store is a folder, a URL, a zip file that ``pack`` made, an obstore store, or any Zarr store object, such as
-    that of an Icechunk session. ``storage_options`` say how a URL is reached, where the environment does not:
+    that of an Icechunk session. ``storage_options`` configure access to a URL beyond the environment:
     ``{"endpoint": ..., "anon": True}``. ``chunks`` makes Dask arrays of its variables, as in
     ``xarray.open_dataset``: ``{}`` for the store's own chunks, ``"auto"``, or sizes by dimension.
     Raises atlas.errors.InputError where the store is not an atlas.
@@ -77,9 +77,9 @@ def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any]
 
 
 def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
-    """What a spec will cost: cells, tiles, bytes and, with ``probe``, the time, measured on a few cells.
+    """The cost of a spec: cells, tiles, bytes and, with ``probe``, the time, measured on a few cells.
 
-    ``workers`` are those of the run, by default one a processor.
+    ``workers`` is the number of workers of the run, by default one a processor.
     Raises atlas.errors.InputError where a tile is too large for a store.
 
     >>> import atlas
@@ -94,7 +94,7 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
 
 
 def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> Status:
-    """How far a store is: tiles, cells and regimes done, and the run at work on it. Arguments as of ``open``.
+    """The progress of a store: finished tiles and cells, regimes, and the run on it. Arguments as of ``open``.
 
     Raises atlas.errors.InputError where the store is not an atlas.
 
@@ -117,16 +117,16 @@ def branch(
     budget: int = MOST,
     **named: Any,
 ) -> "DrawnBranches":
-    """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events; and more.
+    """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events.
 
     ``omega=4.0`` or a mapping gives parameters other than the defaults; the cell is solved first. The orbit, as the
     solution of equations for its impacts, is followed by pseudo-arclength through the (low, high) ``window`` of the
     parameter ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to
     1e-10 or better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. With
-    ``switch_branches`` the branches from symmetry breakings and period doublings are followed too, and the branches
-    from those, ``budget`` branches in all; ``untried`` of the result lists the events that remain.
-    The result has the pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and draws
-    itself: ``.plot("branch.png")``.
+    ``switch_branches`` the branches from symmetry breakings and period doublings are followed too, and further branches
+    from these, ``budget`` branches in all; ``untried`` of the result lists the events that remain. The result has the
+    pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and a method that draws it:
+    ``.plot("branch.png")``.
     Raises InputError for bad parameters, and where the cell is not periodic or its orbit rests on a stop.
 
     >>> import atlas

@@ -14,7 +14,7 @@ Index = tuple[int, ...]
 
 @dataclass(frozen=True)
 class StoreFault:
-    """Something wrong: the tile it is in, None where it is the store as a whole, and what, in a line."""
+    """A fault: its tile, None for the store as a whole, and a line that describes it."""
 
     tile: Index | None
     what: str
@@ -25,7 +25,7 @@ class StoreFault:
 
 @dataclass(frozen=True)
 class Report:
-    """What a verification found.
+    """The findings of a verification.
 
     tiles, tiles_done, chunks    in all; finished; their chunks read whole, with correct checksums
     overview_chunks              read whole, and compared with the cells below them
@@ -36,8 +36,8 @@ class Report:
     doubts                       cells whose results differ, beyond their errors, on another kind of machine
     repaired                     tiles made unfinished, so that the next run solves them again
     dropped                      chunks of overviews that were wrong, and made missing
-    removed                      names among the chunks that are not chunks
-    mended                       what else a repair did, one line each
+    removed                      names among the chunks that belong to none
+    mended                       other repairs, one line each
     sheets                       of the zoom levels, verified as the stores that they are
     """
 
@@ -70,7 +70,7 @@ class Report:
 
     @property
     def remedy(self) -> str:
-        """What mends the faults, in words."""
+        """The remedy of the faults, in words."""
         if self.store.lower().endswith(".zip"):
             return PACK
         solves = any(fault.tile is not None for fault in self.faults)
@@ -100,7 +100,7 @@ class Report:
 
     @property
     def findings(self) -> list[str]:
-        """What was found and repaired, and at the end whether the store is fine, in lines."""
+        """Faults and repairs, and the verdict at the end, in lines."""
         lines = []
         for title, found in (("found", self.faults), ("in doubt", self.doubts)):
             lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
@@ -125,5 +125,5 @@ class Report:
         return html_table([*self.rows, *((line,) for line in self.findings)])
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas verify --json`` prints."""
+        """The output of ``atlas verify --json``."""
         return {"store": self.store, "fine": self.fine, "complete": self.complete} | asdict(self)

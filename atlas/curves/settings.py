@@ -38,7 +38,7 @@ class CurveSettings:
                 raise InputError(f"{each.name}: found {shown(value)}, must be a whole number, 1 or more")
 
     def digest(self, plane: CurvePlane) -> str:
-        """Of all that the curves of a plane depend on."""
+        """The digest of the cells and the budget."""
         return hashlib.sha256(
             repr((plane.digest, sorted(asdict(self).items()), SOLVER_VERSION, VERSION)).encode()
         ).hexdigest()

@@ -26,19 +26,18 @@ MOST_WORKERS = 1024
 class RunOptions:
     """Options of ``run``, ``extend`` and ``submit``; InputError for options that contradict each other.
 
-    workers             processes of a local cluster, by default one a processor; not with a scheduler or a client, and
-                        in place of one that is open
+    workers             processes of a local cluster, by default one a processor; not with a scheduler or a client; an
+                        open client is then not used
     scheduler           address of a Dask scheduler, such as ``tcp://host:8786``
     tls                 files for an encrypted connection to it
-    tile                index of a tile to do alone in this process, with its traceback: to debug it
+    tile                index of a tile to solve alone in this process, for debugging: its exceptions are not caught
     on_progress         called with each Progress; None for a bar in a notebook, and nothing elsewhere
     dashboard           whether a local cluster has a dashboard, whose address is reported; with Bokeh only
-    performance_report  HTML file for Dask's report of how the workers spent their time; with Bokeh only
-    storage_options     how a store at a URL is reached: ``{"endpoint": ..., "anon": True}``; the environment says the
-                        rest
+    performance_report  HTML file for Dask's report on the workers' time; with Bokeh only
+    storage_options     access to a store at a URL beyond the environment: ``{"endpoint": ..., "anon": True}``
     patience            seconds to wait for a server at a URL that stops answering
     wait                seconds to wait for the first worker of a cluster; its job may be queued for days
-    timing              how long the run waits for everything else
+    timing              all other waiting times of the run
 
     >>> import atlas
     >>> atlas.RunOptions(workers=2, on_progress=print).workers
@@ -138,7 +137,7 @@ class RunFields(TypedDict, total=False):
 
 
 def chosen(options: RunOptions, fields: RunFields) -> RunOptions:
-    """The options of a call, with the fields that it gives besides."""
+    """The options of a call, with its separate fields."""
     return checked_kind("options", options, RunOptions, "an atlas.RunOptions").updated(**fields)
 
 

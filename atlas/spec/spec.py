@@ -48,20 +48,25 @@ Slices = tuple[slice, ...]
 class Spec:
     """What to compute: a system, its fixed parameters (defaults filled in), its cells, and how to solve.
 
-    ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes what the
-    TOML file has in its tables; an axis may also be a list or array of values. The first axis is x, the last dimension
-    of every array. An axis with ``continuation`` is swept: each cell starts from its neighbour's attractor, and a
-    whole line of cells is in one tile. ``tile`` is its (y, x) shape, or None for the default; it changes no number.
-    ``system`` is the name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``;
-    the spec keeps its name as ``system`` and the whole of it as ``record``.
-    One axis makes a sweep, two a plane, three a stack of planes: one plane for each value of the third. In place of
-    axes ``points`` gives a table of parameter sets, one row a cell: its columns by name, or ``{"file": "table.csv"}``.
-    The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty.
-    Columns override ``parameters``.
+    ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes the tables
+    of the TOML file; an axis may also be a list or array of values. The first axis is x, the last dimension of every
+    array. An axis with ``continuation`` is swept: each cell starts from its neighbour's attractor, and a whole line of
+    cells is in one tile.
+
+    ``tile`` is the (y, x) shape of a tile, or None for the default; it changes no number. ``system`` is the name of a
+    packaged system, the path of a .toml file, a table of its form or a ``workers.System``; the spec keeps its name as
+    ``system`` and its definition as ``record``.
+
+    One axis makes a sweep, two a plane, three a stack of planes: one plane for each value of the third. ``points``
+    replaces the axes by a table of parameter sets, one row a cell: its columns by name, or ``{"file": "table.csv"}``.
+    The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty. Columns
+    override ``parameters``.
+
     ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a
     ``workers.attractors.starts.Starts``, asks for all attractors that this number of initial states of a cell reach;
-    None for the attractor of its own. Where all axes are components of the initial state it asks for their basins:
-    which of the attractors of the one machine each of them reaches.
+    None asks for the attractor of the cell's own initial state. Where all axes are components of the initial state the
+    results are basins: the attractor that each initial state of the one machine reaches.
+
     Raises InputError for anything that cannot be solved.
 
     >>> import atlas
@@ -177,7 +182,7 @@ class Spec:
 
     @property
     def kept(self) -> int:
-        """How many of ``dims``, from the first on, are never coarsened: the planes of a stack, the rows of a table."""
+        """The number of leading ``dims`` that are never coarsened: the planes of a stack, the rows of a table."""
         return 1 if self.points or len(self.axes) == MOST_AXES else 0
 
     @property
@@ -189,7 +194,7 @@ class Spec:
         return None
 
     def resolved(self) -> dict[str, Any]:
-        """The spec as plain JSON: what its digest is of, and enough to build an equal spec with ``from_resolved``."""
+        """The spec as plain JSON, the source of its digest; ``from_resolved`` builds an equal spec from it."""
         return with_values(self.outline(), self.points or {axis.name: axis.values for axis in self.axes})
 
     def outline(self) -> dict[str, Any]:
@@ -213,7 +218,7 @@ class Spec:
 
     @classmethod
     def from_outline(cls, outline: Mapping[str, Any], read: Callable[[], Values]) -> "Spec":
-        """The inverse of ``outline``, with the values that ``read`` gives by name, once they are asked for."""
+        """The inverse of ``outline``, with the values that ``read`` gives by name, at first use."""
         points = outline.get("points")
         columns = None if points is None else StoredColumns(points["columns"], checked_num("points", points), read)
         return cls._of(outline, {axis["name"]: StoredAxis(axis, read) for axis in outline["axes"]}, columns)
@@ -260,7 +265,7 @@ class Spec:
 
     @property
     def basins(self) -> bool:
-        """Whether it asks which attractor each initial state of one machine reaches."""
+        """Whether the results are basins: the attractor of each initial state of one machine."""
         return self.attractors is not None and self.of_states
 
     @property
@@ -276,7 +281,7 @@ class Spec:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that decides the numbers, see ``resolved_digest``."""
+        """SHA-256 of everything that decides the numbers, see ``resolved_digest``."""
         return resolved_digest(self.resolved())
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
@@ -293,7 +298,7 @@ class Spec:
 
 
 def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by name that a call gives as a mapping, as keywords or in part as each, like xarray's ``sel``."""
+    """Values by name, given as a mapping, as keywords or as both, like xarray's ``sel``."""
     if given is not None and not isinstance(given, Mapping):
         raise InputError(f"found {shown(given)}, must be values by name, such as omega=3 or {{'omega': 3}}")
     for name in named:
