@@ -7,8 +7,8 @@ the coordinator hands out (``upkeep``). They are a cache of finished work and ne
   none of them pending, if and only if the chunk is current.
 - Where a tile is lost, the chunks over it are dropped before it is written again: ``regime`` first.
 
-So a kill at any moment leaves a chunk current or missing, and what is missing is computed from the level before when
-it is asked for (``atlas.query.source``).
+So a kill at any moment leaves a chunk current or missing, and a reader computes missing chunks from the level before
+(``atlas.query.source``).
 """
 
 import time
@@ -88,7 +88,7 @@ class Pyramid:
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
-        """The variables of every level: those that the results in the store give."""
+        """The variables of every level, from the results in the store."""
         return level_variables(self.handle.variables)
 
     @cached_property

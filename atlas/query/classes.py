@@ -43,7 +43,7 @@ class Classes:
               orbit; "sticks" for all that stick
 
     ``value`` is the one class that is meant, None for all. Raises InputError for another ``by``, for a value that it
-    cannot have, and where the atlas does not hold what it takes.
+    cannot have, and where the atlas lacks its variables.
     """
 
     def __init__(self, ds: "xr.Dataset", by: str, value: object = None) -> None:
@@ -74,7 +74,7 @@ class Classes:
         return numbers
 
     def ordered(self) -> list[tuple[int, Any]]:
-        """The classes met, by their numbers, with what they are called, in order of code, period or pattern."""
+        """The classes found, by their numbers, with their names, in order of code, period or pattern."""
         return [(number, self._value(key)) for key, number in sorted(self._numbers.items())]
 
     def _keys(self, block: CellBlock, counted: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -31,7 +31,7 @@ def _reach(sizes: Array) -> float:
 def number_ends(values: Array, log: bool) -> tuple[float, float]:
     """The ends of a scale of finite values, of positive ones where it is logarithmic: percentiles near both ends.
 
-    A logarithmic scale spans a decade at least. Without such values, the ends are those of any scale.
+    A logarithmic scale spans a decade at least. Without such values, the default ends apply.
     """
     finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
     if not finite.size:

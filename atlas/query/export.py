@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FORMATS = (".csv", ".nc")
 NETCDF_BYTES = 2**32 - 4
-"""What one variable may have in netCDF 3."""
+"""The largest size of a variable in netCDF 3."""
 CSV_CELLS = 1 << 16
 """Cells read at a time for CSV."""
 

@@ -109,7 +109,7 @@ def _exponents_differ(first: "xr.Dataset", second: "xr.Dataset") -> NDArray[np.b
 
 
 def _sections_apart(first: "xr.Dataset", second: "xr.Dataset", closed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where the section states of two motions are not those of one motion, as far as they are stored."""
+    """Cells whose stored section states show two different motions."""
     apart = np.zeros(closed.shape, bool)
     both = (first, second)
     if all(SECTION.name in each and each[SECTION.name].size for each in both):

@@ -114,11 +114,10 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     A cell belongs to the window if its centre does, ends included (as in xarray's ``sel``); an axis that the window
     does not name is taken whole. Each cell counts with its area in the axes' own units, from edge to edge as in
     ``cell_edges``, so that the shares of one region agree however its axes are spaced. So on a log axis too: a decade
-    counts ten times as much as the one below it, whatever the picture's scale.
-    Cells that are not solved yet are the share ``pending``.
-    Raises InputError, in one line, for an unknown axis and for a window without a cell.
-    Reads the regimes in the window and nothing else; of a large window the overviews and the records of tiles, and
-    cells along its border.
+    counts ten times as much as the one below it, on any scale of the picture. Cells that are not solved yet are the
+    share ``pending``. Raises InputError, in one line, for an unknown axis and for a window without a cell. Reads the
+    regimes in the window and nothing else; of a large window the overviews and the records of tiles, and cells along
+    its border.
     """
     shown = within(ds, window)
     part = find_part(shown, [REGIME.name])
@@ -151,7 +150,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
     """The atlas with the results of all other regimes taken out (NaN); ``regime`` itself stays as it is.
 
-    Whole numbers and flags become floats, since they have no value that means none. Loads what it masks: choose
+    Whole numbers and flags become floats, since they have no value that means none. Loads the masked variables: choose
     variables and a window first where the atlas is large.
     """
     kept = ds[REGIME.name].isin(codes_of(regimes))
@@ -197,12 +196,12 @@ def boundary(
 
 
 def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
-    """The atlas with its exponents, and what is measured in their unit, per unit time and not per forcing period.
+    """The atlas with its exponents, and variables of their unit, per unit time and not per forcing period.
 
     lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or several of them where the force has
-    orders that are ratios. The changed variables,
-    largest, error, spectrum and sum_law_defect, say so in their ``long_name``. Loads them.
-    Raises InputError where they are per unit time already, or the forcing frequency is not known.
+    orders that are ratios. The ``long_name`` of the changed variables, largest, error, spectrum and sum_law_defect, has
+    the new unit. Loads them. Raises InputError where they are per unit time already, or the forcing frequency is not
+    known.
     """
     present = [name for name in _EXPONENTS if name in ds]
     if any(rate_of(ds[name]) == PER_TIME for name in present):

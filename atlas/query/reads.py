@@ -11,7 +11,7 @@ from atlas.text import plural
 
 @dataclass
 class Reads:
-    """What was read inside ``counted``.
+    """The reads inside ``counted``.
 
     chunks   how many were found and read
     level    the coarsest that a view was read from, 0 the cells themselves

@@ -44,7 +44,7 @@ def places(
     """Where names stand in the largest connected regions, at most ``most``, of sets of cells (y, x), where they fit.
 
     ``named``: cells and name; ``step``: height and width of a cell. A name takes the first of ``type_sizes`` that fits.
-    Where one fits nowhere and ``free`` marks the cells that a name may cover, it stands on the nearest of them, and
+    Where one fits nowhere and ``free`` marks the cells that a name may cover, it stands on the nearest such cell, and
     points to its largest region.
     """
     narrow: list[tuple[int, tuple[int, int]]] = []

@@ -134,7 +134,7 @@ class Part:
         return found
 
     def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
-        """Variables of a piece of a level as stored, and the blocks of it where what is stored does not count."""
+        """Stored variables of a piece of a level, and its blocks that must not be used."""
         blocks = list(self._blocks(level, piece))
         if not self.pyramid.made:
             return self._pending(piece, names), blocks

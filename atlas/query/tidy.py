@@ -42,7 +42,7 @@ def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArr
 
 
 def without_dust(cells: Cells) -> Cells:
-    """The cells less what is thinner than the eye separates, as between basins: outlined, that would turn black."""
+    """The cells without parts too thin for the eye, as between basins: outlined, that would turn black."""
     thin = min(cells.shape) // 150
     if thin == 0:
         return cells
@@ -55,7 +55,7 @@ def without_dust(cells: Cells) -> Cells:
 def smooth(values: Array, width: float) -> Array:
     """A Gaussian mean over neighbours that have a value, for the error bars of neighbouring cells not to wrinkle lines.
 
-    Cells with few such neighbours are left out: what is chopped up has no isolines.
+    Cells with few such neighbours are left out: fragments have no isolines.
     """
     known = np.isfinite(values)
     weight = ndimage.gaussian_filter(known.astype(float), width, mode="nearest")

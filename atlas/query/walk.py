@@ -75,7 +75,7 @@ def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator
 
 
 def _states(part: Part, codes: Collection[int]) -> NDArray[np.int64]:
-    """What is known of every tile of a store: the code of its only regime, _MIXED, or _NOTHING to read it for."""
+    """The records of every tile of a store: the code of its only regime, _MIXED, or _NOTHING to read it for."""
     known = part.records.known
     counts = part.records.rows[..., CELLS]
     states = np.where(

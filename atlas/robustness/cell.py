@@ -42,7 +42,7 @@ def stability(
     displacements, 1/omega if velocities.
     Each of ``coexisting`` has ``return_time`` in forcing periods, -1 / largest exponent; ``reactivity``, the largest
     log growth of a small deviation over one forcing period; ``amplification``, its largest growth over any number of
-    periods, and ``amplified_after``, that number. What is not known is NaN, or -1, and ``reason`` says why; chaos and
+    periods, and ``amplified_after``, that number. Unknown numbers are NaN, or -1, and ``reason`` says why; chaos and
     tori have none of these.
     With ``shocks``, which costs thousands of motions, also ``fatal_shock``: the size ``|dz|`` of the smallest deviation
     found at the section that takes the motion to another attractor, ``shock_state``, the state it leads to, and
@@ -83,7 +83,7 @@ def stability(
 
 
 def _measured(table: "AttractorTable", place: int, weights: "Array", shocks: bool) -> dict[str, Any]:
-    """What is known of the attractor in this place of the table."""
+    """The known measures of the attractor in this place of the table."""
     from atlas.robustness.linear import measures_of
 
     attractor, tried = table.attractors[place], int(table.tried[0])

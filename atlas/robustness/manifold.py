@@ -8,7 +8,7 @@ BEND, and Delta alpha below SAGITTA times the extent. Deviations across the mani
 image is smaller at its preimage: chords bound the accuracy, not the steps.
 
 At a rigid stop a state before an impact, (b, v), and after it, (b, -R v), are one: the manifold leaves at the one and
-goes on at the other.
+continues at the other.
 
 England, Krauskopf & Osinga, SIAM J. Appl. Dyn. Syst. 3 (2004) 161; Hobson, J. Comput. Phys. 104 (1993) 14.
 """
@@ -24,7 +24,7 @@ from workers.model.oscillator import Array
 Map = Callable[[Array], Array]
 """Images (N, 2) of states (N, 2), NaN for states that are none."""
 Across = Callable[[Array, Array], tuple[Array, Array, Array] | None]
-"""Of a state (2,) and a step (2,) that meets a stop: the state there, the one at which the branch goes on, and the
+"""Of a state (2,) and a step (2,) that meets a stop: the state there, the one at which the branch continues, and the
 direction away from the stop; None if there is no stop on the way.
 """
 

@@ -156,7 +156,7 @@ def _stops(table: "AttractorTable") -> list[tuple[float, float]]:
 
 
 def _beyond_stops(table: "AttractorTable", box: tuple["Array", "Array"], w: "Array") -> tuple["Array", "Array"]:
-    """The ends of the box in coordinates w z, beyond a stop at its edge: a manifold goes on there."""
+    """The ends of the box in coordinates w z, beyond a stop at its edge: a manifold continues there."""
     low, high = box[0] * w, box[1] * w
     room = 0.01 * (high[0] - low[0])
     for stop, side in _stops(table):
@@ -168,7 +168,7 @@ def _beyond_stops(table: "AttractorTable", box: tuple["Array", "Array"], w: "Arr
 
 
 def _across(table: "AttractorTable", w: "Array") -> "Across":
-    """How a manifold goes on at a rigid stop, in coordinates w z."""
+    """The continuation of a manifold at a rigid stop, in coordinates w z."""
     from workers.model.oscillator import HEAD
 
     oscillator = table.cell.oscillator

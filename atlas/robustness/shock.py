@@ -187,7 +187,7 @@ class _Search:
         return np.concatenate([direction[:, None], np.cos(angles) * direction[:, None] + np.sin(angles) * across], 1)
 
     def bisected(self, one: _Shocks) -> _Shocks:
-        """A shock made as small as it can be along its ray; what is not fatal just below it is ``safe``."""
+        """A shock made as small as it can be along its ray; ``safe`` is the state just below it that is not fatal."""
         low, high = 0.0, float(one.size[0])
         while high - low > EXACT * high:
             sizes = np.linspace(low, high, PARTS + 1)[1:-1]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CurvesSummary:
-    """The curves of a store, and what it took to find them now: nothing where the store had them."""
+    """The curves of a store, and the cost of finding them: none if the store had them."""
 
     store: str
     found: Curves
@@ -130,7 +130,7 @@ def _stored(handle: Atlas, digest: str) -> Curves | None:
 
 @dataclass
 class _Coordinator:
-    """A search at work on a store that is claimed."""
+    """A search on a claimed store."""
 
     handle: Atlas
     search: CurveSearch

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 LOG = logging.getLogger(__name__)
-"""What is decided, and what went wrong on a worker, with its traceback: at DEBUG."""
+"""Decisions, and errors of workers with their tracebacks, at level DEBUG."""
 IN_FLIGHT, MOST_IN_FLIGHT = 2, 64
 """Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows; of short jobs
 as many as keep it busy for AHEAD, up to MOST_IN_FLIGHT.
@@ -48,7 +48,7 @@ class Workers:
 
 @contextmanager
 def workforce(client: "Client", labour: Labour[J, R], timing: Timing = TIMING) -> "Iterator[Workforce[J, R]]":
-    """The workers of a cluster, set up for what they are to do until the end of the block."""
+    """The workers of a cluster, set up for their jobs until the end of the block."""
     from atlas.service.setup import set_up  # with it Dask, which takes a while to load
 
     with set_up(client, labour, timing.connect) as act:
@@ -213,7 +213,7 @@ class Workforce(Generic[J, R]):
         return None
 
     def judged(self) -> Iterator[TileFailure]:
-        """What is left of jobs in doubt once all others are done; some may be tried again."""
+        """The jobs in doubt once all others are done; some may be tried again."""
         if self.fitness.left_out.keys() >= self.threads.keys():
             self.fitness.restored()
         for attempt in self.doubtful:

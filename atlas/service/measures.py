@@ -147,7 +147,7 @@ def measure_attractors(
 
 
 def _requests(handle: Atlas, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
-    """What is asked of each family; ``content`` is a digest of all else that its measures depend on."""
+    """The request of each family; ``content`` is a digest of all else that its measures depend on."""
     if shocks and not handle.spec.coexistence:
         raise InputError(f"{handle.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
     content = _content(handle)

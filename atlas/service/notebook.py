@@ -18,7 +18,7 @@ INTERVAL = 0.25
 
 @contextmanager
 def reporting(on_progress: Callable[[Progress], None] | None) -> Iterator[Callable[[Progress], None] | None]:
-    """What is to be called with each Progress: the given function; without one a bar in a notebook, elsewhere none."""
+    """The function called with each Progress: the given function; without one a bar in a notebook, elsewhere none."""
     if on_progress is not None:
         checked_kind("on_progress", on_progress, Callable, "a function of a Progress")
     display = None if on_progress is not None else _notebook_display()

@@ -25,7 +25,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class PackSummary:
-    """What was packed: the file, its objects and bytes, and how far the atlas in it is."""
+    """The result of packing: the file, its objects and bytes, and how far the atlas in it is."""
 
     file: str
     objects: int

@@ -1,4 +1,4 @@
-"""The plan: how an atlas is cut into tiles and what it will cost, as a value."""
+"""The plan: the tiles of an atlas and its expected cost, as a value."""
 
 import math
 import shutil
@@ -112,7 +112,7 @@ class Plan:
 
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """What it says, each with its name."""
+        """Its facts, by name."""
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))
         cost = f"at most {byte_size(self.bytes)}"
         if self.probe and self.seconds is not None and self.seconds_range is not None:

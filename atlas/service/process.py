@@ -8,7 +8,7 @@ from atlas.platform import machine_name, process_start
 
 
 def this_process() -> str:
-    """The name of this process, empty on a system that does not give what it takes."""
+    """The name of this process, empty on a system without such names."""
     return process_name(os.getpid())
 
 

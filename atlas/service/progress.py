@@ -16,7 +16,7 @@ LOG_INTERVAL = 5.0
 class Progress:
     """A snapshot of a run.
 
-    stage                     what is being done now, in words
+    stage                     the present work, in words
     plan                      known from its stage on, else None
     tiles, cells              in all
     tiles_done, cells_done    in the store, including earlier runs

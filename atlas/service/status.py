@@ -44,7 +44,7 @@ class Status:
 
     @property
     def progress(self) -> Progress:
-        """As a snapshot of the run at work, with the speed and the time left that it reports itself."""
+        """As a snapshot of the run, with the speed and the remaining time that it reports."""
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
@@ -59,7 +59,7 @@ class Status:
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds until the run at work has done what it set out to, or None."""
+        """Seconds until the run is finished, or None."""
         rate = self.progress.rate
         return (self._reported("cells") - self._reported("cells_done")) / rate if rate else None
 

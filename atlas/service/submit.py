@@ -216,7 +216,7 @@ def _willing(client: "Client", task: Submission, seconds: float = 0.0) -> list[s
 
 
 def _refusal(future: "Future[Refusal | None]", begun: "Event", poll: float) -> Refusal | None:
-    """Wait until the coordinator has begun, ended well (None) or refused; raise what it raised."""
+    """Wait until the coordinator has begun, ended well (None) or refused; raise its exception."""
     while not future.done():
         if begun.wait(timeout=poll):
             return None

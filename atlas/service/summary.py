@@ -14,7 +14,7 @@ from atlas.text import duration, plural, shares
 
 @dataclass(frozen=True)
 class TileFailure:
-    """A tile that ended with an exception: its index, what was raised, on which worker at last, and its traceback."""
+    """A tile that ended with an exception: its index, the last exception with its worker and traceback."""
 
     index: tuple[int, ...]
     message: str
