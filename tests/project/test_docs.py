@@ -190,6 +190,7 @@ def test_pages_compare_periods_with_heyoka_by_the_table_on_accuracy() -> None:
     rows = [line.split("|")[4:7] for line in table.splitlines() if re.match(r"\| [345] \| [014] \|", line)]
     batch = [float(ratio) for _, _, ratio in rows]
     single = [float(heyoka) / float(alone) for alone, heyoka, _ in rows]
+    text = " ".join(text.split())
     assert f"In a batch the solver is {min(batch):.0f} to {max(batch):.0f} times as fast as heyoka" in text
     assert f"One cell at a time it is {min(single):.2f} to {max(single):.1f} times as fast" in text
     said = [found for page in PAGES for found in re.findall(r"(\d+) to (\d+) times[a-z ]+heyoka", page.read_text())]
