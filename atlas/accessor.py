@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from atlas.branches.branch import MOST, tree_from
+from atlas.branches.branch import MOST, observed_of, tree_from
 from atlas.branches.seed import seed_of_cell
 from atlas.branches.table import Branches
 from atlas.curves import asking
@@ -184,6 +184,7 @@ class AtlasAccessor:
         window: tuple[float, float],
         switch_branches: bool = False,
         budget: int = MOST,
+        observe: str | None = None,
         **point: float,
     ) -> DrawnBranches:
         """The branch of the orbit of the cell nearest to a point.
@@ -192,7 +193,8 @@ class AtlasAccessor:
         ``atlas.branch``.
         """
         seed = seed_of_cell(self._ds, given_values(given, point))
-        return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget))
+        observable = observed_of(seed, observe)
+        return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)
 
     @takes(ScaleOptions)
     def beside(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas import errors
 from atlas.arguments import checked_flag, checked_kind
-from atlas.branches.branch import MOST, tree_from
+from atlas.branches.branch import MOST, observed_of, tree_from
 from atlas.branches.seed import seed_of_point
 from atlas.cell.attractors import attractors
 from atlas.cell.point import point
@@ -115,6 +115,7 @@ def branch(
     settings: Settings | None = None,
     switch_branches: bool = False,
     budget: int = MOST,
+    observe: str | None = None,
     **named: Any,
 ) -> "DrawnBranches":
     """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events.
@@ -124,7 +125,8 @@ def branch(
     parameter ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to
     1e-10 or better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. With
     ``switch_branches`` the branches from symmetry breakings and period doublings are followed too, and further branches
-    from these, ``budget`` branches in all; ``untried`` of the result lists the events that remain. The result has the
+    from these, ``budget`` branches in all; ``untried`` of the result lists the events that remain. ``observe`` names an
+    observable, such as "impact_phase:stop": the points have its values too, and pictures show it. The result has the
     pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and a method that draws it:
     ``.plot("branch.png")``.
     Raises InputError for bad parameters, and where the cell is not periodic or its orbit rests on a stop.
@@ -137,4 +139,5 @@ def branch(
     from atlas.accessor import DrawnBranches
 
     seed = seed_of_point(given_values(given, named), system, settings)
-    return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget))
+    observable = observed_of(seed, observe)
+    return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)

@@ -6,6 +6,7 @@ from atlas.arguments import checked_ends, checked_flag, is_whole
 from atlas.branches.seed import Seed
 from atlas.errors import InputError, check_names
 from atlas.spec.axis import admitted
+from workers.model.observables import Observable
 
 if TYPE_CHECKING:
     from atlas.branches.tree import Tree
@@ -34,6 +35,16 @@ def tree_from(seed: Seed, along: str, window: tuple[float, float], switch: bool 
     except ValueError as error:
         raise InputError(f"this cell's orbit cannot be followed: {error}") from None
     return tree
+
+
+def observed_of(seed: Seed, observe: str | None) -> Observable | None:
+    """What is observed of a cell's machine, by its text; InputError for what it does not have."""
+    if observe is None:
+        return None
+    try:
+        return Observable.parse(observe, seed.system.definition)
+    except ValueError as error:
+        raise InputError(f"observe: {error}") from None
 
 
 def checked_window(seed: Seed, along: str, window: tuple[float, float]) -> tuple[float, float]:

@@ -28,7 +28,7 @@ class Branches:
 
     ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
     themselves, impact by impact. ``untried`` are events whose branch was requested and is missing. ``observable`` is
-    what a picture shows of them in place of the gap coordinate at sections.
+    what a picture shows of them in place of the gap coordinate at sections, and what their points have besides.
     """
 
     system: System
@@ -88,11 +88,21 @@ class Branches:
         unstable      number of multipliers with modulus above 1, not counting those of an event at 1
         period, impacts_upper, impacts_lower, symmetric   of its orbit; of an end at a shorter one, of the one before
         event         the kind of event that the point is, else empty
+        impact_phase_stop_1, ...   values of the observable, if there is one, NaN where an orbit has fewer than others
         """
         import pandas
 
         columns = ["branch", self.along, *self.system.states, "multiplier", "unstable", *_PATTERN, "event"]
-        return pandas.DataFrame(list(self._points()), columns=columns)
+        found = pandas.DataFrame(list(self._points()), columns=columns)
+        if self.observable is None:
+            return found
+        observed = [next(self.shown_values(branch)) for branch in self.traced]
+        most = max(int(np.max(np.sum(np.isfinite(values), axis=1))) for values in observed)
+        rows = np.full((len(found), most), np.nan)
+        for branch, values in enumerate(observed):
+            rows[found["branch"] == branch, : values.shape[1]] = values[:, :most]
+        names = [f"{self.observable.variable}_{i}" for i in range(1, most + 1)]
+        return pandas.concat([found, pandas.DataFrame(rows, columns=names)], axis=1)
 
     @cached_property
     def events(self) -> "pandas.DataFrame":

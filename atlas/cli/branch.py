@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from atlas.branches.branch import MOST, tree_from
+from atlas.branches.branch import MOST, observed_of, tree_from
 from atlas.branches.seed import seed_of_cell, seed_of_point, system_of
 from atlas.branches.table import Branches, orbit_name
 from atlas.cli import completion
@@ -37,7 +37,6 @@ from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import plural
-from workers.model.observables import Observable
 
 if TYPE_CHECKING:
     import pandas
@@ -72,7 +71,9 @@ TABLES = ("csv", "json")
     "--switch-branches", is_flag=True, help="Follow the branches from period doublings and symmetry breakings too."
 )
 @click.option(
-    "--observe", metavar="NAME", help="What a picture shows in place of section values, such as impact_phase:stop."
+    "--observe",
+    metavar="NAME",
+    help="What a picture shows in place of section values and a file has besides, such as impact_phase:stop.",
 )
 @click.option("--budget", type=click.IntRange(min=1), default=MOST, show_default=True, help="Branches followed in all.")
 @click.option(
@@ -110,7 +111,7 @@ def branch(
     look = {name: options.pop(name) for name in LOOK if name in options}
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
-        observable = None if observe is None else Observable.parse(observe, seed.system.definition)
+        observable = observed_of(seed, observe)
         show(Progress("following"))
         found = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
         if out is not None:

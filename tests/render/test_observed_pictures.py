@@ -1,10 +1,11 @@
 """Observables in specs, stores, commands and pictures."""
 
+import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from distributed import Client
@@ -82,8 +83,8 @@ def test_values_of_neighbouring_orbits_keep_their_places_where_one_passes_the_se
 def test_phases_along_a_branch_are_those_of_the_cells_beside_it(store: Path) -> None:
     """And a branch is drawn in pieces where a phase passes 2 pi."""
     ds = atlas.open(store)
-    found = atlas.branch({"omega": 3.9, "b": 0.15}, along="omega", window=(3.4, 4.1))
-    table = replace(found, observable=Observable("impact_phase", "stop", 0))
+    asked = {"along": "omega", "window": (3.4, 4.1), "observe": "impact_phase:stop"}
+    table = atlas.branch({"omega": 3.9, "b": 0.15}, **asked)
     known = np.sort(ds["impact_phase_stop"].sel(omega=4.0).values[:2])
     for values in table.shown_values(table.traced[0]):
         rows = np.sort(values[:, :2], axis=1)
@@ -92,3 +93,23 @@ def test_phases_along_a_branch_are_those_of_the_cells_beside_it(store: Path) -> 
             here = np.interp(4.0, table.traced[0].values[along], rows[along, k])
             assert here == pytest.approx(known[k], abs=1e-3)
     assert all(np.all(np.abs(np.diff(line[:, 1])) < math.pi) for _, line in table.lines())
+
+
+def test_points_of_branches_have_the_values_of_an_observable(tmp_path: Path) -> None:
+    """Truth: section values are the first component of the state, here of two masses the gap coordinate."""
+    asked = ["branch", "--set", "omega=3.9", "--set", "b=0.15", "--along", "omega", "--from", "3.8", "--to", "4.0"]
+    for observe, columns in (("impact_phase:stop", 2), ("section:x1", 1)):
+        for suffix in (".csv", ".json"):
+            path = tmp_path / f"branch{suffix}"
+            ended = CliRunner().invoke(main, [*asked, "--observe", observe, "-o", str(path)])
+            assert ended.exit_code == 0, ended.output
+            rows = pd.read_csv(path) if suffix == ".csv" else pd.DataFrame(json.loads(path.read_text())["points"])
+            names = [name for name in rows if name.startswith(observe.replace(":", "_"))]
+            assert names == [f"{observe.replace(':', '_')}_{i}" for i in range(1, columns + 1)]
+            assert np.isfinite(rows[names].to_numpy()).all()
+    np.testing.assert_allclose(rows["section_x1_1"], rows["x1"], atol=1e-9)
+
+
+def test_a_branch_of_what_cannot_be_observed_is_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match=r"observe: impact_phase:wall: unknown contact 'wall'; possible: stop"):
+        atlas.branch(omega=3.9, b=0.15, along="omega", window=(3.8, 4.0), observe="impact_phase:wall")
