@@ -21,7 +21,9 @@ from rig.published.entries import (
     ENTRIES,
     bapat_1983,
     den_hartog_1931,
+    hertz_1882,
     holmes_1982,
+    holmes_phase_1982,
     ing_2008,
     li_tan_2011,
     masri_caughey_1966,
@@ -342,3 +344,35 @@ def test_the_symmetric_orbit_of_fig_6_has_a_multiplier_one_where_it_breaks_its_s
             for orbit in symmetric_orbit(naive.FIGURES[3] | {"omega": omega, "b": 0.15})
         ]
         assert min(near) < 1e-10
+
+
+def test_hertz_impact_is_that_of_an_integration() -> None:
+    """A unit mass alone on k d^1.5, from the contact on until it leaves it again."""
+    k, v = 30.0, 0.7
+
+    def left(t: float, z: Array) -> float:
+        return z[0] if t > 0.0 else 1.0
+
+    left.terminal = True  # type: ignore[attr-defined]
+    law = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13, "events": left, "max_step": 1e-2}
+    run = solve_ivp(lambda _, z: [z[1], -k * max(0.0, z[0]) ** 1.5], (0.0, 5.0), [0.0, v], **law)
+    deepest = solve_ivp(lambda _, z: [z[1], -k * max(0.0, z[0]) ** 1.5], (0.0, 0.5 * run.t[-1]), [0.0, v], **law).y[
+        0, -1
+    ]
+    assert deepest == pytest.approx(hertz_1882.depth(k, v), rel=1e-9)
+    assert run.t[-1] == pytest.approx(hertz_1882.TIME * hertz_1882.depth(k, v) / v, rel=1e-6)
+
+
+@pytest.mark.parametrize(("R", "n", "a"), [(0.5, 1, 1.3), (0.9, 2, 0.7)])
+def test_the_ball_bounces_at_the_phase_of_the_closed_form(R: float, n: int, a: float) -> None:
+    """The flight from that phase on, by the parabola and the table: it lands at the same phase with the same speed."""
+    phase = holmes_phase_1982.phase(R, n, a)
+    after = R * holmes_1982.speed(R, n) + a * cos(phase)  # speed in space; the table moves at a cos(phase)
+
+    def height(t: float) -> float:
+        return after * t - 0.5 * t**2 - a * (sin(phase + t) - sin(phase))
+
+    T = 2.0 * pi * n
+    assert all(height(t) > 0.0 for t in np.linspace(0.01, T - 0.01, 400))
+    assert height(T) == pytest.approx(0.0, abs=1e-12)
+    assert a * cos(phase) - (after - T) == pytest.approx(holmes_1982.speed(R, n), rel=1e-12)

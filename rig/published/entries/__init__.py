@@ -6,7 +6,9 @@ from rig.published.entries import (
     dankowicz_schilder_2013,
     den_hartog_1931,
     ghosh_simpson_2025,
+    hertz_1882,
     holmes_1982,
+    holmes_phase_1982,
     ing_2008,
     lamba_1993,
     li_tan_2011,
@@ -20,9 +22,11 @@ from rig.published.entries import (
 from rig.published.entry import Entry
 
 ENTRIES: tuple[Entry, ...] = (
+    hertz_1882.ENTRY,
     den_hartog_1931.ENTRY,
     masri_caughey_1966.ENTRY,
     holmes_1982.ENTRY,
+    holmes_phase_1982.ENTRY,
     bapat_1983.ENTRY,
     shaw_holmes_1983.ENTRY,
     shaw_1986.ENTRY,
