@@ -117,18 +117,16 @@ def outcome(mutation: Mutation, folder: Path) -> str:
     return "missed" if passes(mutation.tests, folder) else "caught"
 
 
-def passes(tests: str, first: Path | None = None) -> bool:
-    """Whether tests pass with the packages of a folder in place of the checkout's; SystemExit if none could run."""
-    path = f"{first} {ROOT}" if first else str(ROOT)
+def passes(tests: str, folder: Path) -> bool:
+    """Whether tests pass with the packages of a folder, if it has any; SystemExit if none could run."""
     paths = [f"tests/{each}" for each in tests.split()]
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider", "-o"]
-    environment = os.environ | {"PYTHONPATH": path.replace(" ", os.pathsep)}
-    if first is not None and (first / "workers").exists():
-        environment["NUMBA_CACHE_DIR"] = str(first / "kernels")
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider"]
+    command += [f"--basetemp={folder / 'tests'}", "-o", f"pythonpath={folder} {ROOT}", *paths]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(folder), str(ROOT)))}
+    if (folder / "workers").exists():
+        environment["NUMBA_CACHE_DIR"] = str(folder / "kernels")
     try:
-        done = subprocess.run(
-            [*command, f"pythonpath={path}", *paths], cwd=ROOT, env=environment, timeout=LIMIT, capture_output=True
-        )
+        done = subprocess.run(command, cwd=ROOT, env=environment, timeout=LIMIT, capture_output=True, check=False)
     except subprocess.TimeoutExpired:
         return False
     if done.returncode not in (0, 1, 2):  # 2: a module cannot even be imported
@@ -144,7 +142,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=60.0, help="after which no mutation begins")
     parser.add_argument("--trust", action="store_true", help="do not run the tests without the mutation before")
     given = parser.parse_args()
-    end, sound = time.monotonic() + 60.0 * given.minutes, {}
+    end, sound = time.monotonic() + 60.0 * given.minutes, set[str]()
     found = {"caught": 0, "missed": 0, "stale": 0, "not tried": 0}
     for each in MUTATIONS:
         if given.part and not any(part in each.file for part in given.part):
@@ -152,9 +150,10 @@ def main() -> int:
         became = "not tried"
         if not given.list and time.monotonic() < end:
             if not given.trust and each.tests not in sound:
-                sound[each.tests] = passes(each.tests)
-                if not sound[each.tests]:
-                    raise SystemExit(f"{each.tests}: fails without a mutation")
+                with TemporaryDirectory(prefix="mutations-") as folder:
+                    if not passes(each.tests, Path(folder)):
+                        raise SystemExit(f"{each.tests}: fails without a mutation")
+                sound.add(each.tests)
             with TemporaryDirectory(prefix="mutations-") as folder:
                 became = outcome(each, Path(folder))
         found[became] += 1

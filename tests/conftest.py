@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -111,11 +111,24 @@ def one_processor() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def solved_plane(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+def solved_once(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Callable[[atlas.Spec], Path]:
+    """The store of a spec after a run, only to be read; each spec is run once for all files that ask for it."""
+    stores: dict[tuple[object, ...], Path] = {}
+
+    def store_of(spec: atlas.Spec) -> Path:
+        key = spec.digest, spec.tile
+        if key not in stores:
+            stores[key] = tmp_path_factory.mktemp("solved") / "out.zarr"
+            atlas.run(spec, stores[key], client=client)
+        return stores[key]
+
+    return store_of
+
+
+@pytest.fixture(scope="session")
+def solved_plane(solved_once: Callable[[atlas.Spec], Path]) -> Path:
     """The store of ``plane`` after a run, only to be read."""
-    path = tmp_path_factory.mktemp("plane") / "out.zarr"
-    atlas.run(plane_of(), path, client=client)
-    return path
+    return solved_once(plane_of())
 
 
 @pytest.fixture

@@ -25,6 +25,7 @@ from atlas.query.resample import view
 from atlas.render import figure
 from atlas.store import making, store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
+from tests.harm import flip
 from tests.paths import ROOT
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers import solve_tile
@@ -51,12 +52,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(made: Path, tmp_path: Path) -> store.Atlas:
     """38 x 45 cells in 5 x 6 tiles, with three levels."""
     return store.open_handle(shutil.copytree(made, tmp_path / "whole.zarr"))
-
-
-def flip(path: Path, byte: int = 5) -> None:
-    data = bytearray(path.read_bytes())
-    data[byte] ^= 0x10
-    path.write_bytes(data)
 
 
 def overview_faults(handle: store.Atlas) -> list[str]:

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import pytest
 import xarray as xr
 import zarr
 from click.testing import CliRunner, Result
-from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
@@ -49,10 +49,8 @@ LINE = f"14 invalid cells: {BEYOND}"
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
-    path = tmp_path_factory.mktemp("reasons") / "out.zarr"
-    atlas.run(plane_of(x1=0.25), path, client=client)
-    return path
+def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
+    return solved_once(plane_of(x1=0.25))
 
 
 @pytest.fixture

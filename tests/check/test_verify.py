@@ -26,6 +26,7 @@ from atlas.store.machine import machine_of, this_machine
 from atlas.store.machines import machines, record_machine
 from atlas.store.record import RECORD, RECORDS, TILES, record_key
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of
+from tests.harm import flip
 from tests.synthetic import set_attribute
 from workers import solve_tile
 from workers.cell.exponents import sum_of_exponents
@@ -54,10 +55,8 @@ VARIABLES = [variable.name for variable in result_variables(SPEC.settings) if no
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
-    path = tmp_path_factory.mktemp("verify") / "whole.zarr"
-    atlas.run(SPEC, path, client=client)
-    return path
+def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
+    return solved_once(SPEC)
 
 
 @pytest.fixture
@@ -69,12 +68,6 @@ def whole(solved: Path, tmp_path: Path) -> Path:
 def chunk(path: Path, name: str, tile: str = "0/1") -> Path:
     extra = {v.name: len(v.extra) for v in result_variables(SPEC.settings)}.get(name, 0)
     return path.joinpath(name, "c", tile, *["0"] * extra)
-
-
-def flip(path: Path, byte: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[byte] ^= 0x10
-    path.write_bytes(data)
 
 
 def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], value: Any) -> tuple[int, ...]:

@@ -1,5 +1,6 @@
 """Claims about the paper's figures and the commands that draw."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,6 @@ from atlas.errors import InputError
 from atlas.service.options import RunOptions
 from atlas.spec.spec import Spec
 from tests import naive
-from tests.planes import plane_of
 from workers import Settings
 
 
@@ -105,8 +105,10 @@ def test_a_drawing_that_cannot_be_made_ends_in_one_line_and_nothing_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_render_command_takes_overlays_and_a_second_atlas(tmp_path: Path, client: Client) -> None:
-    atlas.run(plane_of(), tmp_path / "plane.zarr", client=client)
+def test_the_render_command_takes_overlays_and_a_second_atlas(
+    solved_plane: Path, tmp_path: Path, client: Client
+) -> None:
+    shutil.copytree(solved_plane, tmp_path / "plane.zarr")
     for direction in ("forward", "backward"):
         omega = {"start": 2.0, "stop": 3.0, "num": 3, "continuation": direction}
         spec = Spec("two-mass", {"omega": omega}, {"b": 0.4}, {"max_periods": 300})

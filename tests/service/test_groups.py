@@ -27,6 +27,7 @@ from atlas.store.sidecar import notes_of
 from atlas.store.tiles import read_tile, write_tile
 from atlas.store.zoom import make_plane, note_seen, seen_sheets, sheet_place, sheets
 from tests.curves.test_curves_table import BOTH
+from tests.harm import flip
 
 pytestmark = pytest.mark.slow
 
@@ -72,12 +73,6 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = Labels(labels, one, np.array([1.0]), one, dict.fromkeys(names, one), Count(1, 1, 1, 1, 0, 0, 0, 0))
     write_labels(handle, found)
     return handle.path
-
-
-def flip(path: Path, byte: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[byte] ^= 0x10
-    path.write_bytes(data)
 
 
 def faults(path: Path) -> list[str]:

@@ -4,6 +4,7 @@ import json
 import pickle
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
+from atlas.spec.axis import Axis, StoredAxis
 from atlas.store import making, store
 from atlas.store.location import LocalPlace
 from tests.planes import plane_of
@@ -49,6 +51,21 @@ def spec(request: pytest.FixtureRequest) -> atlas.Spec:
 
 def tile_of(spec: atlas.Spec) -> tuple[int, ...]:
     return (2, 3) if spec.continuation is None and len(spec.shape) == 2 else spec.shape
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"values": (1.0, 2.5, 3.0)}, {"values": (1.0, 2.0)}, {"name": "b"}, {"scale": "log"},
+        {"continuation": "forward"},
+    ],
+)  # fmt: skip
+def test_axes_that_differ_in_a_value_or_a_word_are_not_equal(other: dict[str, Any]) -> None:
+    axis = Axis("omega", (1.0, 2.0, 3.0))
+    changed = replace(axis, **other)
+    assert axis != changed
+    assert StoredAxis(axis.outline(), lambda: {"omega": axis.values}) == axis
+    assert StoredAxis(changed.outline(), lambda: {changed.name: changed.values}) != axis
 
 
 class Counted(LocalPlace):

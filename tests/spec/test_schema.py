@@ -18,16 +18,9 @@ from tests.synthetic import change_root
 from workers import Settings
 
 
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
-    path = tmp_path_factory.mktemp("schema") / "plane.zarr"
-    atlas.run(plane_of(), path, client=client)
-    return path
-
-
 @pytest.fixture
-def store(solved: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(solved, tmp_path / "plane.zarr"))
+def store(finished: Path) -> Path:
+    return finished
 
 
 def remove_from_spec(store: Path, table: str, name: str) -> None:

@@ -152,18 +152,17 @@ def test_zarr_outlives_an_outage_too(server: ObjectStore) -> None:
 
 @pytest.mark.parametrize("how", [503, "drop"])
 def test_a_run_outlives_an_outage_and_has_the_bits_of_an_undisturbed_one(
-    server: ObjectStore, tmp_path: Path, client: Client, how: int | str
+    server: ObjectStore, solved_plane: Path, client: Client, how: int | str
 ) -> None:
-    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
     server.trouble = Trouble(3, 8, how)
     summary = atlas.run(plane_of(), URL, client=client)
     assert server.trouble.left == 0
     assert (summary.tiles_done, summary.failures, dict(summary.refused)) == (9, (), {})
-    assert arrays_of(URL) == arrays_of(tmp_path / "local.zarr")
+    assert arrays_of(URL) == arrays_of(solved_plane)
 
 
 def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on(
-    server: ObjectStore, tmp_path: Path, client: Client
+    server: ObjectStore, solved_plane: Path, client: Client
 ) -> None:
     server.trouble = Trouble(4, np.inf)
     words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
@@ -174,8 +173,7 @@ def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on
     assert kept == 3
     notes_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
     assert atlas.run(plane_of(), URL, client=client).tiles_solved == 9 - kept
-    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
-    assert arrays_of(URL) == arrays_of(tmp_path / "local.zarr")
+    assert arrays_of(URL) == arrays_of(solved_plane)
 
 
 def test_a_header_that_cannot_be_reached_is_a_fault_of_the_network_and_not_of_the_path(server: ObjectStore) -> None:
@@ -304,8 +302,7 @@ def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server
 
 
 def test_a_run_on_googles_store_has_the_bits_of_a_local_one(
-    server: ObjectStore, tmp_path: Path, client: Client
+    server: ObjectStore, solved_plane: Path, client: Client
 ) -> None:
-    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
     assert atlas.run(plane_of(), "gs://bucket/plane.zarr", client=client).tiles_done == 9
-    assert arrays_of("gs://bucket/plane.zarr") == arrays_of(tmp_path / "local.zarr")
+    assert arrays_of("gs://bucket/plane.zarr") == arrays_of(solved_plane)

@@ -19,6 +19,7 @@ from atlas.store import making, store
 from atlas.store.store import done_tiles, open_handle
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.store.tiling import part_side
+from tests.harm import flip
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 
 CHEAP = {"max_periods": 300, "tolerance": 1.0, "exponents": "none"}
@@ -87,12 +88,6 @@ def test_a_cell_is_read_with_the_chunk_around_it_alone(whole: store.Atlas) -> No
         patch.setattr(zarr.storage.LocalStore, "get", counting)
         np.testing.assert_array_equal(ds.largest[3, 5].values, results(whole, (0, 0))["largest"][3, 5])
     assert 0 < sum(taken) < size / 3
-
-
-def flip(path: Path, byte: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[byte] ^= 0x10
-    path.write_bytes(data)
 
 
 @pytest.mark.parametrize("tile", ["0/0", "1/1"])
