@@ -10,11 +10,18 @@ from workers.settings import Settings
 
 
 @dataclass(frozen=True)
-class Regime:
-    """A class of motion: its code in the data, its name, and the colour that pictures give it."""
+class CodeMeaning:
+    """What a code in the data stands for: its name there, and what pictures and pages say."""
 
     code: int
     name: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Regime(CodeMeaning):
+    """A class of motion, with the colour that pictures give it."""
+
     color: str
 
 
@@ -22,28 +29,25 @@ class Regime:
     PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC, LOCKING,
 ) = range(-1, 9)  # fmt: skip
 
-REGIMES = (
-    Regime(PENDING, "pending", "#ffffff"),
-    Regime(NO_IMPACT, "no_impact", "#dddddd"),
-    Regime(PERIODIC, "periodic", "#4477aa"),
-    Regime(QUASIPERIODIC, "quasiperiodic", "#228833"),
-    Regime(CHAOTIC, "chaotic", "#cc3311"),
-    Regime(UNDETERMINED, "undetermined", "#b2aa62"),
-    Regime(INVALID, "invalid", "#777777"),
-    Regime(FAILED, "failed", "#000000"),
-    Regime(APERIODIC, "aperiodic", "#f8f0d0"),
-    Regime(LOCKING, "locking", "#72829a"),
-)
+REGIMES = tuple(Regime(code, name, name.replace("_", " "), color) for code, name, color in (
+    (PENDING, "pending", "#ffffff"),
+    (NO_IMPACT, "no_impact", "#dddddd"),
+    (PERIODIC, "periodic", "#4477aa"),
+    (QUASIPERIODIC, "quasiperiodic", "#228833"),
+    (CHAOTIC, "chaotic", "#cc3311"),
+    (UNDETERMINED, "undetermined", "#b2aa62"),
+    (INVALID, "invalid", "#777777"),
+    (FAILED, "failed", "#000000"),
+    (APERIODIC, "aperiodic", "#f8f0d0"),
+    (LOCKING, "locking", "#72829a"),
+))  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Reason:
-    """Why a cell has no result, or an uncertain one: its code and its name in the data, its regime, and a sentence."""
+class Reason(CodeMeaning):
+    """Why a cell has no result, or an uncertain one, in a sentence; with the regime of such cells."""
 
-    code: int
-    name: str
     regime: int
-    text: str
 
 
 (
@@ -53,7 +57,7 @@ class Reason:
     MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY, PERIODS_SPENT, NEVER_RECURS,
 ) = range(26)  # fmt: skip
 
-REASONS = tuple(Reason(code, *row) for code, row in enumerate((
+REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) in enumerate((
     ("none", PENDING, ""),
     ("gave_up", FAILED, "the time of the next impact could not be found"),
     ("not_finite", FAILED, "the state is no longer finite"),
@@ -95,6 +99,11 @@ class InvalidError(ValueError):
         self.reason = reason
 
 
+SOLVED = frozenset(regime.code for regime in REGIMES) - {PENDING}
+OF_MOTIONS = frozenset({NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, LOCKING})
+"""The codes of all regimes but pending, and of those with exponents."""
+
+
 @dataclass(frozen=True)
 class Variable:
     """One result array: name, numpy type, value of a cell without a result, CF long_name and units.
@@ -102,15 +111,36 @@ class Variable:
     ``extra`` names dimensions after the cell's own: "attractor" (how many are kept), "exponent" (2n), "state" (2n),
     "sample" (section_samples).
     ``sparse``: most tiles have nothing but fill values of it, and are stored without a chunk.
+    ``label``: the few words of a table or a list, where its name does not say it.
+    ``regimes``: codes of the regimes in which it is a result.
+    ``endless``: below zero it stands for infinitely many, at rest on a stop.
+    ``codes``: what its values stand for where they are codes.
     """
 
     name: str
     dtype: str
     fill: float | int | bool
     long_name: str
-    units: str
+    units: str = "1"
     extra: tuple[str, ...] = ()
     sparse: bool = False
+    label: str = ""
+    regimes: frozenset[int] = SOLVED
+    endless: bool = False
+    codes: tuple[CodeMeaning, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Its label, or its name as words."""
+        return self.label or self.name.replace("_", " ")
+
+    def meaning(self, code: int) -> CodeMeaning:
+        """What a code of it stands for."""
+        return next(each for each in self.codes if each.code == code)
+
+    def code_of(self, name: str) -> int:
+        """The code of this name."""
+        return next(each.code for each in self.codes if each.name == name)
 
 
 PER_PERIOD = "per forcing period"
@@ -121,52 +151,67 @@ ATTRACTOR = "attractor"
 """The dimension along the attractors of a cell, the one with the largest share first."""
 
 
-def _number(name: str, long_name: str, *extra: str) -> Variable:
-    return Variable(name, "float64", float("nan"), long_name, "1", extra)
+def _number(name: str, long_name: str, *extra: str, label: str = "", regimes: frozenset[int] = SOLVED) -> Variable:
+    return Variable(name, "float64", float("nan"), long_name, extra=extra, label=label, regimes=regimes)
 
 
-def _count(name: str, long_name: str, *extra: str, fill: int = 0) -> Variable:
-    return Variable(name, "int32", fill, long_name, "1", extra)
+def _count(name: str, long_name: str, *extra: str, fill: int = 0, label: str = "") -> Variable:
+    return Variable(name, "int32", fill, long_name, extra=extra, label=label)
 
 
-def _flag(name: str, long_name: str, *extra: str) -> Variable:
-    return Variable(name, "bool", False, long_name, "1", extra)
+def count_of_orbit(name: str, long_name: str, label: str = "", endless: bool = True) -> Variable:
+    """What is counted along an orbit, a result where there is one; of impacts there may be no end."""
+    return Variable(name, "int32", 0, long_name, label=label, regimes=frozenset({PERIODIC}), endless=endless)
 
 
-LARGEST = _number("largest", f"largest Lyapunov exponent {PER_PERIOD}")
-ERROR = _number("error", f"error of the largest Lyapunov exponent {PER_PERIOD}")
+def _flag(name: str, long_name: str, *extra: str, label: str = "") -> Variable:
+    return Variable(name, "bool", False, long_name, extra=extra, label=label)
+
+
+LARGEST = _number("largest", f"largest Lyapunov exponent {PER_PERIOD}", label="largest exponent", regimes=OF_MOTIONS)
+ERROR = _number("error", f"error of the largest Lyapunov exponent {PER_PERIOD}", regimes=OF_MOTIONS)
 SPECTRUM = _number("spectrum", f"Lyapunov exponents {PER_PERIOD}, largest first", "exponent")
 AVERAGE = _number("average", f"mean growth of tangent vectors {PER_PERIOD} over the schedule")
 _ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra=("exponent",))
-KAPLAN_YORKE = _number("kaplan_yorke", "Kaplan-Yorke dimension of the attractor of the stroboscopic map")
-SUM_LAW_DEFECT = _number("sum_law_defect", f"sum of the exponents minus its exact value, {PER_PERIOD}")
+KAPLAN_YORKE = _number(
+    "kaplan_yorke", "Kaplan-Yorke dimension of the attractor of the stroboscopic map", label="Kaplan–Yorke dimension"
+)
+SUM_LAW_DEFECT = _number(
+    "sum_law_defect", f"sum of the exponents minus its exact value, {PER_PERIOD}", label="defect of the sum"
+)
 PROGRESS = _number("progress", f"mean advance of what drifts {PER_PERIOD}")
 SECTION = _number("section", "last section states", "sample", "state")
 CYCLE_PERIOD = _number("cycle_period", "time that a cycle takes; NaN unless periodic")
-PERIOD = _count("period", "forcing periods per orbit; 0 unless periodic or without impact")
+PERIOD = count_of_orbit("period", "forcing periods per orbit; 0 unless periodic or without impact", endless=False)
 _ALWAYS = (
     PERIOD,
-    _count("impacts_upper", "impacts at the upper stop per orbit period; -1 where it rests on a stop"),
-    _count("impacts_lower", "impacts at the lower stop per orbit period; -1 where it rests on a stop"),
+    count_of_orbit(
+        "impacts_upper", "impacts at the upper stop per orbit period; -1 where it rests on a stop", "impacts above"
+    ),
+    count_of_orbit(
+        "impacts_lower", "impacts at the lower stop per orbit period; -1 where it rests on a stop", "impacts below"
+    ),
     _number("impacts_per_period", f"mean number of impacts {PER_PERIOD}"),
     _flag("symmetric", "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known"),
-    _flag("sticks", "the mass rests on a stop for part of the time; false unless known"),
-    _number("stuck_fraction", "share of the time at rest on a stop"),
-    _number("min_impact_speed", "slowest impact seen on the attractor; 0 where it rests on a stop"),
+    _flag("sticks", "the mass rests on a stop for part of the time; false unless known", label="rests on a stop"),
+    _number("stuck_fraction", "share of the time at rest on a stop", label="share of time at rest"),
+    _number(
+        "min_impact_speed", "slowest impact seen on the attractor; 0 where it rests on a stop", label="slowest impact"
+    ),
     _number("mean_impact_speed", "mean speed before an impact; NaN where it rests on a stop"),
-    _number("max_impact_speed", "fastest impact seen on the attractor"),
-    _number("impact_energy", f"energy lost at impacts {PER_PERIOD}"),
+    _number("max_impact_speed", "fastest impact seen on the attractor", label="fastest impact"),
+    _number("impact_energy", f"energy lost at impacts {PER_PERIOD}", label="energy lost per period"),
     _number(
         "peak_to_peak", "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit"
     ),
-    _count("periods_used", "forcing periods simulated"),
-    _count("survived", "forcing periods seen chaotic, or aperiodic, after the transient"),
+    _count("periods_used", "forcing periods simulated", label="periods simulated"),
+    _count("survived", "forcing periods seen chaotic, or aperiodic, after the transient", label="periods seen chaotic"),
     _number("state", "physical section state on the attractor", "state"),
 )
 REASON = Variable(
-    "reason", "int8", NO_REASON, "why the cell is invalid, failed, given up or uncertain", "1", sparse=True
+    "reason", "int8", NO_REASON, "why the cell is invalid, failed, given up or uncertain", sparse=True, codes=REASONS
 )
-REGIME = Variable("regime", "int8", PENDING, "regime of motion", "1")
+REGIME = Variable("regime", "int8", PENDING, "regime of motion", codes=REGIMES)
 _COEXISTENCE = (
     _count("attractors", "attractors found"),
     _count("starts", "initial states solved, those beyond a stop left out"),
@@ -188,6 +233,27 @@ _COEXISTENCE = (
 UNKNOWN_LABEL, BEYOND_TABLE = -1, -2
 LABEL = _count("label", "attractor that the initial state reaches; -1 if not known", fill=UNKNOWN_LABEL)
 SETTLED = _count("settled", "forcing periods until the motion is on the attractor")
+
+
+_BY_NAME = {
+    each.name: each
+    for each in (
+        LARGEST, ERROR, AVERAGE, SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE, SECTION, PROGRESS, *_ALWAYS, *_COEXISTENCE,
+        LABEL, SETTLED, REASON, REGIME,
+    )
+}  # fmt: skip
+
+
+def result_named(name: str) -> Variable:
+    """The result of this name that all machines may have; of another name a number of which no more is known."""
+    return _BY_NAME.get(name) or _number(name, name)
+
+
+def in_words(values: Mapping[str, Any]) -> dict[str, str]:
+    """The regime of a cell by its name, and the reason, where there is one, as a sentence."""
+    reason = int(values.get(REASON.name, NO_REASON))
+    why = {REASON.name: REASONS[reason].text} if reason != NO_REASON else {}
+    return {REGIME.name: REGIME.meaning(int(values[REGIME.name])).name} | why
 
 
 def result_variables(

@@ -10,7 +10,7 @@ from atlas.spec.spec import checked_parameters, given_settings
 from atlas.spec.system import checked_system, must_offer, resolved_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import NO_IMPACT, NO_REASON, PERIODIC, REASON, REASONS, REGIME, REGIMES
+from workers.results import NO_IMPACT, PERIODIC, REASON, REGIME, in_words
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -89,10 +89,9 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     must_offer(record, "branches")
     regime = int(cell[REGIME.name])
     if regime not in (PERIODIC, NO_IMPACT):
-        name = next(each.name for each in REGIMES if each.code == regime).replace("_", " ")
-        code = int(cell.get(REASON.name, NO_REASON))
-        why = f" ({REASONS[code].text})" if code != NO_REASON else ""
-        raise InputError(f"this cell is {name}{why}: a branch starts from a periodic one")
+        why = in_words(cell).get(REASON.name)
+        found = REGIME.meaning(regime).text + (f" ({why})" if why else "")
+        raise InputError(f"this cell is {found}: a branch starts from a periodic one")
     if bool(cell["sticks"]) and not record.has_modes:
         raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")
     # Without impacts it is its own mirror image wherever orbits have one.

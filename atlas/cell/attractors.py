@@ -9,9 +9,7 @@ from atlas.spec.system import checked_system
 from workers import Settings
 from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
-from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES
-
-_NAMES = {regime.code: regime.name for regime in REGIMES}
+from workers.results import ATTRACTOR, REASON, REGIME, in_words
 
 
 def attractors(
@@ -48,18 +46,15 @@ def attractors(
     many = [each.name for each in record.variables(settings, attractors=True) if ATTRACTOR in each.extra]
     found = {name: array.tolist() for name, array in arrays.items() if name not in many}
     kept = min(found["attractors"], search.keep)
-    each = [in_words({name: arrays[name][place].tolist() for name in many}) for place in range(kept)]
+    each = [attractor_in_words({name: arrays[name][place].tolist() for name in many}) for place in range(kept)]
     if not each:  # then the first place has what became of the cell's own initial state
-        found |= in_words({name: arrays[name][0].tolist() for name in (REGIME.name, REASON.name)})
+        found |= in_words({name: arrays[name][0] for name in (REGIME.name, REASON.name)})
     return resolved_search(record, parameters, settings, search) | found | {"coexisting": each}
 
 
-def in_words(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of one attractor, its shares first, the regime and the reason by name."""
-    words = {REGIME.name: _NAMES[int(values[REGIME.name])]}
-    if REASON.name in values and values[REASON.name] != NO_REASON:
-        words[REASON.name] = REASONS[int(values[REASON.name])].text
+def attractor_in_words(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of one attractor: regime and reason in words, its shares, the rest."""
     first = ("share", "share_low", "share_high")
     ordered = {name: values[name] for name in first if name in values}
     rest = {name: value for name, value in values.items() if name not in (*first, REGIME.name, REASON.name)}
-    return words | ordered | rest
+    return in_words(values) | ordered | rest

@@ -13,7 +13,7 @@ from workers.model.elements import Contact, Friction, Spring
 from workers.model.expression import Expression
 from workers.model.laws import SEGMENTS, segments_of
 from workers.model.system import System
-from workers.results import INVALID, REGIMES
+from workers.results import INVALID, REGIME
 
 CELLS = 12
 """Cells along an axis of the coarse plane."""
@@ -137,7 +137,7 @@ def _segments(here: System, there: System) -> dict[str, tuple[int, int]]:
 
 def _named(found: dict[str, Any], k: int) -> str:
     """The class of a cell in words."""
-    name = next(regime.name for regime in REGIMES if regime.code == found["regime"][k])
+    name = REGIME.meaning(found[REGIME.name][k]).name
     period, *impacts = (int(found[key][k]) for key in CLASS[1:])
     return f"{name} {period} ({', '.join(map(str, impacts))})" if period > 0 else name
 

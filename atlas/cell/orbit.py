@@ -26,9 +26,8 @@ from workers.results import (
     PERIODIC,
     QUASIPERIODIC,
     REASON,
-    REASONS,
     REGIME,
-    REGIMES,
+    in_words,
 )
 
 Array = NDArray[np.float64]
@@ -126,7 +125,7 @@ def cell_orbit(
     cell: dict[str, Any] = {name: array[()] for name, array in solve_tile(record, parameters, asked).items()}
     start = cell["state"]
     if not np.all(np.isfinite(start)):
-        reason = REASONS[cell[REASON.name]].text or "its state is not known"
+        reason = in_words(cell).get(REASON.name, "its state is not known")
         raise InputError(f"this cell has no motion to show: {reason}")
     here = parameters | dict(zip(record.states, map(float, start), strict=True))
     cycle, closes = None, int(cell["period"])
@@ -265,7 +264,7 @@ def describe(orbit: CellOrbit) -> str:
     """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``, of one stop ``2 impacts``."""
     cell = orbit.cell
     code = int(cell[REGIME.name])
-    words = [next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")]
+    words = [REGIME.meaning(code).text]
     if code == PERIODIC:
         n, p, q = (int(cell[name]) for name in ("period", "impacts_upper", "impacts_lower"))
         if orbit.system.definition.unforced:

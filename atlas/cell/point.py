@@ -8,7 +8,7 @@ from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
+from workers.results import REASON, in_words
 
 
 def point(
@@ -35,10 +35,7 @@ def point(
     record, settings = checked_system(system), given_settings(settings)
     parameters = checked_parameters(record, given_values(given, named))
     arrays = solve_tile(record, parameters, settings)
-    names = {regime.code: regime.name for regime in REGIMES}
-    found = {variable.name: arrays[variable.name].tolist() for variable in record.variables(settings)}
-    found[REGIME.name] = names[found[REGIME.name]]
-    reason = REASONS[found.pop(REASON.name)]
-    if reason.code != NO_REASON:
-        found[REASON.name] = reason.text
-    return record.resolved() | {"parameters": parameters, "solve": asdict(settings)} | found
+    found = {each.name: arrays[each.name].tolist() for each in record.variables(settings)}
+    words = in_words(found)
+    del found[REASON.name]
+    return record.resolved() | {"parameters": parameters, "solve": asdict(settings)} | found | words

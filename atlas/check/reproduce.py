@@ -10,7 +10,7 @@ import numpy as np
 from atlas.spec.spec import Spec
 from atlas.store.origin import ALLOWANCES
 from atlas.task.solving import solve_apart
-from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, REGIMES, leading
+from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, leading
 
 ERRORS = 5.0
 """Largest difference of the largest exponents of two machines, in errors of both solutions."""
@@ -87,7 +87,7 @@ def _in_words(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray],
 
 def _text(name: str, values: Any) -> str:
     if name == REGIME.name:
-        names = {regime.code: regime.name for regime in REGIMES}
+        names = {each.code: each.name for each in REGIME.codes}
         return ", ".join(names.get(code, str(code)) for code in values.ravel().tolist())
     flat = values.ravel().tolist()
     shown = [f"{value!r}" if not isinstance(value, float) or math.isfinite(value) else f"{value}" for value in flat[:4]]

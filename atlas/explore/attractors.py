@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.cell.attractors import in_words
+from atlas.cell.attractors import attractor_in_words
 from atlas.explore.known import Cell
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Question
@@ -60,7 +60,7 @@ def _found(subject: Subject, arrays: Arrays) -> KeptAttractors:
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
     many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
     kept = min(int(cell["attractors"]), subject.starts.keep)
-    listed = [in_words({name: np.asarray(cell[name][k]).tolist() for name in many}) for k in range(kept)]
+    listed = [attractor_in_words({name: np.asarray(cell[name][k]).tolist() for name in many}) for k in range(kept)]
     return _answer(listed, {name: cell[name] for name in cell.keys() - set(many)}, stored=False)
 
 

@@ -16,9 +16,10 @@ from atlas.explore.curvelist import CurveList
 from atlas.explore.state import State, Store
 from atlas.explore.style import TEXT
 from atlas.explore.subject import STEPS, Subject, slider_range
-from atlas.explore.words import name_of, symbol_of
+from atlas.explore.words import symbol_of
 from atlas.render import SCALAR
 from atlas.text import plain
+from workers.results import result_named
 
 CELLS = 400
 """Cells across a new atlas, unless asked otherwise."""
@@ -35,7 +36,7 @@ class Controls:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         lines = overlays(subject)
         self.kind = Select(title="map", options=kinds(subject), value=chosen.kind, **wide)
-        numbers = [(name, name_of(name)) for name in subject.numbers]
+        numbers = [(name, result_named(name).words) for name in subject.numbers]
         self.variable = Select(title="variable", options=numbers, value=chosen.variable, **wide)
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
         self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)

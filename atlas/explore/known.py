@@ -14,13 +14,7 @@ from atlas.explore.subject import Arrays, SubjectPlane
 from atlas.explore.tiles import TileStore
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
-from workers.results import (
-    NO_REASON,
-    REASON,
-    REASONS,
-    REGIME,
-    REGIMES,
-)
+from workers.results import PENDING, REASON, REGIME, in_words
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -126,7 +120,7 @@ class KnownCells:
             found = at(subject.ds, dict(zip(subject.axes, (x, y), strict=True)))
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None
-        if found[REGIME.name] == REGIMES[0].name:
+        if found[REGIME.name] == REGIME.meaning(PENDING).name:
             return None
         return Cell(subject.values(plane, *(found[name] for name in subject.axes)), found, of_atlas=True)
 
@@ -142,10 +136,7 @@ class KnownCells:
         subject, (x, y) = self.subject, at
         found: dict[str, Any] = dict(zip(subject.axes, at, strict=True))
         found["distance"] = dict(zip(subject.axes, (abs(x - point[0]), abs(y - point[1])), strict=True))
-        regime, reason = int(arrays[REGIME.name][place]), int(arrays[REASON.name][place])
-        found[REGIME.name] = next(each.name for each in REGIMES if each.code == regime)
-        if reason != NO_REASON:
-            found[REASON.name] = REASONS[reason].text
+        found |= in_words({each.name: arrays[each.name][place] for each in (REGIME, REASON)})
         found |= {name: arrays[name][place].item() for name in subject.numbers}
         return Cell(subject.values(plane, x, y), found, of_atlas=False)
 

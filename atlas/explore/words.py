@@ -18,14 +18,13 @@ from atlas.explore.attractors import KeptAttractors
 from atlas.explore.known import Cell
 from atlas.explore.patches import WorkState
 from atlas.explore.subject import Subject, SubjectPlane
-from atlas.query.extremes import regimes_with
 from atlas.render.classes import PALETTE
 from atlas.render.screen import Screen
 from atlas.spec.system import impacts_of
 from atlas.task.compile import kernels_for, warming
 from atlas.text import plain, plural
 from workers.model.system import System
-from workers.results import ERROR, LARGEST, REASON, REGIME, REGIMES
+from workers.results import ERROR, LARGEST, REASON, REGIME, result_named
 
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CLOSE = 1e-3
@@ -96,22 +95,6 @@ def cell_line(cell: Cell, subject: Subject) -> str:
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
-NAMES = {
-    LARGEST.name: "largest exponent", "impacts_upper": "impacts above", "impacts_lower": "impacts below",
-    "impacts_per_period": "impacts per period", "sticks": "rests on a stop", "stuck_fraction": "share of time at rest",
-    "min_impact_speed": "slowest impact", "mean_impact_speed": "mean impact speed",
-    "max_impact_speed": "fastest impact",
-    "impact_energy": "energy lost per period", "peak_to_peak": "peak to peak", "periods_used": "periods simulated",
-    "survived": "periods seen chaotic", "kaplan_yorke": "Kaplan–Yorke dimension", "sum_law_defect": "defect of the sum",
-}  # fmt: skip
-"""Variables in words that fit beside their numbers; others are named by themselves, less the underscores."""
-
-
-def name_of(variable: str) -> str:
-    """A variable in words."""
-    return NAMES.get(variable, variable.replace("_", " "))
-
-
 def cell_table(cell: Cell, subject: Subject) -> str:
     """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
     names, words = subject.axes, {REGIME.name, REASON.name}
@@ -121,15 +104,16 @@ def cell_table(cell: Cell, subject: Subject) -> str:
         rows.append((REASON.name, str(cell.results[REASON.name]), ""))
     if not math.isnan(cell.results.get(LARGEST.name, math.nan)):
         value, error = cell.results[LARGEST.name], cell.results[ERROR.name]
-        rows.append((name_of(LARGEST.name), with_error(value, error), f"{value!r} ± {error!r}"))
+        rows.append((LARGEST.words, with_error(value, error), f"{value!r} ± {error!r}"))
     shown = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
-    regime = next(each.code for each in REGIMES if each.name == cell.results[REGIME.name])
+    regime = REGIME.code_of(cell.results[REGIME.name])
+    own = {each.name: each for each in subject.system.own_variables}
     for name, value in cell.results.items():
-        if name in shown or regime not in regimes_with(name) or (isinstance(value, float) and math.isnan(value)):
+        meant = own.get(name) or result_named(name)
+        if name in shown or regime not in meant.regimes or (isinstance(value, float) and math.isnan(value)):
             continue
-        endless = name.endswith(("_upper", "_lower")) and isinstance(value, int) and value < 0
-        text = "without end: at rest on a stop" if endless else _value(value)
-        rows.append((name_of(name), text, repr(value)))
+        text = "without end: at rest on a stop" if meant.endless and value < 0 else _value(value)
+        rows.append((meant.words, text, repr(value)))
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
     body = "".join(
         f"<tr><td>{html.escape(left)}</td><td{' class=number' if left not in words else ''} "
@@ -161,7 +145,7 @@ def attractors_table(found: KeptAttractors, subject: Subject) -> str:
     if not found.each:
         return f"none of {plural(found.starts, 'initial state')} is decided"
     exponents = subject.settings.exponents != "none"
-    heads = ["", "", "regime", "n-p-q", *([name_of(LARGEST.name)] if exponents else []), "share, 95 %"]
+    heads = ["", "", "regime", "n-p-q", *([LARGEST.words] if exponents else []), "share, 95 %"]
     rows = [
         f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
         + _cells("td", _attractor(each, k == found.own, exponents, subject.system)).removeprefix("<tr>")

@@ -1,7 +1,7 @@
 """The measures of an atlas as values, and the group ``stability`` of a store that keeps them."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,10 @@ from atlas.curves.table import KINDS
 from atlas.errors import ChunkError, InputError
 from atlas.robustness.linear import FLAGS
 from atlas.store.groups import STABILITY, read_group, write_table
-from atlas.store.schema import StoredArray
+from atlas.store.schema import StoredArray, variable_attributes
 from atlas.store.store import Atlas
 from workers import SOLVER_VERSION
-from workers.results import ATTRACTOR
+from workers.results import ATTRACTOR, CodeMeaning, Variable
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -26,48 +26,43 @@ LINEAR, SHOCKS, MARGIN = FAMILIES = ("linear", "shocks", "margin")
 
 
 @dataclass(frozen=True)
-class Measure:
-    """A measure of each attractor, or of each cell: its family, numpy type, value where it is not known, meaning, unit.
+class Measure(Variable):
+    """A measure of each attractor, or of each cell: a variable of a family."""
 
-    flags    what the codes of a measure that is a code mean, from 0
-    """
-
-    name: str
-    family: str
-    dtype: str
-    fill: float | int
-    long_name: str
-    units: str = "1"
+    family: str = ""
     of_cell: bool = False
-    flags: tuple[str, ...] = ()
 
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """Its CF attributes."""
-        codes = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
-        return {"long_name": self.long_name, "units": self.units} | (codes if self.flags else {})
+
+def _numbered(names: Iterable[str]) -> tuple[CodeMeaning, ...]:
+    return tuple(CodeMeaning(code, name, name.replace("_", " ")) for code, name in enumerate(names))
 
 
 _NAN = float("nan")
+_FAMILIES = {
+    LINEAR: (
+        Measure("return_time", "float64", _NAN, "forcing periods in which deviations fall by e in the end"),
+        Measure("reactivity", "float64", _NAN, "largest log growth of a deviation over one forcing period"),
+        Measure("amplification", "float64", _NAN, "largest growth of a deviation over any number of periods"),
+        Measure("amplified_after", "int32", -1, "forcing periods after which it is that large"),
+        Measure("unmeasured", "int8", -1, "why one of these is not known; -1 if all are", codes=_numbered(FLAGS)),
+    ),
+    SHOCKS: (
+        Measure("fatal_shock", "float64", _NAN, "smallest deviation found that leads to another attractor"),
+        Measure("shock_reaches", "int32", -1, "place of the attractor it leads to; -2 if it is not stored"),
+        Measure("shock_tried", "int32", -1, "states that fill the ball of this size and are not fatal"),
+    ),
+    MARGIN: (
+        Measure("margin", "float64", _NAN, "distance to the nearest curve"),
+        Measure("margin_error", "float64", _NAN, "estimated distance of its nearest chord from the curve"),
+        Measure("margin_kind", "int8", -1, "kind of the nearest curve", codes=_numbered(KINDS)),
+        Measure("margin_curve", "int32", -1, "number of the nearest curve, from 0"),
+    ),
+}
 MEASURES = {
-    each.name: each
-    for each in (
-        Measure("return_time", LINEAR, "float64", _NAN, "forcing periods in which deviations fall by e in the end"),
-        Measure("reactivity", LINEAR, "float64", _NAN, "largest log growth of a deviation over one forcing period"),
-        Measure("amplification", LINEAR, "float64", _NAN, "largest growth of a deviation over any number of periods"),
-        Measure("amplified_after", LINEAR, "int32", -1, "forcing periods after which it is that large"),
-        Measure("unmeasured", LINEAR, "int8", -1, "why one of these is not known; -1 if all are",
-                flags=FLAGS),
-        Measure("fatal_shock", SHOCKS, "float64", _NAN, "smallest deviation found that leads to another attractor"),
-        Measure("shock_reaches", SHOCKS, "int32", -1, "place of the attractor it leads to; -2 if it is not stored"),
-        Measure("shock_tried", SHOCKS, "int32", -1, "states that fill the ball of this size and are not fatal"),
-        Measure("margin", MARGIN, "float64", _NAN, "distance to the nearest curve", of_cell=True),
-        Measure("margin_error", MARGIN, "float64", _NAN, "estimated distance of its nearest chord from the curve",
-                of_cell=True),
-        Measure("margin_kind", MARGIN, "int8", -1, "kind of the nearest curve", of_cell=True, flags=KINDS),
-        Measure("margin_curve", MARGIN, "int32", -1, "number of the nearest curve, from 0", of_cell=True),
-    )
-}  # fmt: skip
+    each.name: replace(each, family=family, of_cell=family == MARGIN)
+    for family, some in _FAMILIES.items()
+    for each in some
+}
 """All measures by name."""
 
 
@@ -107,7 +102,7 @@ def write_measures(handle: Atlas, found: Stored) -> None:
     dims = handle.spec.dims
     many = (*dims, ATTRACTOR) if handle.spec.coexistence else dims
     columns = {
-        name: StoredArray(values, dims if MEASURES[name].of_cell else many, MEASURES[name].attributes)
+        name: StoredArray(values, dims if MEASURES[name].of_cell else many, variable_attributes(MEASURES[name]))
         for name, values in found.arrays.items()
     }
     own = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_atlas
-from atlas.cell.attractors import in_words
+from atlas.cell.attractors import attractor_in_words
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.store.groups import LABELS, group_attributes
@@ -70,5 +70,5 @@ def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
     found = []
     for k in range(min(int(cell["attractors"]), cell.sizes[ATTRACTOR])):
         values = {name: cell[name].isel({ATTRACTOR: k}).values.tolist() for name in names}
-        found.append(in_words(values))
+        found.append(attractor_in_words(values))
     return found

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.cell.attractors import in_words
+from atlas.cell.attractors import attractor_in_words
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.query.window import Window, axis_names, within
@@ -88,7 +88,7 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
         low, high = wilson(hits, max(count, 1))
         values = {str(name): one[name].values.tolist() for name in names}
         values |= {"share": hits / max(count, 1), "share_low": float(low), "share_high": float(high)}
-        found.append({LABEL.name: k} | in_words(values))
+        found.append({LABEL.name: k} | attractor_in_words(values))
     unknown = float(np.count_nonzero(solved & (labels < 0)) / max(count, 1))
     answer: dict[str, Any] = {"starts": count, "unknown": unknown}
     for name, pair in zip(("entropy", "boundary_entropy"), basin_entropy(labels, solved), strict=True):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from atlas.arguments import checked_name
 from atlas.errors import InputError, check_names, shown
 from atlas.query.walk import CellBlock
-from workers.results import PENDING, PERIODIC, REGIME, REGIMES
+from workers.results import PENDING, PERIODIC, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -20,8 +20,7 @@ BY = tuple(_NEEDED)
 STICKS = "sticks"
 """The pattern of all motions that rest on a stop: their impacts are infinitely many."""
 
-_NAMES = {regime.code: regime.name for regime in REGIMES}
-_REGIMES = {name: code for code, name in _NAMES.items() if code != PENDING}
+_REGIMES = {each.name: each.code for each in REGIME.codes if each.code != PENDING}
 _STUCK = (0, -1, -1)
 
 
@@ -57,7 +56,7 @@ class Classes:
         if by != REGIME.name:
             self.codes: tuple[int, ...] = (PERIODIC,)
         else:
-            self.codes = tuple(code for code in _NAMES if code != PENDING) if self._only is None else self._only
+            self.codes = tuple(_REGIMES.values()) if self._only is None else self._only
 
     def number(self, block: CellBlock) -> NDArray[np.int32]:
         """The number of the class of every cell, 0 where it has none or another than the one that is meant."""
@@ -89,7 +88,7 @@ class Classes:
 
     def _value(self, key: tuple[int, ...]) -> Any:
         if self.by == REGIME.name:
-            return _NAMES[key[0]]
+            return REGIME.meaning(key[0]).name
         if self.by == "period":
             return key[0]
         return STICKS if key == _STUCK else "-".join(map(str, key))

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 _TOGETHER = 1 << 22
 """Cells read at a time."""
-_FIRST = min(regime.code for regime in REGIMES)
-_NAMES = [regime.name for regime in sorted(REGIMES, key=lambda regime: regime.code)]
+_FIRST = REGIMES[0].code
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class Comparison:
 
         cells = self.numbers.cells
         kept = np.flatnonzero(cells.sum(axis=0) + cells.sum(axis=1))
-        names = [_NAMES[k] for k in kept]
+        names = [REGIMES[k].name for k in kept]
         attrs = {"long_name": "cells by their regimes in both atlases", "units": "1"}
         coords = {"here": names, "there": names}
         return xarray.DataArray(cells[np.ix_(kept, kept)], coords, ("here", "there"), "regimes", attrs)
@@ -116,7 +115,7 @@ class Comparison:
     @cached_property
     def numbers(self) -> ComparedNumbers:
         """The table and the differences in numbers, from one reading of both atlases."""
-        count = len(_NAMES)
+        count = len(REGIMES)
         cells = np.zeros((count, count), np.int64)
         area = np.zeros((count, count))
         compared, total, size, most = 0, 0.0, 0.0, None

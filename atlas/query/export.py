@@ -13,7 +13,7 @@ import numpy as np
 from atlas.errors import InputError
 from atlas.query.window import Window, axis_names, within
 from atlas.query.window import columns as columns_of
-from workers.results import REASON, REASONS, REGIME, REGIMES
+from workers.results import REASON, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -106,10 +106,7 @@ def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
     dims = tuple(reversed(names))
     ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
     columns = {str(name): _components(ds, str(name), dims) for name in ordered}
-    words = {
-        REGIME.name: {regime.code: regime.name for regime in REGIMES},
-        REASON.name: {reason.code: reason.name for reason in REASONS},
-    }
+    words = {each.name: {code.code: code.name for code in each.codes} for each in (REGIME, REASON)}
     rows = max(1, cells_at_a_time // ds.sizes[names[0]])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

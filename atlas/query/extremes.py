@@ -10,15 +10,14 @@ from atlas.query.classes import Classes
 from atlas.query.resample import view
 from atlas.query.walk import CellBlock, walk
 from atlas.query.window import Window, axis_names, axis_values, columns, within
-from workers.results import CHAOTIC, ERROR, LARGEST, LOCKING, NO_IMPACT, PENDING, PERIODIC, REASON, REGIME, REGIMES
+from atlas.spec.system import stored_system
+from workers.results import ERROR, LARGEST, REASON, REGIME, Variable, result_named
 
 if TYPE_CHECKING:
     import xarray as xr
 
 ALL = "all"
 """All cells together."""
-_OF_MOTIONS = (LARGEST.name, ERROR.name)
-_OF_ORBITS = ("period", "impacts_upper", "impacts_lower")
 
 
 def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window | None = None) -> list[dict[str, Any]]:
@@ -38,7 +37,8 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     checked_name("by", by)
     _check(ds, name)
     classes, part = None if by == ALL else Classes(ds, by), within(ds, window)
-    codes = regimes_with(name)
+    meant = variable_of(ds, name)
+    codes = meant.regimes
     if classes is not None:
         codes = codes & {*classes.codes}
     needed = [name, *(classes.names if classes else ())]
@@ -46,7 +46,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     best: dict[int, _Best] = {}
     for block in walk(part, needed, codes):
         counted = np.isin(block.regime, list(codes)) & np.isfinite(block.values[name])
-        if name in _OF_ORBITS:
+        if meant.endless:
             counted &= block.values[name] >= 0
         numbers = np.where(counted, 1 if classes is None else classes.number(block), 0)
         for number in np.unique(numbers[numbers > 0]).tolist():
@@ -98,11 +98,11 @@ class _Best:
         return [("smallest", self.low[::-1]), ("largest", self.high[::-1])]
 
 
-def regimes_with(name: str) -> set[int]:
-    """The codes of the regimes in which a variable is a result."""
-    if name in _OF_MOTIONS:
-        return {*range(NO_IMPACT, CHAOTIC + 1), LOCKING}
-    return {PERIODIC} if name in _OF_ORBITS else {regime.code for regime in REGIMES} - {PENDING}
+def variable_of(ds: "xr.Dataset", name: str) -> Variable:
+    """What a variable of an atlas means: one of its machine's own, or one that all have."""
+    system = stored_system(ds.attrs)
+    own = system.own_variables if system else ()
+    return next((each for each in own if each.name == name), result_named(name))
 
 
 def _check(ds: "xr.Dataset", name: str) -> None:

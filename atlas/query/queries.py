@@ -42,11 +42,10 @@ from workers.results import (
     PER_PERIOD,
     PER_TIME,
     REASON,
-    REASONS,
     REGIME,
-    REGIMES,
     SPECTRUM,
     SUM_LAW_DEFECT,
+    in_words,
     reason_counts,
 )
 
@@ -67,9 +66,7 @@ __all__ = [
     "where_regime",
 ]
 
-_NAMES = {regime.code: regime.name for regime in REGIMES}
-_CODES = {regime.name: regime.code for regime in REGIMES}
-
+_CODES = {each.name: each.code for each in REGIME.codes}
 _EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
 
 BOUNDARY_CELLS = 2000
@@ -101,9 +98,7 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     cell = ds[whole].isel(index).load()
     found: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}
     found["distance"] = {name: abs(found[name] - float(point[name])) for name in names}
-    found[REGIME.name] = _NAMES[int(cell[REGIME.name])]
-    why = REASONS[int(cell[REASON.name])].text if REASON.name in whole else ""
-    found |= {REASON.name: why} if why else {}
+    found |= in_words({each.name: cell[each.name] for each in (REGIME, REASON) if each.name in whole})
     found |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
     return found | ({"coexisting": listed(every.isel(index).load())} if of_all(every) else {})
 
@@ -127,7 +122,7 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
         areas = StoreTotals(part).areas()
         count_reads(part.pyramid.chunks_read)
     total = sum(areas.values())
-    return {name: area / total for code, name in sorted(_NAMES.items()) if (area := areas[code])}
+    return {name: area / total for name, code in _CODES.items() if (area := areas[code])}
 
 
 def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
@@ -144,7 +139,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
         return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
     counts = StoreTotals(part).reasons().tolist()
     count_reads(part.pyramid.chunks_read)
-    return {each.text: n for each, n in zip(REASONS, counts, strict=True) if n and each.code != NO_REASON}
+    return {each.text: n for each, n in zip(REASON.codes, counts, strict=True) if n and each.code != NO_REASON}
 
 
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
@@ -242,10 +237,9 @@ def _areas_of_cells(
     names = axis_names(whole)
     widths = {name: cell_widths(whole, name)[cells[name]] for name in names}
     codes = shown[REGIME.name].values
-    first = min(_NAMES)
-    area = np.zeros(max(_NAMES) - first + 1)
+    first, area = PENDING, np.zeros(len(REGIME.codes))
     # One row at a time: weights of a whole plane would take eight times the memory of its regimes.
     heights = reduce(np.multiply.outer, [widths[name] for name in reversed(names[1:])], np.ones(1)).ravel()
     for height, row in zip(heights, codes.reshape(heights.size, -1), strict=True):
         area += height * np.bincount(row - first, weights=widths[names[0]], minlength=area.size)
-    return {code: float(area[code - first]) for code in _NAMES}
+    return {code: float(area[code - first]) for code in _CODES.values()}

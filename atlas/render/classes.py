@@ -21,9 +21,9 @@ from atlas.query.attractors import branches
 from atlas.query.motions import VARIABLES, MotionName, broken_cells
 from atlas.query.motions import motions as motions_of
 from atlas.query.plane import Cells, Plane
-from atlas.render import style, words
+from atlas.render import style
 from atlas.render.painted import Colors, PaintedView, Texture, View, paint_regimes
-from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, SETTLED
+from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED
 
 Class: TypeAlias = tuple[Cells, str, str]
 """Cells (y, x), their colour and their name."""
@@ -242,7 +242,7 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
     """A branch in a few words: n-p-q, periods, impacts at either stop; and whose mirror image it is."""
     one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
-        return words.name_of(NO_IMPACT)
+        return REGIME.meaning(NO_IMPACT).text
     name = MotionName(*(int(one[each]) for each in VARIABLES)).label
     return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
 
@@ -273,7 +273,7 @@ def _name_of_attractor(known: xr.Dataset, label: int) -> str:
     """An attractor in a few words: its label, its regime or period, its share."""
     one = known.isel({ATTRACTOR: label})
     regime = int(one["regime"])
-    what = f"period {int(one['period'])}" if regime == PERIODIC else words.name_of(regime)
+    what = f"period {int(one['period'])}" if regime == PERIODIC else REGIME.meaning(regime).text
     return f"{label}: {what}, {100 * float(one['share']):.3g} %"
 
 

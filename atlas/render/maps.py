@@ -17,7 +17,7 @@ from atlas.render.kinds import Kind
 from atlas.render.page import DrawnPage
 from atlas.render.painted import PaintedView, View
 from atlas.render.wanted import Wanted
-from workers.results import ATTRACTOR, LARGEST, PENDING
+from workers.results import ATTRACTOR, LARGEST, PENDING, REGIME
 
 LABEL_SIZE = 7.5
 """Points of the type of names on a map."""
@@ -71,7 +71,7 @@ def lay(ax: Axes, plane: Plane, painted: PaintedView, page: DrawnPage) -> list[A
 def explain_pending(entries: Iterable[Artist], ds: xr.Dataset) -> None:
     """Say in a legend that cells without a result may have too few attractors for the one that the dataset holds."""
     for entry in entries:
-        if ds.attrs.get(ATTRACTOR, 0) and entry.get_label() == words.name_of(PENDING):
+        if ds.attrs.get(ATTRACTOR, 0) and entry.get_label() == REGIME.meaning(PENDING).text:
             entry.set_label(f"not more than {ds.attrs[ATTRACTOR]}")
 
 

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.query.plane import Cells, Plane
-from atlas.render import style, words
+from atlas.render import style
 from atlas.render.kinds import Kind
 from atlas.render.page import DrawnPage
 from atlas.render.wanted import Wanted
@@ -103,7 +103,7 @@ def paint_regimes(rgba: Colors, regime: NDArray[np.int8], where: Cells) -> list[
         cells = where & (regime == each.code)
         if cells.any():
             rgba[cells] = style.rgb(each.color, alpha=0 if each.code == PENDING else 255)
-            entries.append(regime_entry(each.code, words.name_of(each.code)))
+            entries.append(regime_entry(each.code, each.text))
     return entries
 
 

@@ -17,7 +17,7 @@ from atlas.query.tidy import borders, runs, specks
 from atlas.render import style, words
 from atlas.render.page import DrawnPage
 from atlas.render.painted import Colors
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIME, UNDETERMINED
 
 _VISIBLE = 2.0
 """Points below which a cell on its own is lost to the eye."""
@@ -49,7 +49,7 @@ def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: DrawnPage) -> set[str
         if code in _WITH_TEXTURE:
             hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
         if code in _MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):
-            enlarged.add(words.name_of(code))
+            enlarged.add(REGIME.meaning(code).text)
     return enlarged
 
 

@@ -19,12 +19,23 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.ends import number_ends, scale_ends
-from atlas.query.extremes import regimes_with
+from atlas.query.extremes import variable_of
 from atlas.query.tidy import without_dust
 from atlas.render import classes, kinds, raster, style, words
 from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.painted import Colors, PaintedView, ScaleBar, Texture, View, paint_regimes
-from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC
+from workers.results import (
+    CHAOTIC,
+    ERROR,
+    FAILED,
+    INVALID,
+    LARGEST,
+    NO_IMPACT,
+    PENDING,
+    PERIODIC,
+    QUASIPERIODIC,
+    REGIME,
+)
 
 Array = NDArray[np.float64]
 
@@ -78,7 +89,7 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> PaintedView:
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
         return painted
-    color, name = EXPONENT(norm(np.median(largest[quiet]))), words.name_of(NO_IMPACT)
+    color, name = EXPONENT(norm(np.median(largest[quiet]))), REGIME.meaning(NO_IMPACT).text
     texture = Texture.on(color, quiet, style.HATCH[NO_IMPACT], name, without_dust(quiet))
     return replace(painted, textures=[texture, *painted.textures])
 
@@ -99,7 +110,7 @@ def combined(view: View) -> PaintedView:
     painted, measured = classes.period(view), ~np.isnan(largest)
     painted.rgba[measured] = CHAOS(norm(largest[measured]), bytes=True)
     # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.
-    named = words.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
+    named = REGIME.meaning(CHAOTIC).text if np.all(measured[regime == CHAOTIC]) else None
     legend = [each for each in painted.legend if each.get_label() != named]
     return PaintedView(
         painted.rgba, legend, [ScaleBar(CHAOS, norm, largest, words.in_its_unit(view.ds, view.kind.scale.label))]
@@ -137,7 +148,8 @@ def scalar(view: View) -> PaintedView:
     log, label = scale.log or view.wanted.log, scale.label or words.variable_label(view.ds, name)
     regime, values = plane.regime, plane.known(name).astype(np.float64)
     # Counts of an orbit are results in orbits alone, and not where it rests, which makes its impacts infinitely many.
-    values[~np.isin(regime, list(regimes_with(name))) | (name.startswith("impacts_") & (values < 0.0))] = np.nan
+    meant = variable_of(view.ds, name)
+    values[~np.isin(regime, list(meant.regimes)) | (meant.endless & (values < 0.0))] = np.nan
     if log and np.any(values < 0.0):
         raise InputError(f"{name!r} has values below zero, which a logarithmic scale cannot show")
     norm, known = color_norm(values, log, view.page), ~np.isnan(values)

@@ -25,18 +25,7 @@ from atlas.render.kinds import TABLE
 from atlas.render.observed import PlottedPoints, shown_label
 from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.wanted import Wanted
-from workers.results import (
-    ATTRACTOR,
-    ERROR,
-    LABEL,
-    LARGEST,
-    NO_IMPACT,
-    PENDING,
-    PER_PERIOD,
-    PERIODIC,
-    REGIME,
-    SPECTRUM,
-)
+from workers.results import ATTRACTOR, ERROR, LABEL, LARGEST, NO_IMPACT, PENDING, PER_PERIOD, PERIODIC, REGIME, SPECTRUM
 
 if TYPE_CHECKING:
     from atlas.branches.table import Branches
@@ -374,7 +363,7 @@ def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedPoints | None
 def regime_legend(regime: NDArray[np.int8]) -> list[Artist]:
     """Legend entries for the regimes of points."""
     codes = np.unique(regime[regime != PENDING]).tolist()
-    return [_dot(style.INK[code], words.name_of(code), 4.0) for code in codes]
+    return [_dot(style.INK[code], REGIME.meaning(code).text, 4.0) for code in codes]
 
 
 def _dot(color: str, label: str, size: float) -> Line2D:

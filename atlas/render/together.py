@@ -26,7 +26,7 @@ from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.painted import PaintedView, ScaleBar, regime_entry
 from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
-from workers.results import LARGEST, PENDING, REGIMES
+from workers.results import LARGEST, PENDING, REGIME, REGIMES
 
 KINDS = ("exponent", "period")
 """The kinds of map that are drawn side by side."""
@@ -201,8 +201,8 @@ def _changes(here: Plane, there: Plane, pending: Cells) -> PaintedView:
         cells = (there.regime == each.code) & (here.regime != each.code) & ~pending
         if cells.any():
             rgba[cells] = style.rgb(each.color)
-            entries.append(regime_entry(each.code, f"{words.name_of(each.code)} instead"))
+            entries.append(regime_entry(each.code, f"{each.text} instead"))
     rgba[pending] = 0
     if pending.any():
-        entries.append(regime_entry(PENDING, words.name_of(PENDING)))
+        entries.append(regime_entry(PENDING, REGIME.meaning(PENDING).text))
     return PaintedView(rgba, entries)

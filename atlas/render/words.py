@@ -10,15 +10,10 @@ from matplotlib.mathtext import MathTextParser
 from atlas.query.plane import Meaning
 from atlas.spec.system import stored_system
 from workers.model.system import System
-from workers.results import PER_PERIOD, PER_TIME, REGIMES
+from workers.results import PER_PERIOD, PER_TIME
 
 _TERMS = 3
 """Terms of a gap coordinate that a label spells out, at most."""
-
-
-def name_of(code: int) -> str:
-    """A regime's name in a legend."""
-    return next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")
 
 
 @lru_cache(maxsize=1024)

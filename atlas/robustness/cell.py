@@ -14,13 +14,11 @@ from atlas.spec.system import checked_system
 from workers import Settings
 from workers.attractors.starts import Starts, unseen_share, wilson
 from workers.model.system import DEFAULT, System
-from workers.results import REASON, REASONS, REGIME, REGIMES
+from workers.results import REGIME, in_words
 
 if TYPE_CHECKING:
     from workers.attractors.basins import AttractorTable
     from workers.model.oscillator import Array
-
-_NAMES = {regime.code: regime.name for regime in REGIMES}
 
 
 def stability(
@@ -76,8 +74,7 @@ def stability(
         "periods_used": int(table.used[0]),
     }
     if not table.attractors:  # then the cell's own initial state says why
-        own = table.own.result(0)
-        found |= {"regime": _NAMES[int(own[REGIME.name])], "reason": REASONS[int(own[REASON.name])].text}
+        found |= in_words(table.own.result(0))
     each = [_measured(table, place, w, shocks) for place in range(len(table.attractors))]
     return resolved_search(record, parameters, settings, search) | found | {"coexisting": each}
 
@@ -91,7 +88,7 @@ def _measured(table: "AttractorTable", place: int, weights: "Array", shocks: boo
     low, high = wilson(hits, tried)
     linear = measures_of(table.cell.oscillator, attractor, weights)
     return {
-        "regime": _NAMES[attractor.regime],
+        "regime": REGIME.meaning(attractor.regime).name,
         "share": hits / tried,
         "share_low": float(low),
         "share_high": float(high),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from atlas.service.plan import Plan
 from atlas.task.compile import Compilation, compile_once, warming
 from atlas.text import duration, plural, shares
-from workers.results import REASONS, REGIMES
+from workers.results import REASONS, REGIME
 
 LOG_INTERVAL = 5.0
 """Seconds between two plain lines in a log."""
@@ -80,8 +80,7 @@ class Progress:
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
     """A line for each reason why results are missing or uncertain: ``3 invalid cells: the initial state lies ...``."""
-    regimes = {regime.code: regime.name for regime in REGIMES}
-    meant = {reason.text: regimes[reason.regime] for reason in REASONS}
+    meant = {reason.text: REGIME.meaning(reason.regime).name for reason in REASONS}
     return [f"{plural(count, f'{meant[text]} cell')}: {text}" for text, count in reasons.items()]
 
 

@@ -14,7 +14,7 @@ from atlas.store.origin import Origin
 from workers import SOLVER_VERSION
 from workers.model.observables import VALUE
 from workers.model.parameter import Parameter
-from workers.results import ATTRACTOR, REASON, REASONS, REGIME, REGIMES, Variable
+from workers.results import ATTRACTOR, Regime, Variable
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 1
@@ -95,16 +95,14 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
     }
 
 
-def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, Any]:
+def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[str, Any]:
     """CF attributes of a result variable; ``fixed`` names the coordinates that are not axes."""
     attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
-    if variable.name == REGIME.name:
-        attributes["flag_values"] = [regime.code for regime in REGIMES]
-        attributes["flag_meanings"] = " ".join(regime.name for regime in REGIMES)
-        attributes["flag_colors"] = " ".join(regime.color for regime in REGIMES)
-    if variable.name == REASON.name:
-        attributes["flag_values"] = [reason.code for reason in REASONS]
-        attributes["flag_meanings"] = " ".join(reason.name for reason in REASONS)
+    if variable.codes:
+        attributes["flag_values"] = [each.code for each in variable.codes]
+        attributes["flag_meanings"] = " ".join(each.name for each in variable.codes)
+    if colors := " ".join(each.color for each in variable.codes if isinstance(each, Regime)):
+        attributes["flag_colors"] = colors
     if named := " ".join(fixed):
         attributes["coordinates"] = named
     return attributes

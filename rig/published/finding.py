@@ -10,7 +10,7 @@ import numpy as np
 
 import atlas
 from workers import Settings, System, solve_tile
-from workers.results import REGIMES
+from workers.results import REGIME
 
 Machine = str | System
 Given = Mapping[str, float]
@@ -34,7 +34,7 @@ def event(system: Machine, given: Given, along: str, window: Window, kind: str) 
 def cell(system: Machine, given: Mapping[str, Any], settings: Settings = PERIODIC) -> dict[str, Any]:
     """The results of one cell; the regime by its name."""
     solved = {name: value.tolist() for name, value in solve_tile(system, given, settings).items()}
-    return {**solved, "regime": next(each.name for each in REGIMES if each.code == solved["regime"])}
+    return {**solved, "regime": REGIME.meaning(solved["regime"]).name}
 
 
 @cache

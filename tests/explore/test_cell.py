@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -63,8 +64,16 @@ def test_the_table_has_what_is_a_result_in_the_regime_of_the_cell_alone(subject:
     resting = numbers | {"period": 1, "impacts_upper": -1, "largest": math.nan, "error": math.nan}
     table = cell_table(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject)
     assert "without end: at rest on a stop" in table and "nan" not in table
-    contact = cell_table(Cell({}, numbers | {"regime": "periodic", "pad_upper": -1}, of_atlas=False), subject)
-    assert contact.count("without end: at rest on a stop") == 1
+
+
+def test_the_table_says_of_a_contact_of_the_machine_itself_that_it_has_no_end(tmp_path: Path) -> None:
+    axes = "".join(f"[axes.{name}]\nstart = 1.0\nstop = 2.0\nnum = 3\n" for name in ("omega", "alpha"))
+    (tmp_path / "capsule.toml").write_text(f'system = "capsule"\n{axes}', encoding="utf-8")
+    resting = {"omega": 1.0, "alpha": 1.0, "regime": "periodic", "stop_upper": -1}
+    capsule = subject_of(str(tmp_path / "capsule.toml"))
+    cells = [Cell({}, resting | {"regime": name}, of_atlas=False) for name in ("periodic", "chaotic")]
+    tables = [cell_table(each, capsule) for each in cells]
+    assert [table.count("without end: at rest on a stop") for table in tables] == [1, 0]
 
 
 def test_a_cell_of_another_plane_says_by_what_that_differs(subject: Subject) -> None:

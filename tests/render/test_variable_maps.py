@@ -215,3 +215,17 @@ def test_a_sweep_marks_exponents_of_minus_infinity_at_its_foot() -> None:
     assert r"▾: $-\infty$" in ax.get_ylabel()
     marks = [each for each in ax.lines if each.get_marker() == "v"]
     assert [each.get_xdata().tolist() for each in marks] == [[float(ds["omega"][2])]]
+
+
+def test_contacts_without_end_and_those_of_no_orbit_are_no_numbers_of_a_map_nor_extremes() -> None:
+    axes = {"omega": ("omega", np.arange(4.0), {"units": "1"}), "R": ("R", np.arange(1.0), {"units": "1"})}
+    cells = {
+        "regime": np.array([[PERIODIC, PERIODIC, PERIODIC, CHAOTIC]]),
+        "stop_upper": np.array([[-1, 2, 3, 7]], np.int32),
+    }
+    spec = {"spec": '{"system": "capsule", "axes": []}'}
+    ds = xr.Dataset({name: (("R", "omega"), values) for name, values in cells.items()}, axes, spec)
+    shown = drawn(render.figure(ds, variable="stop_upper"))[0]
+    neutral = [tuple(each[:3]) == rgb(scales.NEUTRAL) for each in shown]
+    assert neutral == [True, False, False, True]
+    assert [each["value"] for each in extremes(ds, "stop_upper", "all")] == [2, 3]

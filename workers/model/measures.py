@@ -8,7 +8,7 @@ from typing import Any
 from workers.model.elements import Contact, Friction
 from workers.model.entries import DefinitionError, check_name, fault, read_entries, read_table, taken
 from workers.model.expression import Expression, Row
-from workers.results import PER_PERIOD, Variable
+from workers.results import PER_PERIOD, Variable, count_of_orbit
 
 MEASURES = 8
 """Measures of a machine."""
@@ -97,7 +97,7 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
         for side in ("upper", "lower"):
             if getattr(contact, side) is not None:
                 words = f"contacts at the {side} stop of {of} per orbit period; -1 where it comes to rest by chatter"
-                yield where, Variable(f"{name}_{side}", "int32", 0, words, "1")
+                yield where, count_of_orbit(f"{name}_{side}", words)
         yield where, _number(f"{name}_fraction", f"share of the time in {of}")
         yield where, _loss(name, of)
         if not contact.rigid:

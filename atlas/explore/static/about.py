@@ -4,14 +4,14 @@ import shlex
 from typing import TYPE_CHECKING, Any
 
 from atlas.cell.command import point_words
-from atlas.query.extremes import regimes_with
+from atlas.query.extremes import variable_of
 from atlas.query.plane import PlaneAxis as PlaneAxis
 from atlas.render import words
 from atlas.render.coded import text_of
 from atlas.spec.citation import bibtex, computed_by
 from atlas.store.origin import ALLOWANCES
 from atlas.store.store import Atlas
-from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME, REGIMES
+from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,7 +26,7 @@ _PROVENANCE = {
 def described(ds: "xr.Dataset", handle: Atlas, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
     """What the page's program knows of an atlas, as plain JSON."""
     record, place = handle.spec.record, ds.attrs.get(ATTRACTOR)
-    names = {regime.code: words.name_of(regime.code) for regime in REGIMES}
+    names = {each.code: each.text for each in REGIME.codes}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
     return {
         "axes": [_axis(ds, axis) for axis in axes],
@@ -65,11 +65,12 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
 
     ``endless``: below zero it stands for infinitely many.
     """
+    meant = variable_of(ds, name)
     return {
         "label": text_of(words.variable_label(ds, name)),
         "flag": ds[name].dtype.kind == "b",
-        "endless": name.endswith(("_upper", "_lower")) and ds[name].dtype.kind == "i",
-        "regimes": sorted(regimes_with(name)),
+        "endless": meant.endless,
+        "regimes": sorted(meant.regimes),
     }
 
 
