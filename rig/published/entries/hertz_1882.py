@@ -60,7 +60,7 @@ ENTRY = Entry(
     place="greatest approach and duration of the impact of elastic balls",
     title="Impact on a Hertzian contact",
     machine="A unit mass on a spring and a damper, forced by sin(omega t) against a contact of the law k d^1.5 at"
-    f" x = 0.3, in segments within {WITHIN:g}: `scripts/published/entries/hertz_1882.py`. The force and the spring act"
+    f" x = 0.3, in segments within {WITHIN:g}: `rig/published/entries/hertz_1882.py`. The force and the spring act"
     " during the contact too, the less so the stiffer it is.",
     statements=statements,
 )
