@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,10 +45,8 @@ def spec_of(**changes: object) -> atlas.Spec:
 
 
 @pytest.fixture(scope="module")
-def unlabelled(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
-    path = tmp_path_factory.mktemp("labels") / "out.zarr"
-    atlas.run(spec_of(), path, client=client)
-    return path
+def unlabelled(solved_once: Callable[[atlas.Spec], Path]) -> Path:
+    return solved_once(spec_of())
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,12 @@
 """Stores of machines that report something of their own: written, mapped, verified, asked, and with all attractors."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from distributed import Client
 
 import atlas
 from atlas import render
@@ -32,11 +32,9 @@ PLANE = {
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+def store(solved_once: Callable[[atlas.Spec], Path]) -> Path:
     """A plane of a rigid machine with measures."""
-    path = tmp_path_factory.mktemp("measured") / "plane.zarr"
-    atlas.run(Spec.from_mapping(PLANE), path, client=client)
-    return path
+    return solved_once(Spec.from_mapping(PLANE))
 
 
 def test_a_store_holds_measures_with_their_words(store: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +46,8 @@ def spec_of(tile: list[int], starts: int = 16, **changes: object) -> atlas.Spec:
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
-    path = tmp_path_factory.mktemp("basins") / "out.zarr"
-    atlas.run(spec_of([4, 3]), path, client=client)
-    return path
+def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
+    return solved_once(spec_of([4, 3]))
 
 
 def test_the_initial_state_that_reaches_period_3_lies_in_its_basin() -> None:

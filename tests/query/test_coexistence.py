@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -37,10 +38,8 @@ def spec_of(**changes: object) -> atlas.Spec:
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
-    path = tmp_path_factory.mktemp("coexistence") / "out.zarr"
-    atlas.run(spec_of(), path, client=client)
-    return path
+def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
+    return solved_once(spec_of())
 
 
 def test_the_table_is_kept_in_the_resolved_spec_exactly() -> None:

@@ -42,10 +42,8 @@ def spec_of(omega: Any = (2.0, 2.4, 3.0, 4.0), b: Any = (0.1, 0.3, 0.5), **chang
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
-    path = tmp_path_factory.mktemp("extend") / "old.zarr"
-    atlas.run(spec_of(), path, client=client)
-    return path
+def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
+    return solved_once(spec_of())
 
 
 @pytest.fixture

@@ -44,3 +44,11 @@ def test_after_a_coarse_lattice_the_costly_region_comes_first() -> None:
     costly = [place for place, index in enumerate(given) if cost(index) > 1]
     assert max(costly) < 16 + 2 * len(costly)
     assert min(cost(index) for index in itertools.islice(given, 16, 40)) == 100.0
+
+
+def test_of_the_tiles_of_known_cost_the_nearest_counts_most() -> None:
+    order = Order(np.ones((1, 16), dtype=bool))
+    given = iter(order)
+    for index in itertools.islice(given, 4):
+        order.note(index, 100.0 if index == (0, 14) else 1.0)
+    assert [next(given), next(given)] == [(0, 15), (0, 13)]

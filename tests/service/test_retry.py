@@ -4,6 +4,8 @@ Truth: the cells of an atlas whose spec has these settings, solved without a ser
 """
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +47,9 @@ def plane_of_few(max_periods: int = FEW) -> atlas.Spec:
 
 
 @pytest.fixture(scope="module")
-def old(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+def old(solved_once: Callable[[atlas.Spec], Path]) -> Path:
     """A plane with undetermined cells. No test changes it."""
-    path = tmp_path_factory.mktemp("retry") / "few.zarr"
-    atlas.run(plane_of_few(), path, client=client)
-    return path
+    return solved_once(plane_of_few())
 
 
 @pytest.fixture(scope="module")
@@ -294,7 +294,7 @@ def test_a_retry_into_another_store_is_refused(old: Path, new: Path) -> None:
 
 
 def test_a_store_that_is_no_retry_is_not_completed_by_one(old: Path, tmp_path: Path, client: Client) -> None:
-    atlas.run(plane_of_few(), tmp_path / "plain.zarr", client=client)
+    shutil.copytree(old, tmp_path / "plain.zarr")
     with pytest.raises(InputError, match="choose another path"):
         atlas.retry(old, tmp_path / "plain.zarr", "undetermined", MORE, client=client)
 

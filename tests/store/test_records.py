@@ -3,6 +3,7 @@
 import shutil
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from atlas.query.reads import counted
 from atlas.service.status import Status, read_status
 from atlas.store import records
 from atlas.store.location import LocalPlace
-from atlas.store.record import BY_REASON, RECORD, RECORDS, WIDTH, record_key
+from atlas.store.record import BY_REASON, RECORD, RECORDS, WIDTH, digest_of, record_key
 from atlas.store.records import Records, RunRecords, put_together, single_records
 from atlas.store.store import Atlas, done_tiles, open_arrays, open_handle
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write_tile
@@ -28,7 +29,7 @@ from atlas.task.task import Job
 from tests.chunk_keys import noted_keys
 from tests.planes import plane_of
 from tests.synthetic import complete, indices, results, spec_of
-from workers.results import FAILED, GAVE_UP, REGIMES
+from workers.results import FAILED, GAVE_UP, REGIMES, Variable
 
 TILES = 11 * 13
 
@@ -48,6 +49,20 @@ def record(handle: Atlas) -> None:
     arrays = open_arrays(handle)
     for index in sorted(done_tiles(handle)):
         put_record(handle, index, record_of(handle, index, read_tile(handle, index, arrays=arrays)))
+
+
+def test_a_digest_is_of_the_place_of_a_tile_and_of_the_names_and_values_of_its_results() -> None:
+    first, second = (Variable(name, "int32", 0, name, "1") for name in ("period", "impacts"))
+    arrays = {"period": np.array([1, 2]), "impacts": np.array([3, 4]), "renamed": np.array([3, 4])}
+    whole = digest_of((0, 1), [first, second], arrays)
+    assert whole == digest_of((0, 1), [first, second], arrays | {"period": np.array([1, 2], dtype=">i8")})
+    others = [
+        digest_of((1, 0), [first, second], arrays),
+        digest_of((0, 1), [first, replace(second, name="renamed")], arrays),
+        digest_of((0, 1), [first, second], arrays | {"impacts": np.array([3, 5])}),
+        digest_of((0, 1), [first], arrays),
+    ]
+    assert len({whole, *others}) == 5
 
 
 @pytest.fixture(scope="module")
