@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +41,9 @@ from workers.results import CHAOTIC
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
     """The plane of ``forces``, without curves, only to be read."""
-    path = tmp_path_factory.mktemp("forces") / "out.zarr"
-    atlas.run(forces(), path, client=client)
-    return path
+    return solved_once(forces())
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -50,7 +50,7 @@ LINEAR_NAMES = [each.name for each in of_family(LINEAR)]
 
 
 @pytest.fixture(scope="module")
-def unmeasured(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+def unmeasured(solved_once: Callable[[atlas.Spec], Path]) -> Path:
     """Twins, a symmetric orbit and motion without impact, two attractors a cell at most."""
     spec = atlas.Spec(
         "two-mass",
@@ -59,9 +59,7 @@ def unmeasured(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path
         attractors={"starts": 8, "keep": 3},
         store={"tile": [2, 2]},
     )
-    path = tmp_path_factory.mktemp("measures") / "all.zarr"
-    atlas.run(spec, path, client=client)
-    return path
+    return solved_once(spec)
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +70,10 @@ def measured(unmeasured: Path, tmp_path_factory: pytest.TempPathFactory, client:
 
 
 @pytest.fixture(scope="module")
-def plane(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+def plane(solved_once: Callable[[atlas.Spec], Path]) -> Path:
     """One attractor a cell, on a linear and a logarithmic axis; one cell is invalid."""
     axes = {"omega": {"values": [2.0, 3.0, 4.0]}, "b": {"start": 0.1, "stop": 0.4, "num": 3, "scale": "log"}}
-    path = tmp_path_factory.mktemp("plane") / "plane.zarr"
-    atlas.run(atlas.Spec("two-mass", axes, solve={"max_periods": 2000, "survival": 2000}), path, client=client)
-    return path
+    return solved_once(atlas.Spec("two-mass", axes, solve={"max_periods": 2000, "survival": 2000}))
 
 
 def copied(store: Path, to: Path) -> Path:
