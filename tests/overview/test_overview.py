@@ -18,6 +18,7 @@ import atlas
 from atlas.check.overviews import check_overviews
 from atlas.errors import ChunkError, RunError
 from atlas.overview.coarsen import coarsen, from_cells
+from atlas.overview.levels import Levels
 from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
@@ -186,6 +187,8 @@ def test_undetermined_cells_are_shown_from_a_sixteenth_of_the_area_on(count: int
 def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.Atlas) -> None:
     assert Pyramid(shared).levels.count == 3
     assert Pyramid(shared).levels.shape_of(3) == (5, 6)
+    for side, count in ((8, 0), (9, 1), (16, 1), (17, 2)):
+        assert Levels((3, side), (4, 4), side=8, least=8).count == count
 
 
 # In the store
