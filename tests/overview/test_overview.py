@@ -3,6 +3,7 @@
 Truth is the definition applied to the cells of the store, block by block.
 """
 
+import itertools
 import json
 import shutil
 from dataclasses import replace
@@ -189,6 +190,17 @@ def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(share
     assert Pyramid(shared).levels.shape_of(3) == (5, 6)
     for side, count in ((8, 0), (9, 1), (16, 1), (17, 2)):
         assert Levels((3, side), (4, 4), side=8, least=8).count == count
+
+
+def test_the_blocks_of_the_chunks_of_a_level_cover_its_cells_once() -> None:
+    levels = Levels((38, 45), (8, 8), side=16, least=8)
+    for level in range(1, levels.count + 1):
+        covered = [
+            cell
+            for index in levels.chunks(level)
+            for cell in itertools.product(*(range(part.start, part.stop) for part in levels.block(level, index)))
+        ]
+        assert sorted(covered) == [*np.ndindex(*levels.shape_of(level))]
 
 
 # In the store
