@@ -185,6 +185,14 @@ def test_undetermined_cells_are_shown_from_a_sixteenth_of_the_area_on(count: int
     assert (cells["regime_shown"].item(), cells["regime"].item()) == (shown, PERIODIC)
 
 
+def test_only_periodic_cells_have_a_period_in_levels() -> None:
+    """Motion without impact has one in the atlas."""
+    codes, period = np.array([[NO_IMPACT, PERIODIC, CHAOTIC]], np.int8), np.array([[1, 3, 0]], np.int32)
+    cells = from_cells({"regime": codes, "period": period}, ["period", "period_count"])
+    assert cells["period"].tolist() == [[0, 3, 0]]
+    assert cells["period_count"].tolist() == [[0, 1, 0]]
+
+
 def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.Atlas) -> None:
     assert Pyramid(shared).levels.count == 3
     assert Pyramid(shared).levels.shape_of(3) == (5, 6)
