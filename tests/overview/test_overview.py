@@ -18,7 +18,7 @@ from distributed import Client
 import atlas
 from atlas.check.overviews import check_overviews
 from atlas.errors import ChunkError, RunError
-from atlas.overview.coarsen import coarsen, from_cells
+from atlas.overview.coarsen import POSITIVE, coarsen, from_cells
 from atlas.overview.levels import Levels
 from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
@@ -191,6 +191,12 @@ def test_only_periodic_cells_have_a_period_in_levels() -> None:
     cells = from_cells({"regime": codes, "period": period}, ["period", "period_count"])
     assert cells["period"].tolist() == [[0, 3, 0]]
     assert cells["period_count"].tolist() == [[0, 1, 0]]
+
+
+def test_an_exponent_of_zero_is_not_positive_in_levels() -> None:
+    codes, largest = np.full((1, 4), CHAOTIC, np.int8), np.array([[0.0, 1e-300, -1.0, -np.inf]])
+    positive = from_cells({"regime": codes, "largest": largest}, [POSITIVE.name])[POSITIVE.name]
+    np.testing.assert_array_equal(positive, [[0.0, 1.0, 0.0, np.nan]])
 
 
 def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.Atlas) -> None:
