@@ -6,8 +6,7 @@ A sheet is a store of its own within the store, a block of a level of a plane.
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -107,15 +106,19 @@ class Sheets:
                 sheet = self._open[at]
                 if now - sheet.looked > LOOK:
                     sheet.looked = now
-                    with self._asking():
+                    try:
                         sheet.done = done_tiles(sheet.handle) - sheet.bad
+                    except (OSError, RunError) as error:
+                        self._was_refused(error)
                 return sheet
             if now - self._absent.get(at, -LOOK) < LOOK:
                 return None
             span = self.span(key)
             if span is not None:
-                with self._asking():  # a sheet that is damaged is made anew
+                try:
                     return self._opened(at, self._place(plane, key), span)
+                except Exception as error:  # as of ``_read``: a sheet that is damaged is made anew
+                    self._was_refused(error)
             self._absent[at] = now
             self._absent.move_to_end(at)
             while len(self._absent) > MOST_ABSENT:
@@ -234,14 +237,6 @@ class Sheets:
         """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
         span = self.span(SheetKey.of(key))
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
-
-    @contextmanager
-    def _asking(self) -> Iterator[None]:
-        """Around what may fail: what a disk refuses is told, and of what else there is the sheet is not there."""
-        try:
-            yield
-        except Exception as error:
-            self._was_refused(error)
 
     def _was_refused(self, error: Exception) -> bool:
         """Whether it is the disk that refused, which is told."""
