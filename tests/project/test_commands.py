@@ -64,7 +64,7 @@ def coarse(example: str) -> str:
 
 
 EXAMPLES = """
-bistable-harvester bouncing-ball capsule chain-3 duffing-stop energy-harvester energy-sink friction-oscillator
+belt bistable-harvester bouncing-ball capsule chain-3 duffing-stop energy-harvester energy-sink friction-oscillator
 gear-mesh hertz-ball impact-damper impact-pair rotor-rub shaken-base simpson-ghosh-2026 single-mass soft-impact
 soft-suspension stick-slip stribeck-belt two-stops
 """

@@ -7,6 +7,8 @@ the cycle, which is an orbit of one period for all that is measured.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from workers.cell.cells import RETURNS, CellCycle, Cells
 from workers.cell.course import TORUS_RETURN, Course
+from workers.cell.exponents import kaplan_yorke
 from workers.cell.orbits import end_on_orbits
 from workers.cell.outcome import put, put_periodic
 from workers.cell.stretch import batch_of, begin, run
@@ -27,7 +30,7 @@ from workers.model.family import NoOscillatorError, with_modes
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
 from workers.orbit.passed import legs_of_periods, passed_by
-from workers.results import CHAOTIC, NO_REASON, PER_TIME, REGIME, Variable
+from workers.results import APERIODIC, CHAOTIC, NO_REASON, PER_TIME, QUASIPERIODIC, REGIME, Variable
 
 LEAST_LOOK = 64
 """Natural periods over which a motion is looked at, at least: as long as all before, or until it closes."""
@@ -229,7 +232,8 @@ def put_cycles(cells: Cells, found: dict[int, tuple[Cycle, Array]]) -> None:
 def tell_in_time(cells: Cells, variables: tuple[Variable, ...]) -> None:
     """Give the results of all cells, so far over their periods, in units of time, and cycles their period.
 
-    The exponent along a motion is exactly 0: of chaos that one is which is nearest to it.
+    The exponent along a motion is exactly 0: of chaos it is the one nearest to 0, of a torus the second. Sections are
+    the passages of an event.
     """
     found = cells.found
     for variable in variables:
@@ -240,6 +244,35 @@ def tell_in_time(cells: Cells, variables: tuple[Variable, ...]) -> None:
         found["cycle_period"][r], found["period"][r] = cycle.period, len(cycle.section)
         if "section" in found:
             found["section"][r] = cycle.section[np.arange(found["section"].shape[1]) % len(cycle.section)]
-    if "spectrum" in found:
-        for r in np.flatnonzero(found[REGIME.name] == CHAOTIC).tolist():
-            found["spectrum"][r, np.argmin(np.abs(found["spectrum"][r]))] = 0.0
+    for r in np.flatnonzero(np.isin(found[REGIME.name], (CHAOTIC, QUASIPERIODIC, APERIODIC))).tolist():
+        if "section" in found:
+            found["section"][r] = passages(cells, r, found["section"].shape[1])
+        if "spectrum" in found:
+            spectrum = found["spectrum"][r]
+            torus = found[REGIME.name][r] == QUASIPERIODIC  # whose own 0 is the first
+            spectrum[1 if torus else np.argmin(np.abs(spectrum))] = 0.0
+            known = np.where(torus & (np.arange(len(spectrum)) == 0), 0.0, spectrum)
+            found["kaplan_yorke"][r] = kaplan_yorke(-np.sort(-known))
+
+
+def passages(cells: Cells, r: int, count: int) -> Array:
+    """The states (count, 2n) of a motion that does not close just after its commonest event, from its result on.
+
+    NaN from where it cannot be followed.
+    """
+    size, states = cells.directions, list[Array]()
+    machine, number = taken(cells.oscillators, np.array([r])), int(cells.contact[r]) - FIRST_NUMBER
+    key = None
+    with suppress(ValueError):
+        for rows in islice(legs_of_periods(machine, cells.found["state"][r], number), LEAST_LOOK + 4 * count):
+            events = rows[rows[:, LEG.signal] >= 0.0]
+            keys = events[:, [LEG.signal, LEG.side, LEG.number]]
+            if key is None and len(keys):
+                kinds, counts = np.unique(keys, axis=0, return_counts=True)
+                key = kinds[np.argmax(counts)]
+            states += list(events[np.all(keys == key, axis=1), LEG_STATE : LEG_STATE + size]) if len(keys) else []
+            if len(states) >= count:
+                break
+    found = np.full((count, size), np.nan)
+    found[: len(states)] = np.reshape(states[:count], (-1, size))
+    return found

@@ -1,6 +1,6 @@
 """Claims about machines without a force: their cycles, with periods and multipliers, their equilibria, and their names.
 
-Truth: closed forms and digits of other programs, shared/characteristics.md B and row 17 and 18 of piecewise.md.
+Truth: closed forms, and numbers that a program in 30 digits found: B1 to B6, C3, rows 17 and 18.
 """
 
 import math
@@ -13,11 +13,13 @@ import pytest
 from atlas.check.rules import broken_rules
 from atlas.errors import InputError
 from atlas.spec.spec import Spec, checked_parameters
+from rig.oracle.pieces.machine import Contact, Friction, Machine
 from rig.oracle.pieces.motion import simulate
 from rig.oracle.pieces.rows import belt as belt_of_oracle
 from workers import Settings, System, solve_tile
+from workers.history import within_periods
 from workers.model.entries import DefinitionError
-from workers.results import NO_IMPACT, PERIODIC
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 SPECTRUM = Settings(exponents="spectrum")
 
@@ -241,3 +243,82 @@ def test_what_the_results_have_to_do_with_each_other_holds_without_a_force() -> 
         spec = Spec(system, {name: values}, {"x": x}, {"exponents": "spectrum"})
         arrays = solve_tile(system, spec.parameters | {name: values}, spec.settings)
         assert broken_rules(spec, (slice(0, len(values)),), arrays) == {}
+
+
+# Motion that does not close
+
+
+def driven() -> System:
+    """A mass that damping -d drives, on another one between two rigid stops of restitution R: x2 = +-1."""
+    stops = {"name": "stops", "gap": [0.0, 1.0], "upper": 1.0, "lower": -1.0, "restitution": "R"}
+    return System.from_mapping({
+        "name": "driven", "coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 1.0]],
+        "damping": [["c", 0.0], [0.0, "-d"]], "stiffness": [["1 + k", "-k"], ["-k", "k"]], "contacts": [stops],
+        "parameters": {"c": 0.1, "d": 0.15, "k": 1.0, "R": 0.7, "x2": 0.1},
+    })  # fmt: skip
+
+
+def test_a_torus_has_two_exponents_of_zero_and_passes_an_event_at_ever_other_states() -> None:
+    found = solved(driven(), Settings(exponents="spectrum", section_samples=200))
+    assert found["regime"] == QUASIPERIODIC
+    assert abs(found["largest"]) < 1e-5
+    assert found["spectrum"][1] == 0.0
+    assert found["kaplan_yorke"] == 2.0
+    section = found["section"]
+    assert np.abs(np.abs(section[:, 1]) - 1.0).max() < 1e-12
+    assert len(np.unique(section[:, 0].round(6))) == 200
+    assert math.isnan(found["cycle_period"])
+
+
+def test_chaos_has_an_exponent_of_zero_and_obeys_the_sum_law_in_units_of_time() -> None:
+    """Sum = -tr C + 2 ln R times the impacts in a unit of time."""
+    c, d, R = 0.2295, 0.2072, 0.7933
+    settings = Settings(exponents="spectrum", survival=1000, max_periods=3000, tolerance=0.05, section_samples=50)
+    found = solved(driven(), settings, c=c, d=d, R=R, k=0.9674)
+    assert found["regime"] == CHAOTIC
+    assert found["largest"] > 0.05
+    assert np.sum(found["spectrum"] == 0.0) == 1
+    law = d - c + 2.0 * math.log(R) * found["impacts_per_period"]
+    assert np.sum(found["spectrum"]) == pytest.approx(law, abs=5e-3)  # the 0 was one by average
+    assert np.abs(np.abs(found["section"][:, 1]) - 1.0).max() < 1e-12
+
+
+# Random machines
+
+
+def cycles_close(seed: int) -> bool:
+    """Whether a random pair of masses, one on a belt and one between a stop, has a cycle; the oracle goes round it."""
+    rng = np.random.default_rng(seed)
+    k, c, d = rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.1), rng.uniform(-0.15, -0.02)
+    rigid = bool(rng.integers(2))
+    how = {"restitution": rng.uniform(0.3, 0.9)} if rigid else {"stiffness": rng.uniform(5, 20), "damping": 0.1}
+    rub = {"row": [1.0, 0.0], "kinetic": rng.uniform(0.2, 0.6), "static": 1.0, "belt": rng.uniform(0.1, 0.6)}
+    matrices = {
+        "mass": [[1.0, 0.0], [0.0, rng.uniform(0.5, 2.0)]], "damping": [[c, 0.0], [0.0, d]],
+        "stiffness": [[1.0 + k, -k], [-k, k + 0.5]],
+    }  # fmt: skip
+    stop = how | {"upper": rng.uniform(0.3, 1.0)}
+    system = System.from_mapping({
+        "name": "pair", "coordinates": ["x1", "x2"], **matrices, "friction": [{"name": "belt", **rub}],
+        "contacts": [{"name": "stop", "gap": [0.0, 1.0], **stop}],
+    })  # fmt: skip
+    found = solved(system, Settings(exponents="spectrum", max_periods=500, survival=0), x1=0.3)
+    if found["regime"] != PERIODIC:
+        return False
+    there = Machine(**matrices, load=[0.0, 0.0], omega=1.0, contacts=(Contact([0.0, 1.0], **stop),),
+                    friction=(Friction(**rub),))  # fmt: skip
+    T, none = float(found["cycle_period"]), {p.name: np.array([p.default]) for p in system.parameters}
+    machines, _ = system.build_many(system.with_cycle(none, T))
+    start = within_periods(machines, found["state"][None], np.array([0.37 * T]))[0, 0]  # away from the event
+    run = simulate(there, start.tolist(), span=T, digits=30)
+    assert [float(z) for z in run.sections[-1]] == pytest.approx(start.tolist(), abs=1e-9), seed
+    return True
+
+
+def test_the_oracle_goes_round_the_cycles_of_random_pairs_of_masses() -> None:
+    assert sum(cycles_close(seed) for seed in range(8)) >= 4
+
+
+@pytest.mark.slow
+def test_the_oracle_goes_round_the_cycles_of_many_random_pairs_of_masses() -> None:
+    assert sum(cycles_close(seed) for seed in range(100, 300)) >= 100

@@ -128,7 +128,7 @@ def test_the_package_has_the_whole_family() -> None:
     assert {*system_names()} == {
         "two-mass", "single-mass", "bouncing-ball", "impact-pair", "impact-damper", "energy-sink", "energy-harvester",
         "soft-impact", "soft-suspension", "two-stops", "friction-oscillator", "stick-slip", "gear-mesh",
-        "capsule", "bistable-harvester", "rotor-rub", "duffing-stop", "hertz-ball", "stribeck-belt", *chains,
+        "capsule", "bistable-harvester", "rotor-rub", "duffing-stop", "hertz-ball", "stribeck-belt", "belt", *chains,
     }  # fmt: skip
     assert system_names()[0] == "two-mass"
 

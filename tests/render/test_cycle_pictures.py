@@ -1,0 +1,62 @@
+"""Claims about pictures and commands of machines without a force."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import Client
+
+import atlas
+from atlas.cell.orbit import cell_orbit, describe
+from atlas.cell.shown import periods
+from atlas.errors import InputError
+from atlas.render.drawing import figure
+from workers import trace
+
+FAST = atlas.Settings(survival=0, max_periods=2000)
+
+
+def test_a_portrait_shows_a_cycle_once_around_over_its_own_period() -> None:
+    orbit = cell_orbit({"u": 0.3}, "belt", FAST)
+    T = float(orbit.cell["cycle_period"])
+    assert orbit.period == pytest.approx(T, rel=1e-15)
+    assert orbit.times[-1] == pytest.approx(T, rel=1e-12)
+    np.testing.assert_allclose(orbit.states[-1], orbit.states[0], atol=1e-12)
+    np.testing.assert_allclose(orbit.section, orbit.states[:1], atol=1e-12)
+    assert periods(orbit) == 2
+    assert describe(orbit).startswith(f"periodic, cycle of {T:.6g}, ")
+    labels = {ax.get_xlabel() for ax in figure(orbit).axes}
+    assert {"time $t$", "periods averaged over"} <= labels
+
+
+def test_a_portrait_of_an_equilibrium_has_no_period() -> None:
+    orbit = cell_orbit({"u": 1.2, "zeta": 0.2}, "belt", FAST)
+    assert describe(orbit) == "no impact"
+    assert np.ptp(orbit.states, axis=0).max() < 1e-12
+
+
+def test_a_history_follows_a_machine_over_any_cycle_and_only_one_without_a_force() -> None:
+    history = trace("belt", {"u": 0.3}, 3, cycle=2.0)
+    assert history.times.tolist() == [0.0, 2.0, 4.0, 6.0]
+    with pytest.raises(ValueError, match="cycle: found 2, but system 'two-mass' has the period of its force"):
+        trace("two-mass", {}, 3, cycle=2.0)
+
+
+def test_a_plane_of_belts_is_solved_asked_and_drawn(tmp_path: Path, client: Client) -> None:
+    spec = atlas.Spec("belt", {"u": [0.3, 0.6, 1.1], "zeta": [0.02, 0.1]}, solve={"max_periods": 2000, "survival": 0})
+    atlas.run(spec, tmp_path / "belt.zarr", client=client)
+    ds = atlas.open(tmp_path / "belt.zarr")
+    assert ds["largest"].attrs["long_name"].endswith("per unit time")
+    assert np.array_equal(ds["cycle_period"] > 0.0, ds["regime"] == 1)
+    assert atlas.verify(tmp_path / "belt.zarr").fine
+    drawn = figure(ds, kind="scalar", variable="cycle_period")
+    assert "time that a cycle takes" in {ax.get_ylabel() for ax in drawn.axes}
+    figure(ds, kind="period")
+
+
+def test_what_is_not_there_without_a_force_is_refused_in_a_line() -> None:
+    line = "system 'belt': branches are not there for a machine without a force"
+    with pytest.raises(InputError, match=line):
+        atlas.branch({"u": 0.3}, along="u", window=(0.2, 0.4), system="belt")
+    with pytest.raises(InputError, match="attractors: are not searched for machines without a force, as 'belt'"):
+        atlas.Spec("belt", {"u": [0.3, 0.6]}, attractors={"starts": 4})
