@@ -309,3 +309,17 @@ def test_unsolved_initial_states_are_left_out_of_what_is_measured() -> None:
     labels[:, 15:] = 7
     assert basin_entropy(labels, labels == 0)[0] == (0.0, 0.0)
     assert uncertainty_exponent(labels, labels == 0)[2] == "no initial state is uncertain"
+
+
+def test_every_initial_state_observes_the_motion_that_it_reaches() -> None:
+    """The same values wherever a label is, those of a cell that starts on the attractor."""
+    settings = Settings(observe="impact_speed:stop", observe_values=4, max_periods=2000, survival=0)
+    found = solve_basins("two-mass", FIG3 | SECOND | {"x1": np.array([0.0, 0.05])}, settings, Starts(4))
+    assert np.all(found["label"] >= 0)
+    for at in range(2):
+        state = dict(zip(("x1", "x2", "v1", "v2"), found["state"][at].tolist(), strict=True))
+        alone = solve_tile("two-mass", FIG3 | state, settings)
+        assert found["impact_speed_stop_number"][at] == alone["impact_speed_stop_number"] > 0
+        np.testing.assert_allclose(
+            np.sort(found["impact_speed_stop"][at]), np.sort(alone["impact_speed_stop"]), rtol=1e-9
+        )
