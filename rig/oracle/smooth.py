@@ -59,13 +59,14 @@ def simulate(mass: SmoothMass, state: Sequence[float] | Array, periods: int = 1)
         v = z[1] - mass.belt
         slide = int(np.sign(v)) if v else _held(mass, t, z, engaged)
     while t < end:
-        guards = {"stop": lambda _, z, sign=-1.0 if engaged else 1.0: sign * (z[0] - mass.stop)}
+        away, most = -1.0 if engaged else 1.0, mass.rub(0.0) if mass.rub else 0.0
+        guards: dict[str, Callable[[float, Any], float]] = {"stop": lambda _, z, away=away: away * (z[0] - mass.stop)}
         if mass.rub and slide:
             guards["still"] = lambda _, z, slide=slide: -slide * (z[1] - mass.belt)
         elif mass.rub:
-            guards["more"] = lambda t, z, on=engaged: abs(mass.pull(t, z, on, 0)) - mass.rub(0.0)
+            guards["more"] = lambda t, z, on=engaged: abs(mass.pull(t, z, on, 0)) - most
         for guard in guards.values():
-            guard.terminal, guard.direction = True, 1.0
+            guard.terminal, guard.direction = True, 1.0  # type: ignore[attr-defined]
 
         def rate(t: float, z: Any, on: bool = engaged, slide: int = slide) -> list[float]:
             return [z[1], 0.0 if mass.rub and not slide else mass.pull(t, z, on, slide)]

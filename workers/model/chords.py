@@ -33,7 +33,7 @@ def fewest(
     No slope, with the sign of ``end``, is below ``least``. The law is looked at every POINTS-th part of ``reach``, of
     |end| where that is larger: the sides of an odd law are alike as far as both go. Not finite where the law is not.
     """
-    run = max(abs(end), reach) / POINTS * np.arange(POINTS)
+    run: Array = max(abs(end), reach) / POINTS * np.arange(POINTS, dtype=np.float64)
     run = np.append(run[run < abs(end)], abs(end))
     f = law(np.copysign(run, end))
     if not (np.all(np.isfinite(f)) and bound > 0.0 and end != 0.0):
