@@ -64,7 +64,7 @@ def simulate(mass: SmoothMass, state: Sequence[float] | Array, periods: int = 1)
         if mass.rub and slide:
             guards["still"] = lambda _, z, slide=slide: -slide * (z[1] - mass.belt)
         elif mass.rub:
-            guards["more"] = lambda t, z, on=engaged: abs(mass.pull(t, z, on, 0)) - most
+            guards["more"] = lambda t, z, on=engaged, most=most: abs(mass.pull(t, z, on, 0)) - most
         for guard in guards.values():
             guard.terminal, guard.direction = True, 1.0  # type: ignore[attr-defined]
 
