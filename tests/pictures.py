@@ -17,8 +17,8 @@ from atlas.cell.orbit import CellOrbit
 from atlas.curves.table import Corner, Curve, Curves
 from atlas.render import maps, style
 from atlas.render.kinds import TABLE
+from atlas.render.layers import Layers
 from atlas.render.page import STANDARD
-from atlas.render.painted import PaintedView
 from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
 from workers import Settings
@@ -49,11 +49,11 @@ def atlas(axes: dict[str, Any], scales: dict[str, str] | None = None, **variable
     )
 
 
-def painted(kind: str, *scale: Any, **variables: np.ndarray) -> PaintedView:
-    """A kind of map of variables (y, x), on the scale of others where that is given."""
+def layers(kind: str, *scale: Any, **variables: np.ndarray) -> Layers:
+    """The layers of a kind of map of variables (y, x), on the scale of others where that is given."""
     rows, columns = variables["regime"].shape
     ds = atlas({"omega": 1.0 + np.arange(columns), "b": 0.1 + 0.1 * np.arange(rows)}, **variables)
-    found: PaintedView = PAINTERS[kind](maps.read(TABLE[kind], ds, Wanted(STANDARD)), *scale)
+    found: Layers = PAINTERS[kind](maps.read(TABLE[kind], ds, Wanted(STANDARD)), *scale)
     return found
 
 

@@ -63,5 +63,5 @@ def write(figure: Figure, path: Path) -> Path:
 
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for name, draw in PICTURES.items():
-        write(draw(), FOLDER / f"{name}.png")
+    for name, picture in PICTURES.items():
+        write(picture(), FOLDER / f"{name}.png")

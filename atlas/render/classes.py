@@ -1,32 +1,23 @@
 """Maps of classes, each with a colour and an entry in the legend: periods, motions, symmetry, attractors, basins."""
 
 import colorsys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from typing import TypeAlias
 from zlib import crc32
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.query import basins as reached
 from atlas.query.attractors import branches
 from atlas.query.motions import VARIABLES, MotionName, broken_cells
 from atlas.query.motions import motions as motions_of
-from atlas.query.plane import Cells, Plane
+from atlas.query.plane import Plane
 from atlas.render import style
-from atlas.render.painted import Colors, PaintedView, Texture, View, paint_regimes
+from atlas.render.layers import Class, Entry, Layers, Points, Shade, Texture, View, layered
 from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED
-
-Class: TypeAlias = tuple[Cells, str, str]
-"""Cells (y, x), their colour and their name."""
 
 PERIODS: tuple[tuple[int, int, str], ...] = (
     (1, 1, style.COLORS[PERIODIC]),
@@ -90,61 +81,39 @@ SOONEST, LATEST = 5.0, 95.0
 """Per cent of initial states that settle sooner than any that is shaded, and than those drawn darkest."""
 
 
-def colored(
-    regime: NDArray[np.int8],
-    classes: Iterable[Class],
-    beside: str | None = None,
-    rgba: Colors | None = None,
-    known: Cells | None = None,
-) -> PaintedView:
-    """Cells in the colours of their classes, and those of no class in the colours of their regimes.
-
-    ``known`` ones keep the colour that they have in ``rgba`` (y, x, 4).
-    """
-    rgba = np.zeros((*regime.shape, 4), np.uint8) if rgba is None else rgba
-    others, legend = np.ones(regime.shape, bool) if known is None else ~known, []
-    for cells, color, name in classes:
-        others &= ~cells
-        if cells.any():
-            rgba[cells] = style.rgb(color)
-            legend.append(style.swatch(color, name))
-    return PaintedView(rgba, legend + paint_regimes(rgba, regime, others), beside=beside)
-
-
-def by_number(number: NDArray[np.int64], colors: Sequence[str]) -> Colors:
-    """Cells (y, x) in the colours of their numbers, -1 white."""
-    return np.array([style.rgb(color) for color in [*colors, "white"]], np.uint8)[number]
-
-
-def period(view: View) -> PaintedView:
+def period(view: View) -> Layers:
     """The forcing periods of each cell's orbit, and the regime where it never closes."""
-    regime, period = view.plane.regime, view.plane["period"]
+    return layered(view.plane.regime, by_period(view.plane), beside="")
+
+
+def by_period(plane: Plane) -> list[Class]:
+    """The classes of periods."""
+    periodic, period = plane.regime == PERIODIC, plane["period"]
     classes = []
     for first, last, color in PERIODS:
         name = f"period {first}" if first == last else f"period {first}–{last}"
         name = f"period ≥ {first}" if last == PERIODS[-1][1] else name
-        classes.append(((regime == PERIODIC) & (period >= first) & (period <= last), color, name))
-    return colored(regime, classes, beside="")
+        classes.append((periodic & (period >= first) & (period <= last), color, name))
+    return classes
 
 
-def motions(view: View) -> PaintedView:
+def motions(view: View) -> Layers:
     """The periodic motions n-p-q of a plane, the large ones with their names on them."""
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
     found, number = motions_of(regime, *counts)
     colors = [color_of(motion) for motion in found]
     own = [(color, motion.label) for motion, color in zip(found, colors, strict=True) if color not in UNLISTED]
-    legend = [style.swatch(color, label) for color, label in own if color != STICKS]
+    legend = [Entry(color, label) for color, label in own if color != STICKS]
     by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(found)), kind="stable")
     for color in UNLISTED:
         shared = [found[k].label for k in by_area if colors[k] == color]
         more = ", …" if len(shared) > _NAMED else ""
-        legend += [style.swatch(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
-    legend += [style.swatch(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
+        legend += [Entry(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
+    legend += [Entry(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
     rests = Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(found) if motion.p >= 0]
     beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
-    painted = colored(regime, (), beside, by_number(number, colors), number >= 0)
-    return replace(painted, legend=[*legend, *painted.legend], textures=[rests], names=named)
+    return layered(regime, numbered=(number, colors), legend=legend, textures=[rests], beside=beside, names=named)
 
 
 def color_of(motion: MotionName) -> str:
@@ -157,7 +126,7 @@ def color_of(motion: MotionName) -> str:
     return UNLISTED[crc32(repr(group).encode()) % len(UNLISTED)]
 
 
-def symmetry(view: View) -> PaintedView:
+def symmetry(view: View) -> Layers:
     """Which periodic motions are their own mirror image, x(t) = -x(t + T/2), and of the others which of two it is.
 
     A broken one has a twin, which another start reaches. Impact counts tell the two apart unless they are equal, or
@@ -174,10 +143,10 @@ def symmetry(view: View) -> PaintedView:
         (broken & (upper == lower), UNTOLD, "broken, as many impacts above as below"),
         ((regime == PERIODIC) & ~symmetric & ~broken, ALONE, "periodic, of a machine that is not symmetric"),
     ]
-    return colored(regime, classes)
+    return layered(regime, classes)
 
 
-def attractors(view: View) -> PaintedView:
+def attractors(view: View) -> Layers:
     """How many attractors the initial states of each cell have reached.
 
     A cell of which some initial states are undecided may have more: it is counted by those that are known.
@@ -186,17 +155,17 @@ def attractors(view: View) -> PaintedView:
     count = np.minimum(np.nan_to_num(view.plane.known("attractors")).round(), most)
     names = {1: "1 attractor", most: f"{most} or more"}
     classes = [(count == n, color, names.get(n, f"{n} attractors")) for n, color in COUNTS.items()]
-    return colored(view.plane.regime, classes, beside="")
+    return layered(view.plane.regime, classes, beside="")
 
 
-def labels(view: View) -> PaintedView:
+def labels(view: View) -> Layers:
     """Which branch the attractor of each cell is on, that with the largest share unless another one was selected.
 
     A mirror image has a darker tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
     """
     known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
-    painted = colored(view.plane.regime, (), "", by_number(label, branch_colors(known)), label >= 0)
-    return replace(painted, legend=[*branch_entries(known, label), *painted.legend])
+    numbered, entries = (label, branch_colors(known)), branch_entries(known, label)
+    return layered(view.plane.regime, numbered=numbered, legend=entries, beside="")
 
 
 def colors_of(
@@ -230,12 +199,12 @@ def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
     return colors_of(known, PALETTE, DARKER, quiet, REST)
 
 
-def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = False) -> list[Patch]:
+def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = False) -> list[Entry]:
     """Legend entries of the branches among these labels."""
     there, own = np.unique(label[label >= 0]), branch_colors(known, ink)
     named = [k for k in there.tolist() if own[k] != REST]
-    made = [style.swatch(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
-    return made + ([style.swatch(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])
+    made = [Entry(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
+    return made + ([Entry(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])
 
 
 def _name_of_branch(known: xr.Dataset, label: int) -> str:
@@ -247,7 +216,7 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
     return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
 
 
-def basins(view: View) -> PaintedView:
+def basins(view: View) -> Layers:
     """Which attractor each initial state of a plane reaches, darker where motion takes longer to settle.
 
     A mirror image has a paler tone of its twin's hue; the section points of the attractors lie on top.
@@ -256,17 +225,17 @@ def basins(view: View) -> PaintedView:
     colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
     label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
     named = [(label == k, color, _name_of_attractor(known, k)) for k, color in enumerate(colors)]
-    painted, there = colored(plane.regime, named), label >= 0
-    rgba, legend = painted.rgba, list(painted.legend)
+    found, there = layered(plane.regime, named), label >= 0
+    points, shade, legend = _points(known, plane, colors), None, list(found.legend)
     if there.any():
-        soon, late = np.percentile(settled[there], [SOONEST, LATEST])
-        slow = np.clip((settled[there] - soon) / max(late - soon, 1.0), 0.0, 1.0)
-        rgba[there, :3] = (rgba[there, :3] * (1.0 - (1.0 - SLOW) * slow)[:, None]).astype(np.uint8)
+        soon, late = np.percentile(settled[there], [SOONEST, LATEST]).tolist()
+        shade = Shade(np.where(there, settled, np.nan), soon, late, SLOW)
         if late > soon:
             meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} periods"
             at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
-            legend.insert(at, style.Gradient("#c8c8c8", SLOW, meaning))
-    return PaintedView(rgba, legend, over=partial(_draw_points, known=known, plane=plane, colors=colors))
+            legend.insert(at, Entry("#c8c8c8", meaning, dark=SLOW))
+    entry = "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
+    return replace(found, legend=legend, shade=shade, points=points, point_entry=entry)
 
 
 def _name_of_attractor(known: xr.Dataset, label: int) -> str:
@@ -277,12 +246,12 @@ def _name_of_attractor(known: xr.Dataset, label: int) -> str:
     return f"{label}: {what}, {100 * float(one['share']):.3g} %"
 
 
-def _draw_points(ax: Axes, known: xr.Dataset, plane: Plane, colors: list[str]) -> list[Artist]:
-    """Draw the section points of the attractors on the plane of the initial states; the legend entry."""
+def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[Points]:
+    """The section points of the attractors on the plane of the initial states."""
     names = [str(name) for name in known["component"].values]
-    x, y = names.index(plane.x.name), names.index(plane.y.name)
+    at = [names.index(axis.name) for axis in (plane.x, plane.y)]
+    found = []
     for k, color in enumerate(colors):
-        points = known["points"].isel({ATTRACTOR: k}).values
         look = ("o", 5.0, color, "black", 0.8) if int(known["period"][k]) > 0 else (".", 2.0, color, "black", 0.2)
-        ax.plot(points[:, x], points[:, y], zorder=4, scalex=False, scaley=False, **style.mark(*look))
-    return [Line2D([], [], label="attractor at $t = kT$", **style.mark("o", 5.0, "white", "black", 1.0))]
+        found.append(Points(known["points"].isel({ATTRACTOR: k}).values[:, at], look))
+    return found

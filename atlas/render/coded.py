@@ -1,4 +1,4 @@
-"""Maps as codes of their cells, for a page that draws them itself: painted by the code that draws files.
+"""The layers of maps for a page that draws them itself, as codes of cells and JSON.
 
 A code stands for a colour of its own, or for a scale, on which the page places the cell's number.
 """
@@ -17,10 +17,11 @@ from atlas.errors import InputError
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.plane import Plane
 from atlas.query.window import axis_names
-from atlas.render import maps, scales, style, words
+from atlas.render import style, words
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
+from atlas.render.layers import CellLook, Colors, Entry, Field, Layers, View
+from atlas.render.maps import explained
 from atlas.render.page import STANDARD
-from atlas.render.painted import PaintedView, ScaleBar, View
 from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
 from atlas.text import plain
@@ -103,83 +104,80 @@ def _mark_look(kind: str) -> dict[str, Any]:
 
 
 def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> CodedMap:
-    painted = PAINTERS[view.kind.name](view)
-    sources, looks = _sources(view, painted)
-    textures, patterns = _textures(view, painted)
-    keys, codes = np.unique(sources * (len(patterns) + 1) + textures, return_inverse=True)
+    layers = explained(PAINTERS[view.kind.name](view), view.ds)
+    textures, patterns = _textures(layers)
+    keys, codes = np.unique(layers.codes * (len(patterns) + 1) + textures, return_inverse=True)
     entries = []
     for key in keys.tolist():
-        source, texture = divmod(key, len(patterns) + 1)
-        entries.append(looks[source] | (patterns[texture - 1] if texture else {}))
-    maps.explain_pending(painted.entries, view.ds)
+        code, texture = divmod(key, len(patterns) + 1)
+        entries.append(_shown(layers, layers.looks[code]) | (patterns[texture - 1] if texture else {}))
     described = {
         "name": name,
         "needs": list(needs),
         "meaning": meaning,
         "numbers": view.kind.name == SCALAR,
         "entries": entries,
-        "bars": [_bar(bar, view.plane[needs[0]], needs[0]) for bar in painted.bars],
-        "title": text_of(painted.beside or ""),
-        "legend": [_entry(each) for each in painted.entries],
+        "bars": [_bar(bar, view.plane[needs[0]], needs[0]) for bar in layers.bars],
+        "shade": _shade(layers, needs[0]),
+        "title": text_of(layers.beside or ""),
+        "legend": [_entry(each) for each in layers.entries],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
 
 
-def _sources(view: View, painted: PaintedView) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
-    """Where each cell has its colour from (y, x), and what that is: the number of a scale, or a colour."""
-    found = np.full(view.plane.regime.shape, -1, np.int64)
-    for number, bar in enumerate(painted.bars):
-        on_it = ~np.isnan(bar.values)
-        on_it &= (scales.on_scale(bar.values, bar.norm, bar.colormap) == painted.rgba).all(axis=-1)
-        found[on_it] = number
-    rest = found < 0
-    colors, places = np.unique(np.ascontiguousarray(painted.rgba[rest]).view(np.uint32)[:, 0], return_inverse=True)
-    found[rest] = len(painted.bars) + places
-    # A cell without a result is transparent in pictures, over the white of the plot.
-    bytes_of = colors.view(np.uint8).reshape(-1, 4)
-    named = ["#ffffff" if not a else to_hex((r / 255, g / 255, b / 255)) for r, g, b, a in bytes_of.tolist()]
-    return found, [{"bar": number} for number in range(len(painted.bars))] + [{"color": color} for color in named]
+def _shown(layers: Layers, look: CellLook) -> dict[str, Any]:
+    """What a look shows: the number of a bar; a colour, which a shade darkens unless it is a regime's."""
+    if look.field is not None:
+        field = layers.fields[look.field]
+        if field.bar:
+            return {"bar": layers.bars.index(field)}
+        return {"color": _hex(field.colors(np.array(-np.inf)))}  # all that is off any scale
+    return {"color": look.color} | ({"shaded": True} if layers.shade is not None and look.regime is None else {})
 
 
-def _textures(view: View, painted: PaintedView) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
+def _shade(layers: Layers, variable: str) -> dict[str, Any] | None:
+    """What darkens colours, by a variable."""
+    if layers.shade is None:
+        return None
+    return {"variable": variable, "low": layers.shade.low, "high": layers.shade.high, "dark": layers.shade.dark}
+
+
+def _hex(color: Colors) -> str:
+    return "#" + bytes(color[:3]).hex()
+
+
+def _textures(layers: Layers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     """The texture of each cell (y, x), 0 for none, else its place in the list, from 1."""
-    found, patterns = np.zeros(view.plane.regime.shape, np.int64), []
-    for code, pattern in style.HATCH.items():
-        if code != NO_IMPACT:  # it has a texture only where its colour does not show it
-            plain_color = np.array(style.rgb(style.COLORS[code]), np.uint8)[:3]
-            there = (view.plane.regime == code) & (
-                (painted.rgba[..., :3] == plain_color).all(axis=-1) | (painted.rgba[..., 3] == 0)
-            )
-            if there.any():
-                patterns.append({"hatch": pattern[0], "ink": style.HATCH_INK.get(code, style.TEXTURE)})
-                found[there] = len(patterns)
-    for texture in painted.textures:
-        if texture.cells.any():
-            patterns.append({"hatch": texture.hatch[0], "ink": to_hex(texture.ink)})
-            found[texture.cells] = len(patterns)
+    found, patterns = np.zeros(layers.codes.shape, np.int64), []
+    regimes = [code for code in style.HATCH if code != NO_IMPACT]  # which has one where its colour does not show it
+    textures = [
+        (layers.as_regime(code), style.HATCH[code], style.HATCH_INK.get(code, style.TEXTURE)) for code in regimes
+    ]
+    for cells, hatch, ink in [*textures, *((each.cells, each.hatch, each.ink) for each in layers.textures)]:
+        if cells.any():
+            patterns.append({"hatch": hatch[0], "ink": to_hex(ink)})
+            found[cells] = len(patterns)
     return found, patterns
 
 
-def _bar(bar: ScaleBar, stored: NDArray[Any], variable: str) -> dict[str, Any]:
+def _bar(bar: Field, stored: NDArray[Any], variable: str) -> dict[str, Any]:
     colors = np.asarray(bar.colormap(np.arange(bar.colormap.N), bytes=True))[:, :3]
     zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
     return {
         "variable": variable,
         "label": text_of(bar.label),
         "title": bar.title,
-        "scale": scales.FORMS[type(bar.norm)],
-        "ends": [float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 0.0)],
+        "scale": bar.form,
+        "ends": list(bar.ends),
         "colors": colors.tobytes().hex(),
         "zero": float(zeros[0]) if zeros.size else 0.0,  # where a number of exactly 0 stands on a logarithmic scale
     }
 
 
-def _entry(entry: Any) -> dict[str, Any]:
+def _entry(entry: Entry) -> dict[str, Any]:
     """An entry of a legend."""
-    described = {"label": text_of(entry.get_label()), "color": to_hex(entry.get_facecolor())}
-    if isinstance(entry, style.Gradient):
+    described = {"label": text_of(entry.label), "color": to_hex(entry.color)}
+    if entry.dark < 1.0:
         return described | {"dark": entry.dark}
-    if entry.get_hatch():
-        return described | {"hatch": entry.get_hatch()[0], "ink": to_hex(entry.get_edgecolor())}
-    return described
+    return described | ({"hatch": entry.hatch[0], "ink": to_hex(entry.ink)} if entry.hatch else {})

@@ -1,6 +1,7 @@
 """The way from a plane of cells to its map: read, paint, frame, draw, overlays, bars, legend, names."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,16 +9,17 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from atlas.query.plane import Cells, Plane
 from atlas.query.resample import view as in_view
 from atlas.query.room import places
 from atlas.render import overlays, raster, scales, style, words
 from atlas.render.kinds import Kind
+from atlas.render.layers import Entry, Layers, View
 from atlas.render.page import DrawnPage
-from atlas.render.painted import PaintedView, View
 from atlas.render.wanted import Wanted
-from workers.results import ATTRACTOR, LARGEST, PENDING, REGIME
+from workers.results import ATTRACTOR, LARGEST, PENDING
 
 LABEL_SIZE = 7.5
 """Points of the type of names on a map."""
@@ -28,18 +30,17 @@ _ARROW = {
 """The arrow from a name to its region."""
 
 
-def draw_painted(view: View, painted: PaintedView) -> Figure:
-    """The map of a view in its colours as a figure, with its overlays."""
-    wanted, page = view.wanted, view.page
+def draw_layers(view: View, layers: Layers, cells: bool = True) -> Figure:
+    """The map of a view as a figure, with its overlays; without ``cells`` all but these."""
+    wanted, page, layers = view.wanted, view.page, explained(layers, view.ds)
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(view.ds))
-        entries = [*lay(ax, view.plane, painted, page), *overlays.draw(ax, view)]
-        explain_pending(entries, view.ds)
-        scales.draw_bars(drawn, [ax], painted.bars, page)
-        page.legend(drawn, entries, beside=painted.beside)
-        if painted.names and wanted.names:
+        entries = [*lay(ax, view.plane, layers, page, cells), *overlays.draw(ax, view)]
+        scales.draw_bars(drawn, [ax], layers.bars, page)
+        page.legend(drawn, entries, beside=layers.beside)
+        if layers.names and wanted.names:
             page.settle(drawn)
-            name_regions(ax, view.plane, painted.names, [LABEL_SIZE * page.scale])
+            name_regions(ax, view.plane, layers.names, [LABEL_SIZE * page.scale])
     return drawn
 
 
@@ -55,24 +56,31 @@ def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
     return View(kind, ds, plane, wanted)
 
 
-def lay(ax: Axes, plane: Plane, painted: PaintedView, page: DrawnPage) -> list[Artist]:
-    """Draw what was painted into a plot, and return its legend entries."""
-    enlarged = raster.draw_cells(ax, plane, painted.rgba, page)
-    for entry in painted.legend:
-        if entry.get_label() in enlarged:
-            entry.set_label(f"{entry.get_label()},\nsingle cells enlarged")
-    for each in painted.textures:
+def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: bool = True) -> list[Artist]:
+    """Draw the layers of a map into a plot, and return its legend entries."""
+    enlarged = raster.draw_cells(ax, plane, layers, page, cells)
+    for each in layers.textures:
         raster.hatch(ax, plane, each.cells, each.hatch, each.ink)
         if each.outlined is not None:
             raster.outline(ax, plane, each.outlined, "#1a2433", 0.3)
-    return [*painted.entries, *(painted.over(ax) if painted.over else [])]
+    for at, look in layers.points:
+        ax.plot(*at.T, zorder=4, scalex=False, scaley=False, **style.mark(*look))
+    entries: list[Artist] = [
+        replace(each, label=f"{each.label},\nsingle cells enlarged").drawn() if each.label in enlarged else each.drawn()
+        for each in layers.entries
+    ]
+    if layers.point_entry is not None:
+        label, look = layers.point_entry
+        entries.append(Line2D([], [], label=label, **style.mark(*look)))
+    return entries
 
 
-def explain_pending(entries: Iterable[Artist], ds: xr.Dataset) -> None:
-    """Say in a legend that cells without a result may have too few attractors for the one that the dataset holds."""
-    for entry in entries:
-        if ds.attrs.get(ATTRACTOR, 0) and entry.get_label() == REGIME.meaning(PENDING).text:
-            entry.set_label(f"not more than {ds.attrs[ATTRACTOR]}")
+def explained(layers: Layers, ds: xr.Dataset) -> Layers:
+    """Layers whose legend says that cells without a result may have too few attractors for the one that is shown."""
+    if not ds.attrs.get(ATTRACTOR, 0):
+        return layers
+    none, why = Entry.of_regime(PENDING), f"not more than {ds.attrs[ATTRACTOR]}"
+    return replace(layers, legend=[replace(each, label=why) if each == none else each for each in layers.legend])
 
 
 def name_regions(

@@ -31,7 +31,7 @@ from atlas.query.tidy import isolines, outlined
 from atlas.query.window import axis_names
 from atlas.render import raster, style
 from atlas.render.kinds import OverlayError
-from atlas.render.painted import View
+from atlas.render.layers import View
 from workers.results import LARGEST
 
 Array = NDArray[np.float64]

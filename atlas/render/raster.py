@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from atlas.query.plane import Cells, Plane, PlaneAxis
 from atlas.query.tidy import borders, runs, specks
 from atlas.render import style, words
+from atlas.render.layers import Layers, paint
 from atlas.render.page import DrawnPage
-from atlas.render.painted import Colors
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIME, UNDETERMINED
 
 _VISIBLE = 2.0
@@ -27,25 +27,29 @@ _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT
 _MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
-def draw_cells(ax: Axes, plane: Plane, rgba: Colors, page: DrawnPage) -> set[str]:
-    """Draw cells in colours (y, x, 4) from edge to edge, as pixels in vector files too; the names of enlarged regimes.
+def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: bool = True) -> set[str]:
+    """Draw the cells of a map from edge to edge, as pixels in vector files too; the names of enlarged regimes.
 
     An image where all cells are equal; quadrilaterals otherwise. Colours are never blended between cells. A cell
-    in the colour of its regime has that regime's texture; such cells without a result that would be too small to be
-    seen get a mark of a visible size.
+    that shows its regime has that regime's texture; such cells without a result that would be too small to be seen get
+    a mark of a visible size. Without ``cells`` only what lies on them is drawn.
     """
-    # Pending cells, which no value has, are drawn transparent and let this texture through.
-    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
     x, y = plane.x, plane.y
-    if x.uniform and y.uniform:
-        extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
-        ax.imshow(rgba, origin="lower", extent=extent, aspect="auto", interpolation="nearest")
+    if not cells:
+        ax.patch.set_visible(False)
+        hatch(ax, plane, layers.as_regime(PENDING), style.HATCH[PENDING], style.TEXTURE)
     else:
-        ax.pcolormesh(x.edges, y.edges, rgba, rasterized=True)
+        # Pending cells, which no value has, are drawn transparent and let this texture through.
+        ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
+        if x.uniform and y.uniform:
+            extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
+            ax.imshow(paint(layers), origin="lower", extent=extent, aspect="auto", interpolation="nearest")
+        else:
+            ax.pcolormesh(x.edges, y.edges, paint(layers), rasterized=True)
     scale_axes(ax, x=x, y=y)
     enlarged = set()
     for code in (*_WITH_TEXTURE, UNDETERMINED):
-        shown = (plane.regime == code) & (rgba == style.rgb(style.COLORS[code])).all(axis=-1)
+        shown = layers.as_regime(code)
         if code in _WITH_TEXTURE:
             hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
         if code in _MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):

@@ -22,8 +22,8 @@ from atlas.query.ends import number_ends, scale_ends
 from atlas.query.extremes import variable_of
 from atlas.query.tidy import without_dust
 from atlas.render import classes, kinds, raster, style, words
+from atlas.render.layers import Class, Field, Layers, Texture, View, layered
 from atlas.render.page import STANDARD, DrawnPage
-from atlas.render.painted import Colors, PaintedView, ScaleBar, Texture, View, paint_regimes
 from workers.results import (
     CHAOTIC,
     ERROR,
@@ -41,8 +41,6 @@ Array = NDArray[np.float64]
 
 BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
 """Colours of numbers below zero in a scale of both signs, from the largest to the smallest."""
-FORMS = {Normalize: "linear", LogNorm: "log", TwoSlopeNorm: "two-sided"}
-"""How a number is placed on a scale, for pages that do it themselves."""
 NEUTRAL = "#e4e2d6"
 """The colour of cells whose motion is known but has no such number, and of zero, which has no logarithm."""
 
@@ -74,24 +72,22 @@ ERRORS = {
 """Colours and regimes of each kind of error: they differ by ten decades, and one scale would show none of them."""
 
 
-def exponent(view: View, norm: TwoSlopeNorm | None = None) -> PaintedView:
+def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Layers:
     """The chaos map: the largest Lyapunov exponent, blue where motion is stable, orange to dark red in chaos.
 
     ``norm``: a scale that several maps share. Impact-free cells have exponents as others do: they are textured.
     """
     regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
-    painted = _scaled(
-        regime,
-        largest,
-        ScaleBar(EXPONENT, norm, largest, words.in_its_unit(view.ds, kinds.TABLE["exponent"].scale.label)),
+    layers = _scaled(
+        regime, Field(EXPONENT, norm, largest, words.in_its_unit(view.ds, kinds.TABLE["exponent"].scale.label))
     )
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
-        return painted
+        return layers
     color, name = EXPONENT(norm(np.median(largest[quiet]))), REGIME.meaning(NO_IMPACT).text
     texture = Texture.on(color, quiet, style.HATCH[NO_IMPACT], name, without_dust(quiet))
-    return replace(painted, textures=[texture, *painted.textures])
+    return replace(layers, textures=[texture, *layers.textures])
 
 
 def two_sided(page: DrawnPage, low: float, high: float) -> TwoSlopeNorm:
@@ -102,42 +98,36 @@ def two_sided(page: DrawnPage, low: float, high: float) -> TwoSlopeNorm:
     return TwoSlopeNorm(0.0, low, high)
 
 
-def combined(view: View) -> PaintedView:
+def combined(view: View) -> Layers:
     """The period where motion is periodic, the largest exponent where it is chaotic."""
     regime = view.plane.regime
     largest = np.where(regime == CHAOTIC, view.plane[LARGEST.name], np.nan)
     norm = Normalize(*view.page.ends(0.0, scale_ends(largest)[1]))
-    painted, measured = classes.period(view), ~np.isnan(largest)
-    painted.rgba[measured] = CHAOS(norm(largest[measured]), bytes=True)
-    # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.
-    named = REGIME.meaning(CHAOTIC).text if np.all(measured[regime == CHAOTIC]) else None
-    legend = [each for each in painted.legend if each.get_label() != named]
-    return PaintedView(
-        painted.rgba, legend, [ScaleBar(CHAOS, norm, largest, words.in_its_unit(view.ds, view.kind.scale.label))]
-    )
+    # The colour bar names the chaotic cells; one without an exponent shows its regime's colour.
+    field = Field(CHAOS, norm, largest, words.in_its_unit(view.ds, view.kind.scale.label))
+    return layered(regime, classes.by_period(view.plane), [field])
 
 
-def number(view: View) -> PaintedView:
+def number(view: View) -> Layers:
     """A number of each cell whose class of motion is known, on the scale of its kind."""
     return _numbers(view, view.plane.known(*view.kind.variables))
 
 
-def cost(view: View) -> PaintedView:
+def cost(view: View) -> Layers:
     """The forcing periods simulated; of an undetermined cell too, which cost the most that a cell may."""
     solved = ~np.isin(view.plane.regime, (PENDING, INVALID, FAILED))
     return _numbers(view, np.where(solved, view.plane["periods_used"].astype(float), np.nan))
 
 
-def _numbers(view: View, values: Array) -> PaintedView:
+def _numbers(view: View, values: Array) -> Layers:
     """Numbers (y, x) on the scale of their kind; where all are 0, with a name of its own, there is no bar."""
     scale = view.kind.scale
-    bar = ScaleBar(colormap_of(scale.colors), color_norm(values, scale.log, view.page), values, scale.label)
-    others = [] if scale.zero is None else [(values == 0.0, *scale.zero)]
-    painted = _scaled(view.plane.regime, values, bar, others)
-    return replace(painted, bars=[bar] if scale.zero is None or np.any(values > 0.0) else [])
+    norm, others = color_norm(values, scale.log, view.page), [(values == 0.0, *scale.zero)] if scale.zero else []
+    shown = scale.zero is None or bool(np.any(values > 0.0))
+    return _scaled(view.plane.regime, Field(colormap_of(scale.colors), norm, values, scale.label, bar=shown), others)
 
 
-def scalar(view: View) -> PaintedView:
+def scalar(view: View) -> Layers:
     """Any number of each cell, the one that is named or that of the kind, from pale to dark, on two scales around zero.
 
     Cells whose motion has no such number are NEUTRAL, and textured where it is -inf. InputError for a logarithmic scale
@@ -156,28 +146,20 @@ def scalar(view: View) -> PaintedView:
     zero = known & (values == 0.0) & log
     none = ~known & plane.determined & (regime != NO_IMPACT)
     meaning = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
-    bar = ScaleBar(signed_colormap(norm, scale.colors), norm, values, label)
-    painted = _scaled(regime, values, bar, [(zero | none, NEUTRAL, meaning)])
-    return replace(painted, bars=[bar] if np.isfinite(values).any() else [])
+    two, shown = norm.vmin < 0.0 < norm.vmax, bool(np.isfinite(values).any())  # type: ignore[operator]
+    both = both_signs(scale.colors) if two else None
+    field = Field(signed_colormap(norm, scale.colors), norm, values, label, both=both, bar=shown)
+    return _scaled(regime, field, [(zero | none, NEUTRAL, meaning)])
 
 
-def _scaled(
-    regime: NDArray[np.int8], values: Array, bar: ScaleBar, others: Sequence[classes.Class] = ()
-) -> PaintedView:
-    """Values (y, x) in the colours of a scale, and other cells in theirs; those that are NaN show their regime.
+def _scaled(regime: NDArray[np.int8], field: Field, others: Sequence[Class] = ()) -> Layers:
+    """Numbers (y, x) on a scale, other cells in their colours; those without a number are shown as their regimes.
 
     Exponents of -inf, which are off any scale, have a texture over its lowest colour.
     """
-    painted = classes.colored(regime, others, None, on_scale(values, bar.norm, bar.colormap), ~np.isnan(values))
-    lost, name = np.isneginf(values), r"$-\infty$: rest on a stop erases disturbances"
-    textures = [Texture.on(bar.colormap(0.0), lost, style.LOST_HATCH, name)] if lost.any() else []
-    return replace(painted, bars=[bar], textures=textures)
-
-
-def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> Colors:
-    """The colours of values (y, x, 4) in bytes. Zero has no logarithm: what is below the scale has its end's colour."""
-    least = float(norm.vmin or 0.0)
-    return np.asarray(colormap(norm(np.where(np.isnan(values), least, np.maximum(values, least))), bytes=True))
+    lost, name = np.isneginf(field.values), r"$-\infty$: rest on a stop erases disturbances"
+    textures = [Texture.on(field.colormap(0.0), lost, style.LOST_HATCH, name)] if lost.any() else []
+    return layered(regime, others, [field], textures=textures)
 
 
 def color_norm(values: Array, log: bool, page: DrawnPage = STANDARD) -> Normalize:
@@ -202,7 +184,7 @@ def both_signs(above: tuple[str, ...]) -> Colormap:
     return colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)
 
 
-def error(view: View) -> PaintedView:
+def error(view: View) -> Layers:
     """How well the largest exponent of every cell is known, on a scale for each kind of error.
 
     Numerical where the motion is periodic or without impact, a standard error where it is chaotic, the difference
@@ -213,19 +195,17 @@ def error(view: View) -> PaintedView:
     # Nothing is known better than to rounding, and an error of zero has no place on a logarithmic scale.
     known = np.where(known == 0.0, np.finfo(float).eps, np.maximum(known, np.finfo(float).tiny))
     known[~np.isfinite(known)] = np.nan
-    rgba, bars = np.zeros((*regime.shape, 4), np.uint8), []
+    fields = []
     for name, (colormap, codes) in ERRORS.items():
         values = np.where(np.isin(regime, codes), known, np.nan)
-        cells = np.isfinite(values)
-        if cells.any():
+        if not np.all(np.isnan(values)):
             norm = color_norm(values, log=True, page=view.page if CHAOTIC in codes else STANDARD)
-            rgba[cells] = on_scale(values, norm, colormap)[cells]
-            bars.append(ScaleBar(colormap, norm, values, words.in_its_unit(view.ds, view.kind.scale.label), name))
-    return PaintedView(rgba, paint_regimes(rgba, regime, np.isnan(known)), bars)
+            fields.append(Field(colormap, norm, values, words.in_its_unit(view.ds, view.kind.scale.label), name))
+    return layered(regime, fields=fields)
 
 
 def draw_bars(
-    drawn: Figure, panels: Sequence[Axes], bars: Sequence[ScaleBar], page: DrawnPage = STANDARD, below: bool = False
+    drawn: Figure, panels: Sequence[Axes], bars: Sequence[Field], page: DrawnPage = STANDARD, below: bool = False
 ) -> None:
     """Draw the scales of plots to the right of them, or below: one along all plots, several stacked beside the first.
 

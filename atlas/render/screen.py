@@ -12,15 +12,17 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from atlas.query.plane import Plane
 from atlas.query.window import axis_names, is_log
 from atlas.render.drawing import check_units
 from atlas.render.kinds import CURVES
-from atlas.render.maps import draw_painted, read
-from atlas.render.numbered import PixelScale, cell_numbers, numbered
+from atlas.render.layers import Colors, Layers
+from atlas.render.maps import draw_layers, read
+from atlas.render.numbered import PixelScale, numbered, on_white
 from atlas.render.options import MapLook
-from atlas.render.painted import Colors
 from atlas.render.painters import FIGURES, PAINTERS
 from atlas.render.style import drawing, house
 from atlas.render.wanted import Wanted, check_overlays, chosen_kind
@@ -65,7 +67,7 @@ def screen(
     numbers: bool = False,
     **options: Unpack[MapLook],
 ) -> Screen:
-    """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
+    """A map on ``size`` (width, height) pixels, its cells from edge to edge, under lines that are drawn as in files.
 
     Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
     hold that number, see ``numbered``. Other options and errors as in ``figure``.
@@ -82,13 +84,16 @@ def screen(
         fitting = chosen_kind(ds, wanted)
         check_overlays(ds, wanted.overlays)
         check_units(ds)
-        painted = None
+        layers = None
         if fitting.name in FIGURES:
             FIGURES[fitting.name](ds, wanted)
         else:
             view = read(fitting, ds, wanted)
-            painted = PAINTERS[fitting.name](view)
-            draw_painted(view, painted)
+            layers = PAINTERS[fitting.name](view)
+            draw_layers(view, layers, cells=False)
+            drawn.patch.set_visible(False)
+            beside = Rectangle((area[2], 0.0), 1.0, 1.0, transform=drawn.transFigure, facecolor="white", zorder=-1.0)
+            drawn.add_artist(beside)
         _bare(ax, ds)
         ax.set_position(area)
         bars = [each for each in drawn.axes if each is not ax]
@@ -105,11 +110,32 @@ def screen(
         cells, key, scale = pixels[:, :width].copy(), pixels[:, width:].copy(), None
         dark = _dark(pixels, [*bars, *ax.child_axes], drawn.legends)[:, width:]
         ends = [(float(first), float(last)) for first, last in (bar.get_ylim() for bar in bars)]
-        if numbers and painted is not None and len(painted.bars) == 1:
-            places = cell_numbers(canvas, ax, view.plane.regime.shape)[:, :width]
-            cells, scale = numbered(cells, places, painted, fitting)
+        if layers is not None:
+            cells, scale = _under(cells, layers, _cell_of_pixel(ax, view.plane, size), numbers)
     one = ends[0] if len(ends) == 1 else None
     return Screen(cells, key, one, dark, scale, tuple(kind for kind in CURVES if kind in gids))
+
+
+def _cell_of_pixel(ax: Axes, plane: Plane, size: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The rows and columns of the cells in the middles of pixels, from the top and from the left."""
+    found = []
+    for along, axis in enumerate((plane.x, plane.y)):
+        middles = np.full((size[along], 2), 0.5)
+        middles[:, along] = (np.arange(size[along]) + 0.5) / size[along]
+        at = ax.transData.inverted().transform(ax.transAxes.transform(middles))[:, along]
+        found.append(np.clip(np.searchsorted(axis.edges, at, side="right") - 1, 0, axis.values.size - 1))
+    return found[1][::-1], found[0]
+
+
+def _under(
+    lines: Colors, layers: Layers, at: tuple[NDArray[np.intp], NDArray[np.intp]], numbers: bool
+) -> tuple[Colors, PixelScale | None]:
+    """The cells of a map under what is drawn over them, and the scale of numbers where nothing is."""
+    cells, place, opacity = on_white(layers), np.ix_(*at), lines[..., 3:] / 255.0
+    mixed = np.rint(opacity * lines + (1.0 - opacity) * cells[place]).astype(np.uint8)
+    mixed[..., 3] = 255
+    coded, scale = numbered(layers) if numbers else (cells, None)
+    return np.where(opacity > 0.0, mixed, coded[place]), scale
 
 
 def _dark(pixels: Colors, bars: Sequence[Any], legends: Sequence[Legend]) -> Colors:
@@ -153,9 +179,7 @@ def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
 def _bare(ax: Axes, ds: xr.Dataset) -> None:
     """Take away all of a plot but its area, and give it the scales of the screen."""
     ax.set(title="", xlabel="", ylabel="")
-    x, y = axis_names(ds)
-    if not ax.get_images():  # an image fits even axes alone, on which a short logarithmic one does not differ
-        for name, change in ((x, ax.set_xscale), (y, ax.set_yscale)):
-            change("log" if is_log(ds, name) else "linear")
+    for name, change in zip(axis_names(ds), (ax.set_xscale, ax.set_yscale), strict=True):
+        change("log" if is_log(ds, name) else "linear")
     for each in (*ax.spines.values(), ax.xaxis, ax.yaxis):
         each.set_visible(False)

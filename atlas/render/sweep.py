@@ -139,7 +139,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     regime, entries = read[0][REGIME.name].values, list[Artist]()
     if known is not None:
         label = read[0][LABEL.name].values
-        entries, regime = [*classes.branch_entries(known, label, ink=True)], regime[label < 0]
+        entries, regime = [each.drawn() for each in classes.branch_entries(known, label, ink=True)], regime[label < 0]
     entries += regime_legend(regime)
     if ends:
         low, high = (read[0][end].values for end in ends)

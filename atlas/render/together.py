@@ -19,14 +19,14 @@ from atlas.query.ends import scale_ends
 from atlas.query.plane import Cells, Plane
 from atlas.query.reads import counted
 from atlas.query.window import axis_names, within
-from atlas.render import maps, scales, style, words
+from atlas.render import maps, scales, words
 from atlas.render.fit import OWN_TITLE
 from atlas.render.kinds import TABLE, found_axes
+from atlas.render.layers import Entry, Field, Layers, layered
 from atlas.render.page import STANDARD, DrawnPage
-from atlas.render.painted import PaintedView, ScaleBar, regime_entry
 from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
-from workers.results import LARGEST, PENDING, REGIME, REGIMES
+from workers.results import LARGEST, PENDING
 
 KINDS = ("exponent", "period")
 """The kinds of map that are drawn side by side."""
@@ -59,10 +59,10 @@ def difference(compared: Comparison, page: DrawnPage = STANDARD) -> Figure:
         if compared.has_exponents:
             shown.append((here, "difference of exponents", _difference(here, there, pending, page)))
         entries: list[Artist] = []
-        for ax, (plane, title, painted) in zip(reversed(panels), shown, strict=True):
-            entries += maps.lay(ax, plane, painted, own)
+        for ax, (plane, title, layers) in zip(reversed(panels), shown, strict=True):
+            entries += maps.lay(ax, plane, layers, own)
             ax.set_title(title, loc="left")
-            scales.draw_bars(drawn, [ax], painted.bars, own, below=True)
+            scales.draw_bars(drawn, [ax], layers.bars, own, below=True)
         _label_outside(panels)
         page.legend(drawn, entries)
     return drawn
@@ -88,14 +88,14 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[
         if chosen.name == "exponent":
             known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
             norm = scales.two_sided(page, *scale_ends(known))
-            bars = [ScaleBar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
+            bars = [Field(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
         entries: dict[str, Artist] = {}
         letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
         for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
             title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
-            painted = PAINTERS[chosen.name](view, *(bar.norm for bar in bars))
-            for entry in maps.lay(ax, view.plane, painted, own):
+            layers = PAINTERS[chosen.name](view, *(bar.norm for bar in bars))
+            for entry in maps.lay(ax, view.plane, layers, own):
                 entries.setdefault(str(entry.get_label()), entry)
         _label_outside(panels)
         # The axes are shared, so that these limits are those of all.
@@ -176,7 +176,7 @@ def _coarseness(block: int) -> str:
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
-def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> PaintedView:
+def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> Layers:
     """The differences of exponents, with their scale."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
     known = change[~np.isnan(change)]
@@ -186,23 +186,19 @@ def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> P
     end = abs(given[0]) if given else most or 1.0
     label = r"change of $\lambda_1$ [per forcing period]"
     norm = scales.two_sided(page, -end, end)
-    rgba, unknown = scales.on_scale(change, norm, DIFFERENCE), np.isnan(change)
-    rgba[unknown] = style.rgb(WITHOUT)
-    rgba[pending] = 0
-    legend = [style.swatch(WITHOUT, "without an exponent in one")] if np.any(unknown & ~pending) else []
-    return PaintedView(rgba, legend, [ScaleBar(DIFFERENCE, norm, change, label)])
+    change = np.where(pending, np.nan, change)
+    unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
+    found = layered(
+        np.where(pending, np.int8(PENDING), here.regime), [unknown], [Field(DIFFERENCE, norm, change, label)]
+    )
+    return replace(found, legend=[each for each in found.legend if each.color == WITHOUT])
 
 
-def _changes(here: Plane, there: Plane, pending: Cells) -> PaintedView:
+def _changes(here: Plane, there: Plane, pending: Cells) -> Layers:
     """The regimes there of cells that have another one here."""
-    rgba = np.full((*here.regime.shape, 4), style.rgb(SAME), np.uint8)
-    entries = [style.swatch(SAME, "same regime")]
-    for each in REGIMES:
-        cells = (there.regime == each.code) & (here.regime != each.code) & ~pending
-        if cells.any():
-            rgba[cells] = style.rgb(each.color)
-            entries.append(regime_entry(each.code, f"{each.text} instead"))
-    rgba[pending] = 0
-    if pending.any():
-        entries.append(regime_entry(PENDING, REGIME.meaning(PENDING).text))
-    return PaintedView(rgba, entries)
+    same = (here.regime == there.regime) & ~pending, SAME, "same regime"
+    found = layered(np.where(pending, np.int8(PENDING), there.regime), [same])
+    own, none = Entry(*same[1:]), Entry.of_regime(PENDING)
+    others = [each for each in found.legend if each != own]
+    named = [each if each == none else replace(each, label=f"{each.label} instead") for each in others]
+    return replace(found, legend=[own, *named])

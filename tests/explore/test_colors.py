@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atlas.render.kinds import TABLE
 from atlas.render.numbered import LINEAR, LOG, MOST, SIGNED, TWO_SIDED, PixelScale
 from atlas.render.screen import Screen, screen
 from tests.pictures import atlas as atlas_of
@@ -85,6 +86,18 @@ def test_each_pixel_holds_the_number_of_its_cell(ds: Any) -> None:
     nearest = np.abs(values[:, None] - known[None, :]).argmin(axis=1)
     assert np.allclose(values, known[nearest], rtol=0, atol=(high - low) / MOST)
     assert len(set(nearest)) > 0.9 * known.size
+
+
+def test_a_zero_with_a_name_of_its_own_keeps_its_colour_among_numbers(ds: Any) -> None:
+    """In the codes of numbers it was the lower end of the scale, "never at rest" the colour of a short rest."""
+    rest = np.where(np.arange(SHAPE[1]) % 2, 0.0, 0.5) * np.linspace(0.5, 1.0, SHAPE[0])[:, None]
+    periodic = ds.regime.copy(data=np.full(SHAPE, PERIODIC, np.int8))
+    known = ds.assign(regime=periodic, stuck_fraction=(ds.regime.dims, rest))
+    plain, coded = (drawn(known, "sticking", numbers=numbers).cells for numbers in (False, True))
+    color = [int(TABLE["sticking"].scale.zero[0][k : k + 2], 16) for k in (1, 3, 5)]  # type: ignore[index]
+    zero = (plain[..., :3] == color).all(axis=-1)
+    assert 0.4 < zero.mean() < 0.6
+    assert np.array_equal(coded[..., 3] == 255, zero) and np.array_equal(coded[zero], plain[zero])
 
 
 def test_lines_over_a_map_and_classes_keep_their_colours(ds: Any) -> None:

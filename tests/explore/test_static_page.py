@@ -24,8 +24,8 @@ from atlas.query.plane import Plane
 from atlas.query.window import select
 from atlas.render.coded import coded_maps, curves_over, text_of
 from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
+from atlas.render.layers import View, paint
 from atlas.render.page import STANDARD
-from atlas.render.painted import View
 from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
 from atlas.spec.spec import Spec
@@ -182,6 +182,11 @@ def colors_by_the_page(each: Any, plane: Plane) -> np.ndarray:
         cells = each.codes == code
         if "color" in entry:
             rgb[cells] = np.frombuffer(bytes.fromhex(entry["color"][1:]), np.uint8)
+            if "shaded" in entry:
+                shade = each.described["shade"]
+                low, high = shade["low"], shade["high"]
+                share = np.clip((plane[shade["variable"]] - low) / max(high - low, 1), 0, 1)
+                rgb[cells] = (rgb * (1 - (1 - shade["dark"]) * share)[..., None])[cells]
             continue
         bar = each.described["bars"][entry["bar"]]
         table = np.frombuffer(bytes.fromhex(bar["colors"]), np.uint8).reshape(-1, 3)
@@ -219,8 +224,8 @@ def test_a_page_has_the_colours_that_files_have(
         kind = TABLE[SCALAR if scalar != each.name else each.name]
         plane = Plane.of(ds, each.needs)
         wanted = Wanted(STANDARD, kind.name, variable=scalar if kind.name == SCALAR else None)
-        painted = PAINTERS[kind.name](View(kind, ds, plane, wanted))
-        expected = np.where(painted.rgba[..., 3:] == 0, 255, painted.rgba[..., :3])
+        rgba = paint(PAINTERS[kind.name](View(kind, ds, plane, wanted)))
+        expected = np.where(rgba[..., 3:] == 0, 255, rgba[..., :3])
         difference = np.abs(colors_by_the_page(each, plane).astype(int) - expected)
         assert difference.max() <= 2, each.name  # a value on the border of two colours of a scale
         assert np.mean(difference > 0) < 0.02, each.name

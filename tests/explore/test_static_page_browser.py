@@ -99,13 +99,13 @@ def period_colors(ds: Any) -> np.ndarray:
     """The colours (y, x, 3) that files give the cells by their period."""
     from atlas.query.plane import Plane
     from atlas.render.kinds import TABLE
+    from atlas.render.layers import View, paint
     from atlas.render.page import STANDARD
-    from atlas.render.painted import View
     from atlas.render.painters import PAINTERS
     from atlas.render.wanted import Wanted
 
     view = View(TABLE["period"], ds, Plane.of(ds, ["period"]), Wanted(STANDARD))
-    return np.asarray(PAINTERS["period"](view).rgba[..., :3])
+    return np.asarray(paint(PAINTERS["period"](view))[..., :3])
 
 
 def test_a_wheel_zooms_about_the_pointer_and_a_drag_moves(tab: Tab) -> None:

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from matplotlib import colors
-from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from scipy import ndimage
 
@@ -17,7 +17,8 @@ from atlas.query import grazing, room, tidy
 from atlas.query.plane import rising
 from atlas.query.queries import boundary
 from atlas.render import classes, kinds, overlays, painters, scales
-from tests.pictures import NAN, atlas, colour, curves, keeping, labels, painted, pixel, plane
+from atlas.render.layers import Entry, paint
+from tests.pictures import NAN, atlas, branches, colour, curves, keeping, labelled, labels, layers, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, LOCKING, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
@@ -91,14 +92,20 @@ def test_averages_of_an_undetermined_cell_do_not_pass_for_results(kind: str) -> 
 
 
 def test_a_locking_cell_has_a_name_and_a_colour_of_its_own_on_a_map_of_periods() -> None:
-    found = painted("period", regime=np.array([[LOCKING, PERIODIC]]), period=np.array([[0, 1]]))
-    assert tuple(found.rgba[0, 0]) == colour(LOCKING)
-    assert [entry.get_label() for entry in found.legend] == ["period 1", "locking"]
+    found = layers("period", regime=np.array([[LOCKING, PERIODIC]]), period=np.array([[0, 1]]))
+    assert tuple(paint(found)[0, 0]) == colour(LOCKING)
+    assert [entry.label for entry in found.legend] == ["period 1", "locking"]
+
+
+def test_an_error_that_no_scale_shows_leaves_a_cell_the_colour_of_its_regime() -> None:
+    found = layers("error", regime=np.array([[LOCKING, PERIODIC]]), error=np.array([[1e-9, 1e-9]]))
+    assert tuple(paint(found)[0, 0]) == colour(LOCKING)
+    assert [entry.label for entry in found.legend] == ["locking"]
 
 
 def test_exponents_of_locking_cells_are_textured_as_those_of_a_rest() -> None:
     values = {"regime": np.array([[LOCKING, PERIODIC, CHAOTIC]]), "largest": np.array([[-np.inf, -0.5, 0.5]])}
-    (texture,) = painted("exponent", **values).textures
+    (texture,) = layers("exponent", **values).textures
     assert texture.cells.tolist() == [[True, False, False]]
 
 
@@ -127,18 +134,18 @@ def test_every_kind_has_one_function_that_draws_it() -> None:
 # Impact pairs
 
 
-def motions(*given: tuple[int, int, int]) -> tuple[np.ndarray, list[Artist]]:
+def motions(*given: tuple[int, int, int]) -> tuple[np.ndarray, list[Entry]]:
     """The colours of a row of motions, and the legend's entries."""
     n, p, q = (np.array([column], np.int32) for column in zip(*given, strict=True))
     regime = np.full(n.shape, PERIODIC, np.int8)
-    found = painted("impacts", regime=regime, period=n, impacts_upper=p, impacts_lower=q)
-    return found.rgba, list(found.legend)
+    found = layers("impacts", regime=regime, period=n, impacts_upper=p, impacts_lower=q)
+    return paint(found), list(found.legend)
 
 
 def test_motions_of_different_impacts_have_different_colours() -> None:
     rgba, legend = motions((1, 1, 1), (1, 2, 2), (2, 2, 2), (2, 2, 3))
     assert len({tuple(cell) for cell in rgba[0]}) == 4
-    assert [entry.get_label() for entry in legend] == ["1-1-1", "1-2-2", "2-2-2", "2-2-3"]
+    assert [entry.label for entry in legend] == ["1-1-1", "1-2-2", "2-2-2", "2-2-3"]
 
 
 def test_mirror_images_share_a_hue_and_differ_in_lightness() -> None:
@@ -151,7 +158,7 @@ def test_mirror_images_share_a_hue_and_differ_in_lightness() -> None:
 def test_motions_that_stick_are_one_class() -> None:
     rgba, legend = motions((1, -1, -1), (2, -1, -1), (1, 1, 1))
     assert tuple(rgba[0, 0]) == tuple(rgba[0, 1]) != tuple(rgba[0, 2])
-    assert [entry.get_label() for entry in legend] == ["1-1-1", "periodic, sticks"]
+    assert [entry.label for entry in legend] == ["1-1-1", "periodic, sticks"]
 
 
 def test_a_motion_has_its_colour_whatever_else_there_is_on_the_plane() -> None:
@@ -165,8 +172,8 @@ def test_motions_that_share_a_colour_share_a_line_of_the_legend() -> None:
     many = [(n, 40, 40) for n in range(1, 60)]
     _, legend = motions(*many, (1, 1, 1))
     assert len(legend) == 1 + len(classes.UNLISTED)
-    assert legend[0].get_label() == "1-1-1"
-    assert legend[1].get_label().count("-40-40") == 3 and legend[1].get_label().endswith(", …")
+    assert legend[0].label == "1-1-1"
+    assert legend[1].label.count("-40-40") == 3 and legend[1].label.endswith(", …")
 
 
 def test_a_motion_is_named_inside_its_region() -> None:
@@ -227,9 +234,9 @@ def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
     upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
     symmetric = np.array([[True, False, False, False, False]])
     regime = np.full((1, 5), PERIODIC, np.int8)
-    found = painted("symmetry", regime=regime, symmetric=symmetric, impacts_upper=upper, impacts_lower=lower)
+    found = layers("symmetry", regime=regime, symmetric=symmetric, impacts_upper=upper, impacts_lower=lower)
     expected = [classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.UNTOLD]
-    assert [tuple(cell[:3]) for cell in found.rgba[0]] == [rgb(color) for color in expected]
+    assert [tuple(cell[:3]) for cell in paint(found)[0]] == [rgb(color) for color in expected]
     assert len(found.legend) == 4
 
 
@@ -518,3 +525,13 @@ def test_filling_wide_holes_takes_memory_for_the_cells_alone() -> None:
     cells = np.zeros((400, 400), dtype=bool)
     cells[:, :100] = cells[:, 300:] = True
     assert tidy.filled(cells, 150).all()
+
+
+def test_a_sweep_of_labelled_attractors_has_an_entry_for_each_branch() -> None:
+    ds, (_, table) = branches(), labelled()
+    periodic = ds["regime"].values == PERIODIC
+    label = np.where(periodic, np.cumsum(periodic).reshape(periodic.shape) % 2, -1)
+    with patch("atlas.render.sweep.branches_of", return_value=table):
+        drawn = render.figure(ds.assign(label=(ds["regime"].dims, label)), "coexistence")
+    (legend,) = drawn.legends
+    assert [text.get_text() for text in legend.get_texts()][:2] == ["0: 1-1-1", "1: 2-2-2, mirrors 0"]

@@ -16,7 +16,8 @@ from atlas.query import ends
 from atlas.query.plane import Meaning
 from atlas.query.queries import cell_edges
 from atlas.render import scales, style, words
-from tests.pictures import NAN, atlas, colour, every_regime, labels, painted, pixel, section, sweep
+from atlas.render.layers import paint
+from tests.pictures import NAN, atlas, colour, every_regime, labels, layers, pixel, section, sweep
 from workers.model.system import System
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, REGIMES, UNDETERMINED
 
@@ -138,7 +139,7 @@ def test_a_sign_that_does_not_occur_gets_the_other_ones_range() -> None:
 def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent() -> None:
     codes = np.array([[PERIODIC, CHAOTIC]], np.int8)
     scale = colors.TwoSlopeNorm(0.0, -2.0, 1.0)
-    rgba = painted("exponent", scale, regime=codes, largest=np.array([[-1e-6, 1e-6]])).rgba
+    rgba = paint(layers("exponent", scale, regime=codes, largest=np.array([[-1e-6, 1e-6]])))
     stable, chaotic = rgba[0].astype(int)
     assert stable[2] > stable[0]
     assert chaotic[0] > chaotic[2]
@@ -146,14 +147,14 @@ def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent()
 
 def test_cells_without_exponent_have_the_colour_of_their_regime() -> None:
     ds = every_regime()
-    rgba = painted("exponent", regime=ds.regime.values, largest=ds.largest.values).rgba
+    rgba = paint(layers("exponent", regime=ds.regime.values, largest=ds.largest.values))
     for code in (UNDETERMINED, INVALID, FAILED):
         assert tuple(rgba[ds.regime.values == code][0]) == colour(code)
 
 
 def test_pending_cells_show_the_texture_behind_them() -> None:
     ds = every_regime()
-    rgba = painted("exponent", regime=ds.regime.values, largest=ds.largest.values).rgba
+    rgba = paint(layers("exponent", regime=ds.regime.values, largest=ds.largest.values))
     assert rgba[0, 0, 3] == 0
     assert render.figure(ds).axes[0].patch.get_hatch()
 
@@ -196,23 +197,23 @@ def test_a_written_chaos_map_shows_known_cells_in_their_colours(tmp_path: Path) 
 
 def test_every_regime_has_its_own_colour_in_the_period_map() -> None:
     codes = np.array([[each.code for each in REGIMES]], np.int8)
-    found = painted("period", regime=codes, period=(codes == PERIODIC).astype(np.int32))
-    rgba, legend = found.rgba, found.legend
+    found = layers("period", regime=codes, period=(codes == PERIODIC).astype(np.int32))
+    rgba, legend = paint(found), found.legend
     assert len({tuple(cell) for cell in rgba[0]}) == len(legend) == len(REGIMES)
-    assert "aperiodic" in [entry.get_label() for entry in legend]
+    assert "aperiodic" in [entry.label for entry in legend]
 
 
 def test_every_class_of_periods_has_its_own_colour() -> None:
     periods = np.array([[1, 2, 3, 4, 5, 6, 7, 8, 9, 17, 65]], np.int32)
-    found = painted("period", regime=np.full(periods.shape, PERIODIC, np.int8), period=periods)
-    rgba, legend = found.rgba, found.legend
+    found = layers("period", regime=np.full(periods.shape, PERIODIC, np.int8), period=periods)
+    rgba, legend = paint(found), found.legend
     taken = {tuple(cell) for cell in rgba[0]} | {colour(each.code) for each in REGIMES if each.code != PERIODIC}
     assert len(taken) == 9 + len(REGIMES) - 1
-    assert [entry.get_label() for entry in legend][-3:] == ["period 7–8", "period 9–16", "period ≥ 17"]
+    assert [entry.label for entry in legend][-3:] == ["period 7–8", "period 9–16", "period ≥ 17"]
 
 
 def test_periods_of_one_class_share_a_colour() -> None:
-    rgba = painted("period", regime=np.full((1, 2), PERIODIC, np.int8), period=np.array([[9, 16]], np.int32)).rgba
+    rgba = paint(layers("period", regime=np.full((1, 2), PERIODIC, np.int8), period=np.array([[9, 16]], np.int32)))
     assert tuple(rgba[0, 0]) == tuple(rgba[0, 1])
 
 
@@ -227,7 +228,7 @@ def test_the_legend_of_the_period_map_names_the_classes_present_alone() -> None:
 
 def test_impact_free_cells_are_their_own_class_and_not_period_1() -> None:
     codes = np.array([[NO_IMPACT, PERIODIC]], np.int8)
-    rgba = painted("period", regime=codes, period=np.ones((1, 2), np.int32)).rgba
+    rgba = paint(layers("period", regime=codes, period=np.ones((1, 2), np.int32)))
     assert tuple(rgba[0, 0]) == colour(NO_IMPACT)
     assert tuple(rgba[0, 1]) == colour(PERIODIC)
 

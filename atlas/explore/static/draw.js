@@ -72,13 +72,19 @@ function tableOf(bar) {
   return Uint32Array.from(parts);
 }
 
+function brightnessOf({ variable, low, high, dark }, values) {
+  const share = (value) => Math.min(1, Math.max(0, (value - low) / Math.max(high - low, 1)));
+  return (k) => 1 - (1 - dark) * share(values[variable][k]);
+}
+
 function colorsOf(one, codes, values) {
-  const colors = new Uint32Array(codes.length);
+  const colors = new Uint32Array(codes.length), brightness = one.shade && brightnessOf(one.shade, values);
   const flat = one.entries.map((entry) => (entry.color ? pixel(rgb(entry.color)) : 0));
   const bars = one.bars.map((bar) => ({ ...bar, table: tableOf(bar), range: scaleEnds(bar) }));
   for (let k = 0; k < codes.length; k++) {
     const entry = one.entries[codes[k]], bar = bars[entry.bar];
-    if (!bar) colors[k] = flat[codes[k]];
+    if (entry.shaded) colors[k] = pixel(rgb(entry.color).map((channel) => Math.floor(channel * brightness(k))));
+    else if (!bar) colors[k] = flat[codes[k]];
     else {
       const share = Math.min(1, Math.max(0, shareOf(bar, bar.range, values[bar.variable][k])));
       colors[k] = bar.table[Math.min(bar.table.length - 1, Math.floor(share * bar.table.length))];

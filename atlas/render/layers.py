@@ -1,0 +1,239 @@
+"""A map as data: codes of cells and what these show, fields on scales, textures, points, names; colours come last."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import Colormap, LogNorm, Normalize, TwoSlopeNorm
+from matplotlib.patches import Patch
+from matplotlib.typing import ColorType
+from numpy.typing import NDArray
+
+from atlas.query.plane import Cells, Plane
+from atlas.render import style
+from atlas.render.kinds import Kind
+from atlas.render.page import DrawnPage
+from atlas.render.wanted import Wanted
+from workers.results import NO_IMPACT, PENDING, REGIME, REGIMES
+
+Array = NDArray[np.float64]
+Colors = NDArray[np.uint8]
+Class: TypeAlias = tuple[Cells, str, str]
+"""Cells (y, x), their colour and their name."""
+
+LINEAR, LOG, TWO_SIDED = "linear", "log", "two-sided"
+_FORMS = {Normalize: LINEAR, LogNorm: LOG, TwoSlopeNorm: TWO_SIDED}
+"""How a number is placed on a scale, for pages that do it themselves."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The cells of an atlas that are in view, as a kind of map, and how they are to be drawn."""
+
+    kind: Kind
+    ds: xr.Dataset
+    plane: Plane
+    wanted: Wanted
+
+    @property
+    def page(self) -> DrawnPage:
+        """What it is drawn on."""
+        return self.wanted.page
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry of a legend: a colour with its texture, or one that darkens to a share of its brightness."""
+
+    color: ColorType
+    label: str
+    hatch: str | None = None
+    ink: str = style.TEXTURE
+    dark: float = 1.0
+
+    @classmethod
+    def of_regime(cls, code: int) -> "Entry":
+        """That of cells in the colour of this regime; an impact-free one is textured where it is not seen by that."""
+        hatch = None if code == NO_IMPACT else style.HATCH.get(code)
+        ink = style.HATCH_INK.get(code, style.TEXTURE)
+        return cls(style.COLORS[code], REGIME.meaning(code).text, hatch, ink)
+
+    def drawn(self) -> Patch:
+        """It as matplotlib draws it."""
+        if self.dark < 1.0:
+            return style.Gradient(self.color, self.dark, self.label)
+        return style.swatch(self.color, self.label, self.hatch, self.ink)
+
+
+class CellLook(NamedTuple):
+    """What a code shows: a colour, or that of a number in the field of this place; ``regime``: as this one is shown."""
+
+    color: str = "#ffffff"
+    field: int | None = None
+    regime: int | None = None
+
+
+class Texture(NamedTuple):
+    """A texture over cells (y, x), which lets their colours through.
+
+    ``outlined`` are cells with a line around them; ``entry`` stands in the legend.
+    """
+
+    cells: Cells
+    hatch: str
+    ink: str
+    outlined: Cells | None = None
+    entry: Entry | None = None
+
+    @classmethod
+    def on(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "Texture":
+        """A texture in an ink that is seen on this colour, with its legend entry."""
+        ink = style.ink_on(color)
+        return cls(cells, hatch, ink, outlined, Entry(color, label, hatch, ink))
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Numbers of cells (y, x), NaN where they have none, on a scale of colours with a bar.
+
+    title   of the bar where there are several
+    both    the colours of both signs, where ``colormap`` is a part of them, with zero in their middle
+    bar     whether there is one
+    """
+
+    colormap: Colormap
+    norm: Normalize
+    values: Array
+    label: str
+    title: str = ""
+    both: Colormap | None = None
+    bar: bool = True
+
+    @property
+    def form(self) -> str | None:
+        """How a number is placed on the scale, None where that has no name."""
+        return _FORMS.get(type(self.norm))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The ends of the scale."""
+        return float(self.norm.vmin or 0.0), float(self.norm.vmax or 0.0)
+
+    def colors(self, values: Array) -> Colors:
+        """The colours of values (..., 4) in bytes. Zero has no logarithm: below the scale its end's colour is shown."""
+        least = self.ends[0]
+        placed = self.norm(np.where(np.isnan(values), least, np.maximum(values, least)))
+        return np.asarray(self.colormap(placed, bytes=True))
+
+
+class Shade(NamedTuple):
+    """What darkens colours: numbers of cells (y, x), NaN where there are none, from ``low`` to ``high``, where of the
+    brightness the share ``dark`` is left.
+    """
+
+    values: Array
+    low: float
+    high: float
+    dark: float
+
+    @property
+    def brightness(self) -> Array:
+        """What is left of each cell's."""
+        return 1.0 - (1.0 - self.dark) * np.clip((self.values - self.low) / max(self.high - self.low, 1.0), 0.0, 1.0)
+
+
+class Points(NamedTuple):
+    """Points (n, 2) over a map, as arguments of ``style.mark``."""
+
+    at: Array
+    look: tuple[str, float, str, str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """A map as data, from which pictures and pages are made.
+
+    codes      (y, x) places in ``looks``
+    legend     entries for them; ``beside``: a title where they stand to the right of the map
+    fields     numbers on scales; their bars from below
+    textures   over cells
+    points     over those, with their entry in the legend: label and look
+    names      cells (y, x), their name, written into them where it fits, and the colour under it
+    """
+
+    codes: NDArray[np.intp]
+    looks: Sequence[CellLook]
+    legend: Sequence[Entry]
+    fields: Sequence[Field] = ()
+    textures: Sequence[Texture] = ()
+    shade: Shade | None = None
+    points: Sequence[Points] = ()
+    point_entry: tuple[str, tuple[str, float, str, str, float]] | None = None
+    beside: str | None = None
+    names: Sequence[Class] = ()
+
+    @property
+    def entries(self) -> list[Entry]:
+        """All entries of its legend but that of points."""
+        return [*self.legend, *(each.entry for each in self.textures if each.entry is not None)]
+
+    @property
+    def bars(self) -> list[Field]:
+        """The fields that have a bar."""
+        return [each for each in self.fields if each.bar]
+
+    def on_field(self, place: int) -> Cells:
+        """The cells (y, x) that show their number in this field."""
+        return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.field == place])
+
+    def as_regime(self, regime: int) -> Cells:
+        """The cells (y, x) that are shown as this regime is."""
+        return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.regime == regime])
+
+
+def layered(
+    regime: NDArray[np.int8],
+    classes: Iterable[Class] = (),
+    fields: Sequence[Field] = (),
+    numbered: tuple[NDArray[np.int64], Sequence[str]] | None = None,
+    legend: Sequence[Entry] = (),
+    **others: Any,
+) -> Layers:
+    """Layers of cells (y, x): classes over fields over numbers with colours, all others as their regimes are shown.
+
+    ``numbered`` are numbers (y, x), -1 for none, and the colour of each. ``legend`` goes before the classes' entries.
+    """
+    number, colors = (np.full(regime.shape, -1), ()) if numbered is None else numbered
+    codes, looks, entries = number.astype(np.intp), [CellLook(color) for color in colors], [*legend]
+    for place, field in enumerate(fields):
+        codes[~np.isnan(field.values)] = len(looks)
+        looks.append(CellLook(field=place))
+    for cells, color, name in classes:
+        if cells.any():
+            codes[cells] = len(looks)
+            looks.append(CellLook(color))
+            entries.append(Entry(color, name))
+    rest = codes < 0
+    for each in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending last in the legend
+        cells = rest & (regime == each.code)
+        codes[cells] = len(looks)
+        looks.append(CellLook(each.color, regime=each.code))
+        entries += [Entry.of_regime(each.code)] if cells.any() else []
+    codes[codes < 0] = len(looks) - 1
+    return Layers(codes, looks, entries, fields, **others)
+
+
+def paint(layers: Layers) -> Colors:
+    """The colours of cells (y, x, 4) in bytes. Pending ones are transparent, for the texture below to be seen."""
+    table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.looks]
+    rgba = np.array(table, np.uint8)[layers.codes]
+    for place, field in enumerate(layers.fields):
+        cells = layers.on_field(place)
+        rgba[cells] = field.colors(field.values[cells])
+    if layers.shade is not None:
+        brightness = layers.shade.brightness
+        there = ~np.isnan(brightness)
+        rgba[there, :3] = (rgba[there, :3] * brightness[there][:, None]).astype(np.uint8)
+    return rgba
