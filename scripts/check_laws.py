@@ -2,7 +2,7 @@
 
 Three machines of one mass, forced by A cos omega t, with laws of chords at multiples of h: a hardening spring with a
 rigid stop, a Hertz contact, and a belt whose friction falls. The truth is DOP853 of the smooth law and Newton's method
-(tests/oracle/smooth.py). States converge as h^2; multipliers stay within an envelope of h^1.5, in which their error
+(rig/oracle/smooth.py). States converge as h^2; multipliers stay within an envelope of h^1.5, in which their error
 changes its sign. Of each, the last two columns are such errors over such powers.
 
 The cost is that of the Hertz contact with n segments as deep as it goes, against one segment of the same largest depth
@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from scripts.bench_kernel import CELLS, Array, in_turn, one_core, processor_seconds
-from scripts.measured import parsed, print_table
 from rig.hybrids import follow
 from rig.oracle.smooth import SmoothMass, orbit
+from scripts.bench_kernel import CELLS, Array, in_turn, one_core, processor_seconds
+from scripts.measured import parsed, print_table
 from workers import Settings, System, solve_tile
 from workers.model.hybrid import build_hybrid
 

@@ -27,7 +27,7 @@ class Shared(NamedTuple):
     there: NDArray[np.intp]
 
 
-class KnownCells(NamedTuple):
+class ReusedCells(NamedTuple):
     """The known results of a tile before it is solved.
 
     arrays   of all its cells; in a retried atlas the allowances too, which are those of the solution to come
@@ -42,7 +42,7 @@ class KnownCells(NamedTuple):
     source: Atlas | None = None
 
 
-def known_cells(handle: Atlas, slices: Slices) -> KnownCells:
+def known_cells(handle: Atlas, slices: Slices) -> ReusedCells:
     """The known results of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(handle.spec.variables, shape, extra_sizes(handle.spec))
@@ -53,11 +53,11 @@ def known_cells(handle: Atlas, slices: Slices) -> KnownCells:
     regime = handle.leading(arrays)[REGIME.name].copy()
     due = regime == PENDING
     if handle.origin is None or handle.origin.retry is None:
-        return KnownCells(arrays, regime, due)
+        return ReusedCells(arrays, regime, due)
     again = handle.origin.retry.selects(arrays)
     for each in handle.allowances:
         arrays[each.name][again] = np.maximum(arrays[each.name], handle.origin.retry.given(each))[again]
-    return KnownCells(arrays, regime, due | again, origin)
+    return ReusedCells(arrays, regime, due | again, origin)
 
 
 def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:

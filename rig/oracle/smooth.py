@@ -60,11 +60,19 @@ def simulate(mass: SmoothMass, state: Sequence[float] | Array, periods: int = 1)
         slide = int(np.sign(v)) if v else _held(mass, t, z, engaged)
     while t < end:
         away, most = -1.0 if engaged else 1.0, mass.rub(0.0) if mass.rub else 0.0
-        guards: dict[str, Callable[[float, Any], float]] = {"stop": lambda _, z, away=away: away * (z[0] - mass.stop)}
-        if mass.rub and slide:
-            guards["still"] = lambda _, z, slide=slide: -slide * (z[1] - mass.belt)
-        elif mass.rub:
-            guards["more"] = lambda t, z, on=engaged, most=most: abs(mass.pull(t, z, on, 0)) - most
+
+        def stop(t: float, z: Any, away: float = away) -> float:
+            return float(away * (z[0] - mass.stop))
+
+        def still(t: float, z: Any, slide: int = slide) -> float:
+            return float(-slide * (z[1] - mass.belt))
+
+        def more(t: float, z: Any, on: bool = engaged, most: float = most) -> float:
+            return abs(mass.pull(t, z, on, 0)) - most
+
+        guards: dict[str, Callable[..., float]] = {"stop": stop}
+        if mass.rub:
+            guards |= {"still": still} if slide else {"more": more}
         for guard in guards.values():
             guard.terminal, guard.direction = True, 1.0  # type: ignore[attr-defined]
 
