@@ -1,6 +1,6 @@
 """Reserved names of an atlas, which no parameter and no coordinate of a system may have."""
 
-from workers.results import result_variables
+from workers.results import CYCLE_PERIOD, result_variables
 from workers.settings import Settings
 
 _everything = Settings(exponents="spectrum", method="fixed", section_samples=1)
@@ -8,6 +8,7 @@ _KINDS = ((False, False), (True, False), (False, True))  # of atlases: with all 
 _RESULTS = [variable for kind in _KINDS for variable in result_variables(_everything, *kind)]
 NAMES = frozenset((
     *(name for each in _RESULTS for name in (each.name, f"{each.name}_count", *each.extra)),
+    CYCLE_PERIOD.name,
     # groups of a store
     "attractors", "curves", "labels", "machines", "overviews", "parts", "stability", "tally", "tiles", "zoom",
     # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
@@ -22,8 +23,8 @@ NAMES = frozenset((
     "coexisting", "difference", "distance", "event", "extreme", "impacts", "kappa", "kind", "leaving", "multiplier",
     "unstable", "value",
     # arguments of calls and of addresses that take parameters by name as well
-    "along", "axes", "cell", "cut", "dpi", "font_size", "height", "layer", "legend", "log", "overlay", "path", "pin",
-    "self", "style", "switch_branches", "title", "token", "variable", "vmax", "vmin", "width", "window", "without",
+    "along", "axes", "cell", "cut", "dpi", "font_size", "height", "layer", "legend", "log", "observe", "overlay",
+    "path", "self", "style", "switch_branches", "title", "token", "variable", "vmax", "vmin", "width", "window", "without",
 ))  # fmt: skip
 
 
