@@ -24,7 +24,8 @@ NAMES = frozenset((
     "unstable", "value",
     # arguments of calls and of addresses that take parameters by name as well
     "along", "axes", "cell", "cut", "dpi", "font_size", "height", "layer", "legend", "log", "observe", "overlay",
-    "path", "self", "style", "switch_branches", "title", "token", "variable", "vmax", "vmin", "width", "window", "without",
+    "path", "self", "style", "switch_branches", "title", "token", "variable", "vmax", "vmin", "width", "window",
+    "without",
 ))  # fmt: skip
 
 
