@@ -389,7 +389,7 @@ def test_margins_to_a_graze_are_those_of_its_closed_form(tmp_path: Path, client:
     atlas.find_curves(path, client=client)
     measure_attractors(path, margin=True, scale={"omega": 0.5, "A": 2.8}, client=client)
     ds = atlas.open(path)
-    graze = list(MEASURES["margin_kind"].flags).index("graze")
+    graze = MEASURES["margin_kind"].code_of("graze")
     near = (ds["margin_kind"].values == graze) & (ds["margin"].values < 0.3)
     omega = np.linspace(1.3 - 0.25 / 11, 1.8 + 0.25 / 11, 40_001)  # to the edges of the cells, where the curve ends
     A = np.hypot(1.0 - omega**2, 2.0 * 0.05 * omega)

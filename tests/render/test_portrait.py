@@ -247,7 +247,7 @@ def test_a_torus_is_shown_until_its_modulation_has_come_round() -> None:
         section=0.1 * np.cos(2 * np.pi * 0.05 * k)[:, None] * np.ones(4),
         times=times,
     )
-    assert render.figure(torus).axes[0].get_xlim() == (0.0, 30.0)
+    assert render.figure(torus).axes[0].get_xlim() == pytest.approx((0.0, 30.0), rel=1e-12)
 
 
 def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellOrbit, closed: CellOrbit) -> None:
