@@ -1,6 +1,6 @@
 """Reserved names of an atlas, which no parameter and no coordinate of a system may have."""
 
-from workers.results import CYCLE_PERIOD, result_variables
+from workers.results import result_variables
 from workers.settings import Settings
 
 _everything = Settings(exponents="spectrum", method="fixed", section_samples=1)
@@ -8,7 +8,6 @@ _KINDS = ((False, False), (True, False), (False, True))  # of atlases: with all 
 _RESULTS = [variable for kind in _KINDS for variable in result_variables(_everything, *kind)]
 NAMES = frozenset((
     *(name for each in _RESULTS for name in (each.name, f"{each.name}_count", *each.extra)),
-    CYCLE_PERIOD.name,
     # groups of a store
     "attractors", "curves", "labels", "machines", "overviews", "parts", "stability", "tally", "tiles", "zoom",
     # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
