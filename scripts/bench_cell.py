@@ -23,10 +23,9 @@ from typing import Any
 
 import numpy as np
 
+from rig import ROOT
 from scripts.measured import parsed, print_table
 from workers.results import NO_IMPACT, PERIODIC, UNDETERMINED
-
-ROOT = Path(__file__).resolve().parents[1]
 
 _FIG = {"tau": math.pi, "R": 0.8}
 FIGURES = {

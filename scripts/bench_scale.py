@@ -43,11 +43,11 @@ from atlas.store.record import record_key
 from atlas.store.schema import extra_sizes
 from atlas.store.store import Atlas, chunk_key, open_handle
 from atlas.store.tiles import write_tile
+from rig import ROOT
 from rig.loopback import ObjectStore, object_store
 from scripts.measured import parsed, print_table
 from workers.results import PERIODIC, REGIME, empty_results
 
-ROOT = Path(__file__).parent.parent
 TILE = 512
 SIDE = 196 * TILE
 """Cells along each side: 1.007e10 in all, in whole tiles."""

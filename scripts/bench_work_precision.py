@@ -29,14 +29,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
+from rig import ROOT
 from rig.general_integrator import FIGURES, GeneralIntegrator
 from rig.heyoka_reference import INSTALLED, Taylor
 from scripts.bench_kernel import one_core
@@ -46,7 +44,7 @@ from workers import Settings, solve_tile
 from workers.results import CHAOTIC, PERIODIC
 
 Array = NDArray[np.float64]
-ORBITS = Path(__file__).resolve().parent.parent / "tests" / "data" / "periodic_orbits.json"
+ORBITS = ROOT / "tests" / "data" / "periodic_orbits.json"
 FIG_6 = {"mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "R": 0.8, "tau": math.pi}
 PAPER = 8000
 """Periods of the paper's schedule, 2000 of them dropped."""

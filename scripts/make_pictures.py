@@ -16,9 +16,9 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from rig import ROOT
 from workers import SOLVER_VERSION
 
-ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 FOLDER = ROOT / "demo" / f"pictures-{SOLVER_VERSION}"
 BESIDE = {

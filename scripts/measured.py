@@ -18,9 +18,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rig import ROOT
 from workers import SOLVER_VERSION
 
-ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PLACE = re.compile(r"(?<=<!-- measured: )([\w-]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
 """The place of a table on a page: its name, and all up to its end."""

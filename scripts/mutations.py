@@ -21,7 +21,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parents[1]
+from rig import ROOT
+
 LIMIT = 900.0
 """Seconds for the tests of one mutation."""
 

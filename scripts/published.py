@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rig import ROOT
 from rig.published.entries import ENTRIES
 from rig.published.entry import EXACT
 from rig.published.page import agreement, page_of
 from workers import SOLVER_VERSION
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+DOCS = ROOT / "docs"
 RESULTS, PAGE = DOCS / "published.json", DOCS / "published.md"
 BY_NAME = {entry.name: entry for entry in ENTRIES}
 

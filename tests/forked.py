@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 
-from rig.faults import ROOT
+from tests.paths import ROOT
 
 LIBRARIES = (
     "numpy", "scipy.linalg", "scipy.ndimage", "scipy.spatial", "scipy.stats", "numba.np.arraymath", "numba.typed",

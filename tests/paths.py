@@ -1,6 +1,7 @@
 """Where the tests find the project's files and their own data."""
 
-from pathlib import Path
+from rig import ROOT
 
-ROOT = Path(__file__).parents[1]
 DATA = ROOT / "tests" / "data"
+
+__all__ = ["DATA", "ROOT"]

@@ -285,21 +285,19 @@ def result_variables(
 
 
 _IN_TIME = {
-    PERIOD.long_name: "passages of its rarest event in a cycle; 0 unless periodic or at rest",
-    KAPLAN_YORKE.long_name: "Kaplan-Yorke dimension of the attractor",
-    "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known":
-        "cycle is symmetric under (x, t) -> (-x, t + T/2), T its period; false unless known",
-    "forcing periods simulated": "natural periods simulated, of the slowest undamped mode",
-    "forcing periods seen chaotic, or aperiodic, after the transient":
-        "natural periods seen chaotic, or aperiodic, after the transient",
-}  # fmt: skip
-"""What results of a machine without a force mean, where it is something else."""
+    "period": "passages of its rarest event in a cycle; 0 unless periodic or at rest",
+    "kaplan_yorke": "Kaplan-Yorke dimension of the attractor",
+    "symmetric": "cycle is symmetric under (x, t) -> (-x, t + T/2), T its period; false unless known",
+    "periods_used": "natural periods simulated, of the slowest undamped mode",
+    "survived": "natural periods seen chaotic, or aperiodic, after the transient",
+}
+"""Meanings of results that differ for a machine without a force, by name."""
 
 
 def in_time(variable: Variable) -> Variable:
-    """The variable as it is of a machine without a force: what else is per forcing period is per unit time."""
+    """The variable of a machine without a force: per unit time in place of per forcing period."""
     meaning = variable.long_name.replace(PER_PERIOD, PER_TIME)
-    return replace(variable, long_name=_IN_TIME.get(meaning, meaning))
+    return replace(variable, long_name=_IN_TIME.get(variable.name, meaning))
 
 
 def of_one(variable: Variable) -> Variable:

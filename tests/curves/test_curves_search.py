@@ -32,10 +32,11 @@ from atlas.store.making import create
 from atlas.store.parts import part_names
 from atlas.store.store import open_handle
 from atlas.store.tiles import write_tile
-from rig.faults import ATLAS, ROOT
+from rig.faults import ATLAS
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair
 from tests.handmade import amplitude
+from tests.paths import ROOT
 from workers.continuation import Orbit
 from workers.results import CHAOTIC
 

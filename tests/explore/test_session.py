@@ -21,8 +21,8 @@ from atlas.errors import InputError
 from atlas.store.store import open_handle
 from atlas.store.zoom import sheets
 from rig.browser import opened, started
-from rig.faults import ROOT
 from tests.explore.test_solving import waited
+from tests.paths import ROOT
 
 COMMAND = """
 import signal, sys

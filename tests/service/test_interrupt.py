@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.faults import ATLAS, ROOT
+from rig.faults import ATLAS
+from tests.paths import ROOT
 
 pytestmark = pytest.mark.slow
 

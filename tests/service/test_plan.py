@@ -18,7 +18,7 @@ from atlas import Spec
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service import plan
-from rig.faults import ROOT
+from tests.paths import ROOT
 from tests.planes import plane_of
 from workers.results import result_variables
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.faults import ROOT
+from tests.paths import ROOT
 
 APART = ["unshare", "--mount", "--map-root-user"]
 
@@ -27,6 +27,21 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not may_mount(), reason="no mounts of its own for a process on this machine"),
 ]
+
+
+def printed_by(*command: str | Path) -> list[str]:
+    """The lines that a command of the checkout prints."""
+    ended = subprocess.run(
+        command,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout.splitlines()
+
 
 TROUBLE = """
 import errno, subprocess, sys, time
@@ -98,16 +113,8 @@ for name, values in expected.items():
 def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(
     tmp_path: Path, trouble: str, message: str
 ) -> None:
-    ended = subprocess.run(
-        [*APART, sys.executable, "-c", TROUBLE, tmp_path, trouble],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
-    error, outcome = ended.stdout.splitlines()
+    lines = printed_by(*APART, sys.executable, "-c", TROUBLE, tmp_path, trouble)
+    error, outcome = lines
     assert message in error
     assert outcome == "True True 9"
 
@@ -136,16 +143,8 @@ print(summary.tiles_done, len(summary.failures), *summary.refused.values(), sep=
 
 
 def test_a_worker_that_does_not_see_the_store_is_left_out_and_the_rest_finishes(tmp_path: Path) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-c", BLIND, tmp_path],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.splitlines() == [
+    lines = printed_by(sys.executable, "-c", BLIND, tmp_path)
+    assert lines == [
         "9",
         "0",
         f"{tmp_path}/out.zarr: no such store; is the path the same on all hosts?",

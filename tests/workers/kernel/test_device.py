@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 
-from rig.faults import ROOT
+from tests.paths import ROOT
 from workers.kernel.device import translated
 from workers.kernel.jit import Kernel, kernel
 

@@ -166,10 +166,7 @@ def enter_frame(matrix, W, V):
     """Write the vectors V (m, n, 2) in blocks that a matrix (2n, 2n) makes of physical ones W (m, 2n)."""
     for e in range(len(V)):
         for i in range(len(matrix)):
-            total = 0.0
-            for j in range(len(matrix)):
-                total += matrix[i, j] * W[e, j]
-            V[e, i // 2, i % 2] = total
+            V[e, i // 2, i % 2] = product(matrix[i], W[e], 0)
 
 
 @inlined
@@ -177,10 +174,7 @@ def leave_frame(matrix, V, W):
     """Write the physical vectors W (m, 2n) that a matrix (2n, 2n) makes of those in blocks V (m, n, 2)."""
     for e in range(len(V)):
         for i in range(len(matrix)):
-            total = 0.0
-            for j in range(len(matrix)):
-                total += matrix[i, j] * V[e, j // 2, j % 2]
-            W[e, i] = total
+            W[e, i] = product_of_blocks(matrix[i], V[e])
 
 
 @inlined
