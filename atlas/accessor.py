@@ -11,11 +11,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from atlas.branches.branch import MOST, observed_of, tree_from
-from atlas.branches.seed import seed_of_cell
-from atlas.branches.table import Branches
-from atlas.curves import asking
 from atlas.errors import InputError
+from atlas.orbits.branches.branch import MOST, observed_of, tree_from
+from atlas.orbits.branches.seed import seed_of_cell
+from atlas.orbits.branches.table import Branches
+from atlas.orbits.curves import asking
 from atlas.query import connected
 from atlas.query import queries as query
 from atlas.query.attractors import leading
@@ -152,7 +152,7 @@ class AtlasAccessor:
     def curves(self, kind: str | None = None) -> "pd.DataFrame":
         """The curves that ``atlas find curves`` found here, of one kind or all, ``curves("fold")``: a row a point.
 
-        See ``atlas.curves.asking.frame``.
+        See ``atlas.orbits.curves.asking.frame``.
         """
         return asking.frame(asking.curves_of(self._ds), kind)
 
@@ -162,9 +162,9 @@ class AtlasAccessor:
         """The distances of an operating point to events of its orbit, ``distance_to(omega=3, b=0.15, kind="fold")``.
 
         Along each axis either way the first event, of one kind or any, the nearest first. See
-        ``atlas.curves.distance.distance_to``.
+        ``atlas.orbits.curves.distance.distance_to``.
         """
-        from atlas.curves.distance import distance_to  # with it Numba
+        from atlas.orbits.curves.distance import distance_to  # with it Numba
 
         return _table(distance_to(self._ds, kind, given_values(given, point)))
 

@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING, Any
 
 from atlas import errors
 from atlas.arguments import checked_flag, checked_kind
-from atlas.branches.branch import MOST, observed_of, tree_from
-from atlas.branches.seed import seed_of_point
-from atlas.cell.attractors import attractors
 from atlas.cell.point import point
 from atlas.check.verify import verify
-from atlas.curves.settings import CurveSettings
+from atlas.orbits.branches.branch import MOST, observed_of, tree_from
+from atlas.orbits.branches.seed import seed_of_point
+from atlas.orbits.curves.settings import CurveSettings
 from atlas.query.open import Chunks, open_atlas
 from atlas.render import portrait
-from atlas.robustness.cell import stability
+from atlas.robustness.attractors import attractors
+from atlas.robustness.one_cell import stability
 from atlas.robustness.saddles import saddles
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 import atlas
-from atlas.curves.finish import finished
-from atlas.curves.plane import CurvePlane
-from atlas.curves.record import curve_from_json
-from atlas.curves.search import CurveSearch
-from atlas.curves.settings import CurveSettings
-from atlas.curves.table import Curve, Curves
-from atlas.curves.tasks import do
+from atlas.orbits.curves.finish import finished
+from atlas.orbits.curves.plane import CurvePlane
+from atlas.orbits.curves.record import curve_from_json
+from atlas.orbits.curves.search import CurveSearch
+from atlas.orbits.curves.settings import CurveSettings
+from atlas.orbits.curves.table import Curve, Curves
+from atlas.orbits.curves.tasks import do
 
 QUICK = {"max_periods": 1000, "tolerance": 0.1}
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from atlas.cell.orbit import CellOrbit
-from atlas.curves.table import Corner, Curve, Curves
+from atlas.orbits.curves.table import Corner, Curve, Curves
 from atlas.render import maps, style
 from atlas.render.kinds import TABLE
 from atlas.render.layers import Layers
@@ -273,5 +273,5 @@ def curves() -> Curves:
 @contextmanager
 def keeping(found: Curves) -> Iterator[None]:
     """Every atlas, made by hand too, keeps these curves."""
-    with patch("atlas.curves.asking.curves_of", return_value=found):
+    with patch("atlas.orbits.curves.asking.curves_of", return_value=found):
         yield

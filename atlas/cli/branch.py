@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from atlas.branches.branch import MOST, observed_of, tree_from
-from atlas.branches.seed import seed_of_cell, seed_of_point, system_of
-from atlas.branches.table import Branches, orbit_name
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
@@ -32,6 +29,9 @@ from atlas.cli.options import (
 from atlas.cli.output import print_table, to_json
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
+from atlas.orbits.branches.branch import MOST, observed_of, tree_from
+from atlas.orbits.branches.seed import seed_of_cell, seed_of_point, system_of
+from atlas.orbits.branches.table import Branches, orbit_name
 from atlas.query.export import write_rows, written_whole
 from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
@@ -41,7 +41,7 @@ from atlas.text import plural
 if TYPE_CHECKING:
     import pandas
 
-    from atlas.branches.seed import Seed
+    from atlas.orbits.branches.seed import Seed
 
 TABLES = ("csv", "json")
 """What branches can be written as, besides pictures."""

@@ -57,8 +57,8 @@ from workers.model.system import System, find_system, system_names
 @json_option
 def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
     """Solve one cell and print all its results, or with --attractors all its attractors."""
-    from atlas.cell.attractors import attractors
     from atlas.cell.point import point as solve_point
+    from atlas.robustness.attractors import attractors
 
     if starts != Starts.count and not every:
         raise InputError("--starts needs --attractors: without it one initial state is solved")

@@ -22,8 +22,8 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import to_json
 from atlas.cli.progress import reporter
-from atlas.curves.export import check_path, export
-from atlas.curves.settings import CurveSettings
+from atlas.orbits.curves.export import check_path, export
+from atlas.orbits.curves.settings import CurveSettings
 from atlas.service.options import RunOptions
 
 _DEFAULTS = {each.name: each.default for each in fields(CurveSettings)}

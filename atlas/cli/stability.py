@@ -46,7 +46,7 @@ def stability(
     **solve: Any,
 ) -> None:
     """Print how stable each attractor of one cell is: basin stability, return time, reactivity and more."""
-    from atlas.robustness.cell import stability as measure
+    from atlas.robustness.one_cell import stability as measure
 
     record, pairs, settings = asked_cell(given, system, solve)
     weights = checked_weights(read_pairs("--norm", norm, read_number), record)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.cell.attractors import attractor_in_words
+from atlas.cell.coexisting import attractor_in_words
 from atlas.explore.known import Cell
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Question

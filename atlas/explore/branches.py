@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.branches.branch import tree_from
-from atlas.branches.seed import seed_of_point
-from atlas.branches.table import Branches, modulus, orbit_name, pattern
 from atlas.cell.orbit import samples_of
 from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, FollowedOrbit, Range
@@ -20,12 +17,15 @@ from atlas.explore.motion import POINTS, MotionPicture, motion_through
 from atlas.explore.patches import Question
 from atlas.explore.subject import Subject, slider_range
 from atlas.explore.words import number
+from atlas.orbits.branches.branch import tree_from
+from atlas.orbits.branches.seed import seed_of_point
+from atlas.orbits.branches.table import Branches, modulus, orbit_name, pattern
 from atlas.task.compile import ORBITS, compile_once, kernels_for
 from workers import Settings
 from workers.model.system import System
 
 if TYPE_CHECKING:
-    from atlas.branches.tree import Branch, Tree
+    from atlas.orbits.branches.tree import Branch, Tree
     from workers.continuation import Family, Point
 
 Array = NDArray[np.float64]

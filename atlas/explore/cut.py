@@ -133,8 +133,8 @@ def cells_asked(line: Line, part: tuple[int, ...]) -> Question[CutCells]:
 
 def follow(sweep: "xr.Dataset") -> Drawn:
     """The branches through the periodic cells of a sweep, and those that begin on them."""
-    from atlas.branches.sweep import tree_through
-    from atlas.branches.table import Branches
+    from atlas.orbits.branches.sweep import tree_through
+    from atlas.orbits.branches.table import Branches
 
     return Drawn.of(Branches.of(tree_through([sweep], LONGEST)))
 

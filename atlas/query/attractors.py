@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_atlas
-from atlas.cell.attractors import attractor_in_words
+from atlas.cell.coexisting import attractor_in_words
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.store.groups import LABELS, group_attributes

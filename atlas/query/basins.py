@@ -15,13 +15,12 @@ Uncertainty   (McDonald et al., Physica D 17 (1985) 125) an initial state is unc
               than LEAST_DISTANCES are left there is no exponent: the boundary is finer than the initial states.
 """
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.cell.attractors import attractor_in_words
+from atlas.cell.coexisting import attractor_in_words
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.query.window import Window, axis_names, within
@@ -32,8 +31,6 @@ from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME, SETTLED
 if TYPE_CHECKING:
     import xarray as xr
 
-    from atlas.spec.spec import Spec
-
 BOX = 5
 """Initial states along each side of a box."""
 DISTANCES = (1, 2, 3, 4, 6, 8, 12, 16)
@@ -42,11 +39,7 @@ LEAST_DISTANCES = 3
 SATURATED = 0.25
 """Uncertain share, of that of labels at random, above which the power law bends; its slope is an eighth less there."""
 
-BEYOND = 0.5
-"""How far beyond a plane the manifolds of its saddles are grown, in parts of its sides: they leave it and come back."""
-
 Labels = NDArray[np.int64]
-Lines = list[NDArray[np.float64]]
 
 
 def of_basins(ds: "xr.Dataset") -> bool:
@@ -97,24 +90,6 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
     dimension = len(axis_names(ds)) - alpha
     answer |= {"uncertainty": alpha, "uncertainty_error": error, "uncertainty_reason": reason}
     return answer | {"boundary_dimension": dimension, "boundary_dimension_error": error, "attractors": found}
-
-
-def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Mapping[str, tuple[float, float]]) -> tuple[Lines, Lines]:
-    """The section points (N, 2) of the saddles between the basins of one mass, and lines that make up their stable
-    manifolds; ``box`` gives the ends of both axes, x first.
-
-    InputError where the atlas is not one of basins of one mass.
-    """
-    from atlas.robustness.saddles import saddles_between  # with it Numba
-    from workers.attractors.basins import fixed_values
-
-    if not of_basins(ds) or len(spec.record.states) != 2 or spec.attractors is None:
-        raise InputError("overlay 'saddles' is drawn over basins of one mass")
-    values, order = fixed_values(spec.record, spec.parameters), [spec.record.states.index(name) for name in box]
-    wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
-    found = saddles_between(spec.record, values, spec.settings, spec.attractors, manifolds=True, box=wide)["saddles"]
-    lines = [np.array(line)[:, order] for each in found for line in each["manifold"] if len(line) > 1]
-    return [np.array(each["states"])[:, order] for each in found], lines
 
 
 def basin_entropy(

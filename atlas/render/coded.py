@@ -69,7 +69,7 @@ def text_of(label: str) -> str:
 
 def curves_over(ds: xr.Dataset) -> dict[str, Any]:
     """The curves that the store of an atlas keeps of this plane, with the looks of their kinds; empty without any."""
-    from atlas.curves import asking
+    from atlas.orbits.curves import asking
 
     try:
         found = asking.curves_of(ds)

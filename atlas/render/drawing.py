@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from atlas.branches.table import Branches
+    from atlas.orbits.branches.table import Branches
     from atlas.render.page import DrawnPage
 
     Subject: TypeAlias = xr.Dataset | Sequence[xr.Dataset] | Comparison | CellOrbit | Branches
@@ -120,7 +120,7 @@ def portrait(
 def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure":
     import xarray as xr
 
-    from atlas.branches.table import Branches
+    from atlas.orbits.branches.table import Branches
     from atlas.render import orbit, sweep, together
 
     page = wanted.page

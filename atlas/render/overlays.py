@@ -19,11 +19,10 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
-from atlas.curves import asking
-from atlas.curves.table import Curve
 from atlas.errors import InputError
+from atlas.orbits.curves import asking
+from atlas.orbits.curves.table import Curve
 from atlas.query import machine
-from atlas.query.basins import saddles_in
 from atlas.query.grazing import grazing_lines
 from atlas.query.open import handle_of
 from atlas.query.room import crowded_parts, dense
@@ -32,6 +31,7 @@ from atlas.query.window import axis_names
 from atlas.render import raster, style
 from atlas.render.kinds import OverlayError
 from atlas.render.layers import View
+from atlas.robustness.saddles import saddles_in
 from workers.results import LARGEST
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
+    from atlas.orbits.branches.table import Branches
     from atlas.render.page import DrawnPage
 
 FORMATS = ("png", "svg", "pdf")

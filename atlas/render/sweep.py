@@ -28,7 +28,7 @@ from atlas.render.wanted import Wanted
 from workers.results import ATTRACTOR, ERROR, LABEL, LARGEST, NO_IMPACT, PENDING, PER_PERIOD, PERIODIC, REGIME, SPECTRUM
 
 if TYPE_CHECKING:
-    from atlas.branches.table import Branches
+    from atlas.orbits.branches.table import Branches
 
 Array = NDArray[np.float64]
 Panel: TypeAlias = Callable[[Axes, xr.Dataset, PlaneAxis, DrawnPage], None]
@@ -197,8 +197,8 @@ def stack(
             raise InputError(
                 "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
             )
-        from atlas.branches.sweep import tree_through  # with it Numba
-        from atlas.branches.table import Branches
+        from atlas.orbits.branches.sweep import tree_through  # with it Numba
+        from atlas.orbits.branches.table import Branches
 
         branches = Branches.of(tree_through(sweeps), shown.observable)
     with page.context():

@@ -1,1 +1,1 @@
-"""Stability of attractors: how fast deviations decay, how far they grow first, and which shocks are fatal."""
+"""Stability of attractors: decay and growth of deviations, fatal shocks, saddles, margins to curves."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from atlas.arguments import checked_ends, checked_flag, checked_kind
 from atlas.errors import InputError
+from atlas.query.basins import of_basins
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters, given_settings, given_values
@@ -16,8 +17,11 @@ from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from atlas.robustness.manifold import Across, ManifoldHalf
     from atlas.robustness.saddle import Saddle
+    from atlas.spec.spec import Spec
     from workers.attractors.basins import AttractorTable
     from workers.model.oscillator import Array
 
@@ -27,6 +31,8 @@ CONTRACTED = 0.5
 """Largest multiplier along a manifold of the map that it is grown by, a power of P."""
 TIMES = 20.0
 """Length of a branch of a manifold, in diagonals of the box."""
+BEYOND = 0.5
+"""How far beyond a plane the manifolds of its saddles are grown, in parts of its sides: they leave it and come back."""
 
 
 def saddles(
@@ -94,6 +100,23 @@ def saddles_between(
     return (
         resolved_search(record, parameters, settings, search) | found | {"saddles": each, "troubles": tracked.troubles}
     )
+
+
+def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], list[Array]]":
+    """The section points (N, 2) of the saddles between the basins of one mass, and lines that make up their stable
+    manifolds; ``box`` gives the ends of both axes, x first.
+
+    InputError where the atlas is not one of basins of one mass.
+    """
+    from workers.attractors.basins import fixed_values
+
+    if not of_basins(ds) or len(spec.record.states) != 2 or spec.attractors is None:
+        raise InputError("overlay 'saddles' is drawn over basins of one mass")
+    values, order = fixed_values(spec.record, spec.parameters), [spec.record.states.index(name) for name in box]
+    wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
+    found = saddles_between(spec.record, values, spec.settings, spec.attractors, manifolds=True, box=wide)["saddles"]
+    lines = [np.array(line)[:, order] for each in found for line in each["manifold"] if len(line) > 1]
+    return [np.array(each["states"])[:, order] for each in found], lines
 
 
 def _described(saddle: "Saddle") -> dict[str, Any]:

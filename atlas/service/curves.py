@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.arguments import checked_kind
-from atlas.curves.finish import edge_share, finished
-from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
-from atlas.curves.plane import plane_of
-from atlas.curves.search import CurveSearch
-from atlas.curves.settings import CurveSettings
-from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError
-from atlas.measures.table import MARGIN, drop_family
+from atlas.orbits.curves.finish import edge_share, finished
+from atlas.orbits.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
+from atlas.orbits.curves.plane import plane_of
+from atlas.orbits.curves.search import CurveSearch
+from atlas.orbits.curves.settings import CurveSettings
+from atlas.orbits.curves.table import Curves, read_curves, write_curves
+from atlas.robustness.table import MARGIN, drop_family
 from atlas.service.crew import Crew
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress

@@ -4,7 +4,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Unpack
 
-from atlas.labels.table import Count, labels_of, stored_count, write_labels
+from atlas.orbits.labels.table import Count, labels_of, stored_count, write_labels
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress, prepare_kernels

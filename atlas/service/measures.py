@@ -10,7 +10,7 @@ import numpy as np
 
 from atlas.arguments import checked_flag
 from atlas.errors import InputError, RunError
-from atlas.measures.job import (
+from atlas.robustness.job import (
     NEEDED,
     MeasureJob,
     MeasureReceipt,
@@ -20,8 +20,9 @@ from atlas.measures.job import (
     pieces,
     read_measured,
 )
-from atlas.measures.plane import checked_scale, margin_request, margins_hold, margins_of
-from atlas.measures.table import (
+from atlas.robustness.margin import checked_scale, margin_request, margins_hold, margins_of
+from atlas.robustness.norm import checked_weights
+from atlas.robustness.table import (
     LINEAR,
     MARGIN,
     MEASURES,
@@ -35,7 +36,6 @@ from atlas.measures.table import (
     summary_of,
     write_measures,
 )
-from atlas.robustness.norm import checked_weights
 from atlas.service.crew import Crew
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.curves.asking import curves_of
-from atlas.curves.table import write_curves
 from atlas.errors import InputError
 from atlas.explore.chosen import beginning, from_address, kinds, overlays, to_address
 from atlas.explore.compose import composed
@@ -23,6 +21,8 @@ from atlas.explore.subject import Subject, SubjectPlane, exploring, subject_of
 from atlas.explore.tiles import Memory, TileStore
 from atlas.explore.view import STAGES, TILE, TileKey
 from atlas.explore.words import compiled_first, plain, progress, progress_bar, refinement, ticks
+from atlas.orbits.curves.asking import curves_of
+from atlas.orbits.curves.table import write_curves
 from atlas.render import SCALAR
 from atlas.render.screen import screen
 from atlas.spec.axis import Axis

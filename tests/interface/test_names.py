@@ -13,15 +13,15 @@ import pytest
 
 import atlas
 from atlas.accessor import AtlasAccessor
-from atlas.curves.export import columns
-from atlas.curves.table import Curves, as_arrays
 from atlas.errors import InputError
 from atlas.explore.chosen import ARGUMENTS
-from atlas.labels.table import _MEANINGS, BRANCH
-from atlas.measures.table import MEASURES
+from atlas.orbits.curves.export import columns
+from atlas.orbits.curves.table import Curves, as_arrays
+from atlas.orbits.labels.table import _MEANINGS, BRANCH
 from atlas.overview.coarsen import SHARE, level_variables
 from atlas.overview.coordinates import bounds_name, coarse_name
 from atlas.render import figure, words
+from atlas.robustness.table import MEASURES
 from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
 from atlas.store import making, store

@@ -14,10 +14,10 @@ from click.testing import CliRunner
 
 import atlas
 import workers
-from atlas.branches.table import Branches
 from atlas.cli.main import attractors, find, main
-from atlas.curves.export import columns
 from atlas.errors import InputError, RunError
+from atlas.orbits.branches.table import Branches
+from atlas.orbits.curves.export import columns
 from atlas.spec.citation import bibtex, sources
 from atlas.spec.examples import example_text
 from atlas.store.location import place_of

@@ -11,9 +11,9 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas.branches.table import aligned
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.orbits.branches.table import aligned
 from atlas.render.observed import PlottedPoints, held_by
 from workers.model.observables import Observable
 

@@ -12,11 +12,11 @@ import pytest
 
 import atlas
 from atlas.check.verify import verify
-from atlas.curves.table import read_curves, write_curves
 from atlas.errors import ChunkError, InputError
-from atlas.labels.table import Count, Labels, stored_count, write_labels
-from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
+from atlas.orbits.curves.table import read_curves, write_curves
+from atlas.orbits.labels.table import Count, Labels, stored_count, write_labels
 from atlas.query.open import open_table
+from atlas.robustness.table import LINEAR, Stored, empty, of_family, write_measures
 from atlas.service.lease import CLAIM
 from atlas.service.progress import Progress
 from atlas.store import making, store
@@ -26,8 +26,8 @@ from atlas.store.schema import StoredArray
 from atlas.store.sidecar import notes_of
 from atlas.store.tiles import read_tile, write_tile
 from atlas.store.zoom import make_plane, note_seen, seen_sheets, sheet_place, sheets
-from tests.curves.test_curves_table import BOTH
 from tests.harm import flip
+from tests.orbits.curves.test_curves_table import BOTH
 
 pytestmark = pytest.mark.slow
 

@@ -16,8 +16,8 @@ import xarray as xr
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
-from atlas.measures.table import LINEAR, Stored, empty, of_family, write_measures
 from atlas.query.resample import view
+from atlas.robustness.table import LINEAR, Stored, empty, of_family, write_measures
 from atlas.store.making import create
 from atlas.store.records import Records, put_together, write_compaction
 from atlas.store.spare import SPARE

@@ -13,10 +13,10 @@ import pytest
 import zarr
 
 import atlas
-from atlas.curves.table import Corner, Curve, Curves, write_curves
-from atlas.labels.table import Count, Labels, write_labels
-from atlas.measures.table import MEASURES, Stored, write_measures
+from atlas.orbits.curves.table import Corner, Curve, Curves, write_curves
+from atlas.orbits.labels.table import Count, Labels, write_labels
 from atlas.overview.coarsen import level_variables
+from atlas.robustness.table import MEASURES, Stored, write_measures
 from atlas.store import making, store
 from atlas.store.origin import ALLOWANCES
 from tests.synthetic import complete

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from atlas.branches.seed import seed_of_point
+from atlas.orbits.branches.seed import seed_of_point
 from workers import Settings
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors

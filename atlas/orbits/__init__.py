@@ -1,0 +1,1 @@
+"""A stored cell as an orbit; branches, curves and labels of orbits."""

@@ -1,0 +1,61 @@
+"""Branches from one cell: the request is checked, then followed."""
+
+from typing import TYPE_CHECKING
+
+from atlas.arguments import checked_ends, checked_flag, is_whole
+from atlas.errors import InputError, check_names
+from atlas.orbits.branches.seed import Seed
+from atlas.spec.axis import admitted
+from workers.model.observables import Observable
+
+if TYPE_CHECKING:
+    from atlas.orbits.branches.tree import Tree
+
+MOST = 20
+"""Branches that are followed from one cell, that of the cell included."""
+LONGEST = 64
+"""Impacts of the orbits that are followed where they leave."""
+
+
+def tree_from(seed: Seed, along: str, window: tuple[float, float], switch: bool = False, most: int = MOST) -> "Tree":
+    """The branch of a cell's orbit in one parameter; ``switch`` adds those that begin on it, at most ``most`` in all.
+
+    Raises InputError for a parameter that does not exist or that no orbit depends on, for a window that does not
+    rise, is not valid or does not hold the cell, and where the orbit cannot be followed.
+    """
+    from atlas.orbits.branches.tree import Tree
+
+    low, high = checked_window(seed, along, window)
+    checked_flag("switch_branches", switch)
+    if not is_whole(most) or most < 1:
+        raise InputError(f"budget: found {most!r}, must be a whole number of branches, 1 or more")
+    tree = Tree(seed.system, seed.values, along, (low, high), most, LONGEST)
+    try:
+        tree.grow(seed.orbit, seed.values[along], switch)
+    except ValueError as error:
+        raise InputError(f"this cell's orbit cannot be followed: {error}") from None
+    return tree
+
+
+def observed_of(seed: Seed, observe: str | None) -> Observable | None:
+    """What is observed of a cell's machine, by its text; InputError for what it does not have."""
+    if observe is None:
+        return None
+    try:
+        return Observable.parse(observe, seed.system.definition)
+    except ValueError as error:
+        raise InputError(f"observe: {error}") from None
+
+
+def checked_window(seed: Seed, along: str, window: tuple[float, float]) -> tuple[float, float]:
+    """The ends of the parameter, which must rise, be valid, and hold the cell."""
+    record = seed.system
+    check_names("parameter", [along], [p.name for p in record.parameters])
+    if along in record.states:
+        raise InputError(f"{along} is an initial state: orbits do not depend on it; follow them along a parameter")
+    low, high = (admitted(record.parameter(along), end) for end in checked_ends("window", window))
+    if not low < high:
+        raise InputError(f"{along} from {low:g} to {high:g}: must rise")
+    if not low <= seed.values[along] <= high:
+        raise InputError(f"{along} from {low:g} to {high:g}: does not hold the cell's own, {seed.values[along]:g}")
+    return low, high

@@ -1,0 +1,113 @@
+"""Branches through all periodic cells of a sweep, each followed once, and the branches that begin at their events."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.orbits.branches.seed import seed_of, system_of
+from atlas.orbits.branches.table import pattern
+from atlas.orbits.branches.tree import Branch, Tree
+from atlas.query.window import axis_names, axis_values, columns
+from atlas.spec.system import must_offer
+from workers.continuation import Point
+from workers.results import PERIODIC, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MOST = 100
+"""Branches that are followed through a sweep: more could not be distinguished."""
+LONGEST = 12
+"""Impacts of the orbits that are followed: longer ones, mostly late in a cascade, would crowd the picture."""
+NEAR = 1e-3
+"""Distance of section states, in parts of their extent, below which an orbit is held for one of a branch at once: a
+straight line between two points of a branch is mostly off by less.
+"""
+
+_STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "sticks", "state")
+
+
+def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree:
+    """The branches of proven orbits in sweeps of one axis and those that begin on them, within MOST and ``longest``.
+
+    A cell whose orbit is on a branch already, or is the mirror image of one that is, adds none. Orbits that rest on a
+    stop are passed over. Raises InputError where no parameter is swept, and where an atlas does not hold states.
+    """
+    ds = sweeps[0]
+    system, (along,) = system_of(ds), axis_names(ds)
+    must_offer(system, "branches")
+    for other in sweeps[1:]:
+        if axis_names(other) != (along,):
+            raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")
+    if columns(ds) or along in system.states:
+        raise InputError(f"branches follow orbits along a parameter that orbits depend on, not {along}")
+    for name in _STORED:
+        if name not in ds:
+            raise InputError(f"branches start from the variable {name!r} of cells, which this atlas does not hold")
+    defaults = {p.name: p.default for p in system.parameters}
+    fixed = {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
+    low, high = float(axis_values(ds, along).min()), float(axis_values(ds, along).max())
+    if low == high:
+        raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
+    tree: Tree | None = None
+    for cell in (cell for each in sweeps for cell in _cells(each, along, system.has_modes, longest)):
+        value = float(cell[along])
+        if tree is not None and (len(tree.branches) >= MOST or _is_covered(tree, cell, value)):
+            continue
+        try:
+            seed = seed_of(cell, system, {**defaults, **fixed, along: value})
+            tree = tree or Tree(system, seed.values, along, (low, high), MOST, longest)
+            tree.grow(seed.orbit, value, leaving=True)
+        except ValueError:  # of a cell that the equations do not take, a neighbour is tried
+            continue
+    if tree is None:
+        raise InputError("no cell here has an orbit to follow: none is periodic with impacts and no rest on a stop")
+    return tree
+
+
+def _cells(ds: "xr.Dataset", along: str, with_modes: bool, longest: int) -> Iterator[dict[str, Any]]:
+    """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first.
+
+    Of machines with modes also orbits without impacts, and orbits that stick.
+    """
+    read = ds[list(_STORED)].sortby(along).load()
+    columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *_STORED)}
+    impacts = columns["impacts_upper"] + columns["impacts_lower"]
+    moves = ~columns["sticks"].astype(bool) & (impacts > 0) | with_modes
+    fits = (columns[REGIME.name] == PERIODIC) & moves & (impacts <= longest)
+    classes = np.stack([np.where(fits, columns[name], -2) for name in _STORED[1:5]], axis=1).tolist()
+    runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda each: each[1])]
+    for run in sorted((run for run in runs if fits[run[0]]), key=len, reverse=True):
+        middle = run[len(run) // 2]
+        for k in [middle, *(k for k in run if k != middle)]:
+            yield {name: column[k] for name, column in columns.items()}
+
+
+def _is_covered(tree: Tree, cell: dict[str, Any], value: float) -> bool:
+    """Whether a cell's orbit, or its mirror image, is on a branch of a tree."""
+    n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
+    state, halves = np.asarray(cell["state"], dtype=np.float64), {symmetric, int(tree.system.has_modes)}
+    alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in halves}
+    uncounted = p < 0 and tree.system.has_modes  # impacts of a cell that rests on a stop are not
+    same = [each for each in tree.branches if uncounted or alike & {pattern(one) for one in set(each.itineraries)}]
+    return any(_is_near(each, state, value) for each in same) or any(
+        tree.is_orbit(state, Point(np.array([value]), orbit, np.zeros(0), np.zeros(0, np.complex128), 0))
+        for each in same
+        for orbit in each.orbits_at(tree.family, value)
+    )
+
+
+def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
+    """Whether a section state (2d,) lies on a branch or its mirror image, straight lines taken between its points."""
+    for k, share in branch.passes(value):
+        for sections in (branch.sections, branch.mirrored):
+            if sections is not None:
+                states = sections[k] + share * (sections[k + 1] - sections[k])
+                extent = np.maximum(np.ptp(sections, axis=(0, 1)), 1e-300)
+                if np.min(np.max(np.abs(states - state) / extent, axis=1)) < NEAR:
+                    return True
+    return False

@@ -1,0 +1,240 @@
+"""Branches as tables: one of branches, one of points, one of events."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.query import machine
+from atlas.spec.resolved import digest_of
+from atlas.text import plural
+from workers.model.observables import Observable
+from workers.model.system import System, identity
+
+if TYPE_CHECKING:
+    import pandas
+
+    from atlas.orbits.branches.tree import Branch, Tree, Untried
+    from workers.continuation import Itinerary, Point
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Branches of periodic orbits of a system in one parameter, ``along``, in a ``window`` of it, (low, high).
+
+    ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
+    themselves, impact by impact. ``untried`` are events whose branch was requested and is missing. ``observable`` is
+    what a picture shows of them in place of the gap coordinate at sections, and what their points have besides.
+    """
+
+    system: System
+    parameters: Mapping[str, float]
+    along: str
+    window: tuple[float, float]
+    traced: tuple["Branch", ...]
+    untried: tuple["Untried", ...] = ()
+    observable: Observable | None = None
+
+    def __repr__(self) -> str:
+        low, high = self.window
+        points = sum(len(each.run.points) for each in self.traced)
+        events = sum(len(each.run.events) for each in self.traced)
+        counts = (plural(len(self.traced), "branch", "branches"), plural(points, "point"), plural(events, "event"))
+        reach = f"{self.system.name} along {self.along} from {low:g} to {high:g}"
+        return f"<{type(self).__name__} of {reach}: {', '.join(counts)}>"
+
+    @classmethod
+    def of(cls, tree: "Tree", observable: Observable | None = None) -> Self:
+        """The branches of a tree that has grown."""
+        others = {name: value for name, value in tree.values.items() if name != tree.along}
+        return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried), observable)
+
+    @cached_property
+    def branches(self) -> "pandas.DataFrame":
+        """One row a branch, by its number ``branch``.
+
+        period, impacts_upper, impacts_lower, symmetric   of the orbit it was followed from
+        leaves, at     the branch that it leaves, -1 for none, and the kind of event there
+        points         how many
+        first_end, last_end   why it ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
+                       shorter_orbit, or the kind of an event
+        """
+        import pandas
+
+        columns = ["branch", *_PATTERN, "leaves", "at", "points", "first_end", "last_end"]
+        rows = [
+            (
+                number,
+                *pattern(branch.itinerary),
+                *next(((other, event.kind if event else "") for other, event in branch.origins), (-1, "")),
+                len(branch.run.points),
+                *branch.run.ends,
+            )
+            for number, branch in enumerate(self.traced)
+        ]
+        return pandas.DataFrame(rows, columns=columns).set_index("branch")
+
+    @cached_property
+    def points(self) -> "pandas.DataFrame":
+        """One row a point, branch by branch, in order along each.
+
+        branch, and the parameter by its name
+        each component of the state  at the section t = 0
+        multiplier    the largest modulus of the multipliers of an orbit
+        unstable      number of multipliers with modulus above 1, not counting those of an event at 1
+        period, impacts_upper, impacts_lower, symmetric   of its orbit; of an end at a shorter one, of the one before
+        event         the kind of event that the point is, else empty
+        impact_phase_stop_1, ...   values of the observable, if there is one, NaN where an orbit has fewer than others
+        """
+        import pandas
+
+        columns = ["branch", self.along, *self.system.states, "multiplier", "unstable", *_PATTERN, "event"]
+        found = pandas.DataFrame(list(self._points()), columns=columns)
+        if self.observable is None:
+            return found
+        observed = [next(self.shown_values(branch)) for branch in self.traced]
+        most = max(int(np.max(np.sum(np.isfinite(values), axis=1))) for values in observed)
+        rows = np.full((len(found), most), np.nan)
+        for branch, values in enumerate(observed):
+            rows[found["branch"] == branch, : values.shape[1]] = values[:, :most]
+        names = [f"{self.observable.variable}_{i}" for i in range(1, most + 1)]
+        return pandas.concat([found, pandas.DataFrame(rows, columns=names)], axis=1)
+
+    @cached_property
+    def events(self) -> "pandas.DataFrame":
+        """One row an event, in order along each branch; two branches that meet have one each.
+
+        branch, kind, and the parameter by its name
+        each component of the state  at the section t = 0
+        unstable      multipliers with modulus above 1, not counting the event's own
+        kappa         cos theta of the pair of a Neimark-Sacker point, else NaN
+        period, impacts_upper, impacts_lower, symmetric   of the orbit there, which may be shorter than the branch's
+        leaving       the branch that leaves there and is here, -1 for none
+        """
+        import pandas
+
+        columns = ["branch", "kind", self.along, *self.system.states, "unstable", "kappa", *_PATTERN, "leaving"]
+        return pandas.DataFrame(list(self._events()), columns=columns)
+
+    def gap_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
+        """The gap coordinate (N, n) at the sections of a branch, and of its mirror image where there is one."""
+        rows = machine.gap_rows(self.system, {**self.parameters, self.along: branch.values})
+        for states in (branch.sections, branch.mirrored):
+            if states is not None:
+                yield np.einsum("ni,nki->nk", rows, states[..., : rows.shape[1]])
+
+    def shown_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
+        """What a picture shows of a branch, and of its mirror image where there is one: values (N, K), NaN for none.
+
+        Those of neighbouring points that belong to each other have the same place.
+        """
+        if self.observable is None:
+            yield from self.gap_values(branch)
+            return
+        from workers.cell.observing import observe_orbits
+
+        parameters: dict[str, Any] = {**self.parameters, self.along: branch.values}
+        periods = np.array([own.periods for own in branch.itineraries])
+        given = {name: np.broadcast_to(value, periods.shape).astype(float) for name, value in parameters.items()}
+        for states in (branch.sections, branch.mirrored):
+            if states is not None:
+                first, name = np.ascontiguousarray(states[:, 0]), self.observable.name
+                found = observe_orbits(self.system.definition, given, first, periods, name, MOST_VALUES)
+                yield aligned(found[self.observable.variable], self.observable.turn)
+
+    def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
+        """Lines (N, 2) of what a picture shows over the parameter, of mirror images too, each after its stability."""
+        jump = math.inf if self.observable is None else 0.5 * self.observable.turn
+        for branch in self.traced:
+            for values in self.shown_values(branch):
+                for stable, part in branch.parts:
+                    for one in values[part].T:
+                        line = np.column_stack([branch.values[part], one])
+                        for piece in np.split(line, np.flatnonzero(~(np.abs(np.diff(one)) < jump)) + 1):
+                            if len(piece) > 1:
+                                yield stable, piece
+
+    def places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Where each event lies over the parameter, (n, 2), at its mirror image too, after its kind."""
+        for branch in self.traced:
+            for values in self.shown_values(branch):
+                for k, event in zip(branch.places, branch.run.events, strict=True):
+                    yield event.kind, np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
+
+    @property
+    def decided_by(self) -> dict[str, Any]:
+        """All that decides these branches: the system, where they are followed, and from which orbit."""
+        start = self.traced[0].sections[0].tolist()
+        where = {"parameters": dict(self.parameters), "along": self.along, "window": list(self.window)}
+        return identity(self.system.resolved()) | where | {"start": start, "branches": len(self.traced)}
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that decides these branches."""
+        return digest_of(self.decided_by)
+
+    def _points(self) -> Iterator[tuple[Any, ...]]:
+        for number, branch in enumerate(self.traced):
+            kinds = {id(event.point): event.kind for event in branch.run.events}
+            for point, states, own in zip(branch.run.points, branch.sections, branch.itineraries, strict=True):
+                size = modulus(point, own.periods)
+                event = kinds.get(id(point), "")
+                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *pattern(own), event)
+
+    def _events(self) -> Iterator[tuple[Any, ...]]:
+        leaving = {id(event): number for number, b in enumerate(self.traced) for _, event in b.origins if event}
+        for number, branch in enumerate(self.traced):
+            for k, event in zip(branch.places, branch.run.events, strict=True):
+                point, state = event.point, branch.sections[k, 0].tolist()
+                own = pattern(point.orbit.itinerary)
+                left = leaving.get(id(event), -1)
+                yield (
+                    number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *own, left,
+                )  # fmt: skip
+
+
+MOST_VALUES = 256
+"""Values of an observable that are shown of an orbit."""
+
+
+def aligned(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """Values (N, K) of neighbouring orbits, in the order of time, each row begun where it fits the row before it best.
+
+    They are modulo ``turn`` where that is finite. A row with more or fewer values than the one before it stays.
+    """
+    found = values.copy()
+    for k in range(1, len(found)):
+        before, here = (row[np.isfinite(row)] for row in found[k - 1 : k + 1])
+        if len(here) == len(before) > 1:
+            away = [np.roll(here, -r) - before for r in range(len(here))]
+            away = away if math.isinf(turn) else [np.remainder(each + 0.5 * turn, turn) - 0.5 * turn for each in away]
+            found[k, : len(here)] = np.roll(here, -int(np.argmin([np.sum(np.abs(each)) for each in away])))
+    return found
+
+
+_PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
+
+
+def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
+    """Period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
+    return itinerary.periods, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
+
+
+def orbit_name(period: int, upper: int, lower: int, symmetric: bool) -> str:
+    """An orbit as n-p-q: its periods, and its impacts at the upper and at the lower stop."""
+    return f"{period}-{upper}-{lower}{' symmetric' if symmetric else ''}"
+
+
+def modulus(point: "Point", periods: int) -> float:
+    """The largest modulus of the multipliers of an orbit over ``periods`` periods of the force.
+
+    Those of a point are of one turn, which is half the orbit where it is symmetric; inf where an impact has no speed.
+    """
+    itinerary = point.orbit.itinerary
+    turn = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
+    with np.errstate(over="ignore"):
+        return float(np.max(np.abs(point.multipliers), initial=0.0) ** (periods / turn))

@@ -1,0 +1,145 @@
+"""The orbits of a plane's cells: from stored results, at other cells, and at points of curves."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.plane import Cells, CurvePlane
+from workers.continuation import Family, Orbit, family_of
+from workers.continuation.equations import check_orbits
+from workers.continuation.itinerary import Itinerary
+from workers.continuation.orbits import alike, attract, many_of, moved, recorded_each, refined
+from workers.continuation.same import same_orbit
+from workers.model.family import NoOscillatorError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+CEASES, PERSISTS, IS = range(3)
+"""The fate of a cell's orbit at the parameters of another cell."""
+
+
+class CellOrbits:
+    """The orbits of a plane's cells, each found once; of a cell without one, None."""
+
+    def __init__(self, plane: CurvePlane) -> None:
+        self.plane = plane
+        self.family: Family = family_of(plane.system, plane.fixed, plane.axes)
+        self._known: dict[int, Orbit | None] = {}
+
+    def along(self, axis: int, values: Array) -> Family:
+        """The family over one axis, 0 for x, through a point (2,)."""
+        names = self.plane.axes
+        return family_of(
+            self.plane.system, {**self.plane.fixed, names[1 - axis]: float(values[1 - axis])}, (names[axis],)
+        )
+
+    def of(self, cell: int) -> Orbit | None:
+        """The orbit of a proven cell; None where Newton's method finds none, such as for R = 0."""
+        if cell not in self._known:
+            self.find(np.array([cell]))
+        return self._known[cell]
+
+    def find(self, cells: Cells) -> None:
+        """Find the orbits of cells, which is quicker for many at once."""
+        plane, found = self.plane, self._known
+        wanted = np.array([cell for cell in dict.fromkeys(cells.tolist()) if cell not in found], dtype=np.int64)
+        found.update(dict.fromkeys(wanted.tolist()))
+        impacts = (plane.impacts_upper[wanted] > 0) | (plane.impacts_lower[wanted] > 0) | plane.system.has_modes
+        for cell in wanted[plane.proven[wanted] & ~impacts].tolist():
+            found[cell] = self._without_impact(plane.values(np.array([cell])))
+        found.update(self._with_impacts(wanted[plane.proven[wanted] & impacts]))
+
+    def omega(self, values: Array) -> Array:
+        """The forcing frequency (N,) at points (N, 2)."""
+        return np.asarray(self.family.model(values).omega)
+
+    def persist(self, pairs: Cells) -> NDArray[np.int64]:
+        """Of each pair (N, 2), whether the orbit of the first cell exists and attracts at the second one's parameters:
+        CEASES, PERSISTS, or IS where it is the orbit of the second cell.
+
+        By Newton's method from one to the other, half way first; admissible by certified crossings.
+        """
+        found = np.full(len(pairs), CEASES)
+        regions = self.plane.regions[pairs]
+        for rows, orbits in self._grouped(pairs[:, 0]):
+            here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
+            start = many_of(orbits, here)
+            try:
+                half = moved(self.family, start, 0.5 * (here + there))
+                taken = moved(self.family, half, there)
+                attracts = attract(self.family, taken)
+            except (NoOscillatorError, ValueError):
+                continue
+            found[rows[attracts]] = PERSISTS
+            for k, row in enumerate(rows):
+                if attracts[k] and regions[row, 0] == regions[row, 1] and self._is_of(pairs[row, 1], taken.orbit(k)):
+                    found[row] = IS
+        return found
+
+    def becomes(self, orbit: Orbit, values: Array, cell: int) -> int:
+        """The fate of an orbit at parameters (2,), continued to a cell's parameters: CEASES, PERSISTS, or IS the cell's
+        own.
+        """
+        there = self.plane.values(np.array([cell]))
+        try:
+            taken = moved(self.family, many_of([orbit], values[None]), there)
+            if not attract(self.family, taken)[0]:
+                return CEASES
+        except (NoOscillatorError, ValueError):
+            return CEASES
+        return IS if self._is_of(cell, taken.orbit(0)) else PERSISTS
+
+    def _is_of(self, cell: int, orbit: Orbit) -> bool:
+        own, values = self.of(int(cell)), self.plane.values(np.array([cell]))
+        return own is not None and same_orbit(own, orbit, float(self.omega(values)[0]))
+
+    def belong(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
+        """Whether each orbit (N,), at parameters (N, 2), becomes that of its cell (N,) when it is taken there."""
+        found = np.zeros(len(cells), dtype=bool)
+        omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
+        for rows in alike(orbit.itinerary for orbit in points):
+            start = many_of([points[row] for row in rows], values[rows])
+            try:
+                taken = moved(self.family, start, self.plane.values(cells[rows]))
+            except (NoOscillatorError, ValueError):
+                continue
+            self.find(cells[rows[taken.found]])
+            for k, row in enumerate(rows):
+                own = self.of(int(cells[row])) if taken.found[k] else None
+                found[row] = own is not None and same_orbit(own, taken.orbit(k), omega[row])
+        return found
+
+    def _grouped(self, cells: Cells) -> Iterator[tuple[NDArray[np.int64], list[Orbit]]]:
+        """Rows of cells whose orbits have one itinerary, with these."""
+        self.find(cells)
+        orbits = [self.of(int(cell)) for cell in cells]
+        for rows in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
+            yield rows, [orbit for row in rows if (orbit := orbits[row]) is not None]
+
+    def _with_impacts(self, cells: Cells) -> dict[int, Orbit | None]:
+        plane, values, found = self.plane, self.plane.values(cells), dict[int, Orbit | None]()
+        if not len(cells):
+            return found
+        given = {name: np.full(len(cells), value) for name, value in plane.fixed.items()}
+        given |= {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(plane.axes)}
+        turns = plane.period[cells].tolist(), plane.symmetric[cells].tolist()
+        orbits = recorded_each(plane.system, given, plane.state[cells], *turns)
+        for k, (cell, orbit) in enumerate(zip(cells.tolist(), orbits, strict=True)):
+            try:
+                found[cell] = orbit and refined(self.family, orbit, values[k])
+            except ValueError:
+                found[cell] = None
+        return found
+
+    def _without_impact(self, values: Array) -> Orbit | None:
+        """The motion without impact, in its symmetric form where the machine has one."""
+        for symmetric in (True, False):
+            itinerary = Itinerary((), 1, symmetric)
+            try:
+                check_orbits(self.family.model(values), itinerary)
+            except ValueError:
+                continue
+            return Orbit(itinerary, np.zeros(0), np.zeros(0))
+        return None

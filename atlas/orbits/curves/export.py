@@ -1,0 +1,87 @@
+"""The curves of a plane as a file that other programs read: CSV or JSON, chosen by the suffix."""
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from atlas.errors import InputError
+from atlas.orbits.curves.table import Curve, Curves
+from atlas.query.export import check_writable, written_whole
+
+FORMATS = (".csv", ".json")
+
+
+def export(found: Curves, path: str | Path) -> None:
+    """Write the curves to a file; it appears whole or not at all.
+
+    CSV: one row a point, curve by curve, numbers in their shortest exact form: the columns of ``columns``; a point of
+    codimension two is a row of its own kind at its place in the curve. JSON: one object, as ``as_json``.
+    Raises InputError for another suffix and for a path that cannot be written.
+    """
+    target = Path(path)
+    check_path(target)
+    with written_whole(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+        if target.suffix.lower() == ".csv":
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns(found.axes))
+            writer.writerows(rows(found))
+        else:
+            json.dump(as_json(found), file, allow_nan=False)
+            file.write("\n")
+
+
+def check_path(path: Path) -> None:
+    """InputError unless the suffix is one that ``export`` knows, and a file can be written there."""
+    if path.suffix.lower() not in FORMATS:
+        shown = f"found {path.suffix!r}" if path.suffix else "found none"
+        raise InputError(f"{path.name}: the suffix chooses the format, {shown}; possible: {', '.join(FORMATS)}")
+    check_writable(path)
+
+
+def columns(axes: tuple[str, str]) -> list[str]:
+    """The columns of the CSV; ``unstable`` counts unstable multipliers besides the event's own."""
+    return ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *axes, "unstable"]
+
+
+def rows(found: Curves) -> Iterator[tuple[Any, ...]]:
+    """The rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
+    for number, curve in enumerate(found):
+        corners, symmetric = _placed(curve), str(curve.symmetric).lower()
+        counts = (each.tolist() for each in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
+        for k, ((x, y), upper, lower, unstable) in enumerate(zip(curve.points.tolist(), *counts, strict=True)):
+            orbit = (curve.period, upper, lower, symmetric)
+            yield (number, curve.kind, *orbit, x, y, unstable)
+            for corner in corners.get(k, ()):
+                yield (number, corner.kind, *orbit, corner.x, corner.y, unstable)
+
+
+def as_json(found: Curves) -> dict[str, Any]:
+    """The curves as plain values: ``axes``, ``curves`` with their fields by name, and ``report``."""
+    return {
+        "axes": list(found.axes),
+        "curves": [
+            {
+                "kind": curve.kind,
+                "period": curve.period,
+                "impacts_upper": curve.impacts_upper.tolist(),
+                "impacts_lower": curve.impacts_lower.tolist(),
+                "symmetric": curve.symmetric,
+                "ends": list(curve.ends),
+                "points": curve.points.tolist(),
+                "unstable": curve.unstable.tolist(),
+                "corners": [{"kind": corner.kind, "position": [corner.x, corner.y]} for corner in curve.corners],
+            }
+            for curve in found
+        ],
+        "report": dict(found.report),
+    }
+
+
+def _placed(curve: Curve) -> dict[int, list[Any]]:
+    """The points of codimension two by the point of the curve that they follow."""
+    found: dict[int, list[Any]] = {}
+    for corner in curve.corners:
+        found.setdefault(min(corner.after, len(curve.points) - 1), []).append(corner)
+    return found

@@ -1,0 +1,272 @@
+"""From an edge between cells to events, and from an event to its curve."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.cells import CEASES, CellOrbits
+from workers.continuation import Condition, Event, Family, Itinerary, Orbit, Point, branch, curve
+from workers.continuation.branches import EDGE, BranchRun, Until
+from workers.continuation.curves import loses_impact, without_impact
+from workers.continuation.events import GRAZING, LOST
+from workers.continuation.extended import PAIR, Extended, conditions_on, solve
+from workers.continuation.same import same_orbit
+from workers.model.family import NoOscillatorError
+
+Array = NDArray[np.float64]
+
+STEP = 0.6
+"""The longest step of a short branch, as a share of its few cells."""
+
+APART, SAME_ORBIT = 1e-8, 1e-6
+"""Distance in units of the window within which two events of one orbit are one; difference of the orbits there."""
+
+NEAR = 5e-3
+"""Distance in units of the window from the chords of a curve within which an event may lie on it."""
+
+
+class Located(NamedTuple):
+    """An event in the plane: its kind, its condition, its orbit with contact times at parameters (2,), and kappa."""
+
+    kind: str
+    condition: Condition
+    orbit: Orbit
+    contacts: Array
+    values: Array
+    kappa: float
+
+    def as_event(self) -> Event:
+        """The event as ``workers.continuation`` has it."""
+        none = np.zeros(0, dtype=np.complex128)
+        return Event(self.kind, (self.condition,), Point(self.values, self.orbit, self.contacts, none, 0), self.kappa)
+
+    @property
+    def signature(self) -> tuple[str, int, int, bool]:
+        """Properties common to its curve up to a change of contacts: kind, periods, events, symmetry."""
+        itinerary = self.orbit.itinerary
+        return self.kind, itinerary.periods, len(itinerary.sides), itinerary.symmetric
+
+
+class Followed(NamedTuple):
+    """A curve as it was followed: what it is of, values (N, 2), orbits and contact times of its points, the condition
+    on each orbit, how many other multipliers are unstable (N,), its points of codimension two (kind, place (2,)), and
+    its ends. Its orbits have other events beyond a point at which contacts or slides change though nothing jumps.
+    """
+
+    of: Located
+    values: Array
+    orbits: list[Orbit]
+    contacts: Array
+    conditions: list[Condition]
+    unstable: NDArray[np.int64]
+    corners: list[tuple[str, Array]]
+    ends: tuple[str, str]
+
+
+class Looked(NamedTuple):
+    """The result beside an edge: the events, or the reason for none in words; and the fate of the cell's orbit at
+    the neighbour's parameters: CEASES, PERSISTS or IS.
+    """
+
+    events: list[Located]
+    why: str = ""
+    there: int = CEASES
+
+
+def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> Looked:
+    """The events at which the orbit of a cell gains or loses stability, or ends, from it to its neighbour and on, over
+    ``cells`` cells; in order along its branch.
+    """
+    plane, orbit = orbits.plane, orbits.of(start)
+    if orbit is None:
+        return Looked([], "no orbit is found from the state of a cell")
+    here, there = plane.values(np.array([start, beyond]))
+    axis = 0 if here[0] != there[0] else 1
+    low, high = plane.window[plane.axes[axis]]
+    end = float(np.clip(here[axis] + cells * (there[axis] - here[axis]), low, high))
+    try:
+        run, events = _towards(orbits, orbit, here, axis, end, min(STEP, 2.0 * STEP / cells))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return Looked([], f"the orbit of a cell cannot be followed: {error}")
+    why = run.ends[1 if end > here[axis] else 0]
+    if events or why != EDGE:
+        return Looked(events, "" if events else f"the branch of a cell's orbit ends at no event of its own: {why}")
+    points = [point for point in run.points if abs(point.values[0] - here[axis]) <= abs(there[axis] - here[axis])]
+    nearest = min(points, key=lambda point: abs(float(point.values[0]) - float(there[axis])))
+    values = here.copy()
+    values[axis] = nearest.values[0]
+    return Looked([], "the orbit of a cell continues beyond", orbits.becomes(nearest.orbit, values, beyond))
+
+
+def events_towards(
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
+) -> list[Located]:
+    """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
+    to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises
+    as ``workers.continuation.branch``.
+    """
+    return _towards(orbits, orbit, here, axis, end, resolution, until)[1]
+
+
+def _towards(
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
+) -> tuple[BranchRun, list[Located]]:
+    """The branch of ``events_towards``, and these events."""
+    behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
+    window = (min(behind, end), max(behind, end))
+    run = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution, until=until)
+    found = []
+    for event in run.events if behind < end else run.events[::-1]:
+        if bounds_stability(event):
+            values = here.copy()
+            values[axis] = event.point.values[0]
+            found.append(_located(event, values))
+    return run, found
+
+
+def bounds_stability(event: Event) -> bool:
+    """Whether an event of a branch is one where a stable orbit loses stability or ends."""
+    return event.point.unstable == 0 and len(event.conditions) == 1
+
+
+def _located(event: Event, values: Array) -> Located:
+    """An event in the plane; where an impact is lost, the graze of the orbit without it."""
+    (condition,), point = event.conditions, event.point
+    if loses_impact(event):
+        orbit, graze, contacts = without_impact(point.orbit, condition.impact)
+        return Located(GRAZING, graze, orbit, contacts, values, event.kappa)
+    if condition.kind == PAIR:
+        condition = condition._replace(kappa=event.kappa)
+    kind = GRAZING if event.kind in LOST else event.kind
+    return Located(kind, condition, point.orbit, point.contacts, values, event.kappa)
+
+
+def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
+    """The curve of an event through the plane's window, or why there is none."""
+    try:
+        run = curve(
+            orbits.family,
+            event.as_event(),
+            event.values,
+            orbits.plane.window,
+            resolution=resolution,
+            budget=budget,
+        )
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return str(error)
+    if len(run.points) < 2:
+        return f"the {event.kind.replace('_', ' ')} is alone: no step along its curve converges"
+    own = with_own_ends(run.points)
+    grazes = min(len(point.contacts) for point in own)  # at another graze that one's time is added
+    conditions = _conditions(orbits, event, own)
+    if conditions is None:
+        return f"the {event.kind.replace('_', ' ')} is lost on its way: its own event is not that of a neighbour"
+    return Followed(
+        of=event,
+        values=np.array([point.values for point in run.points]),
+        orbits=[point.orbit for point in own],
+        contacts=np.array([point.contacts[:grazes] for point in own]),
+        conditions=conditions,
+        unstable=np.array([point.unstable for point in run.points], dtype=np.int64),
+        corners=[(met.kind, met.point.values) for met in run.events if len(met.conditions) == 2],
+        ends=run.ends,
+    )
+
+
+def with_own_ends(points: list[Point]) -> list[Point]:
+    """The points, an end at which the orbit becomes another one replaced by its neighbour."""
+    own = list(points)
+    for end, beside in ((0, 1), (-1, -2)):
+        if own[end].orbit.itinerary != own[beside].orbit.itinerary:
+            own[end] = own[beside]
+    return own
+
+
+def _length(itinerary: Itinerary) -> tuple[int, bool]:
+    return itinerary.periods, itinerary.symmetric
+
+
+def _conditions(orbits: CellOrbits, event: Located, points: list[Point]) -> list[Condition] | None:
+    """The condition of an event on the orbit of each point, from that with the event's own itinerary to both ends."""
+    start = next((k for k, point in enumerate(points) if point.orbit.itinerary == event.orbit.itinerary), 0)
+    found = {start: event.condition}
+    for way, last in ((1, len(points)), (-1, -1)):
+        for k in range(start + way, last, way):
+            here, former = points[k], points[k - way]
+            found[k] = found[k - way]
+            if here.orbit.itinerary != former.orbit.itinerary:
+                span = float(former.orbit.itinerary.span(orbits.family.model(former.values[None]))[0])
+                carried = conditions_on(here.orbit, (found[k - way],), former.orbit, span)
+                if carried is None:
+                    return None
+                (found[k],) = carried
+    return [found[k] for k in range(len(points))]
+
+
+def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
+    """Whether an event is a point of a known curve: at its parameters the curve's own equations give its orbit.
+
+    Distance in the plane alone says nothing: curves of different orbits cross, and may coincide.
+    """
+    if event.kind != known.of.kind or _length(event.orbit.itinerary) != _length(known.of.orbit.itinerary):
+        return False
+    width = orbits.plane.width
+    for place, share in _nearest(known.values / width, event.values / width):
+        found = _solved_at(orbits.family, event, known, place, share, width)
+        if found is None:
+            continue
+        values, orbit = found
+        omega = float(orbits.omega(values[None])[0])
+        near = float(np.max(np.abs(values - event.values) / width)) < APART
+        if near and same_orbit(event.orbit, orbit, omega, SAME_ORBIT):
+            return True
+    return False
+
+
+def _nearest(points: Array, at: Array) -> list[tuple[int, float]]:
+    """Chords of a polyline near a point, one for each time that it passes: the chord's number, and the share of it."""
+    chords = np.diff(points, axis=0)
+    lengths = np.einsum("ij,ij->i", chords, chords)
+    safe = np.where(lengths > 0.0, lengths, 1.0)
+    shares = np.clip(np.einsum("ij,ij->i", at - points[:-1], chords) / safe, 0.0, 1.0)
+    off = np.linalg.norm(points[:-1] + shares[:, None] * chords - at, axis=1)
+    near = np.flatnonzero((off < NEAR) & (lengths > 0.0))
+    if not len(near):
+        return []
+    passes = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
+    best = [part[np.argmin(off[part])] for part in passes]
+    return [(int(k), float(shares[k])) for k in best]
+
+
+def _is_alike(one: Itinerary, other: Itinerary) -> bool:
+    return _length(one) == _length(other) and len(one.sides) == len(other.sides)
+
+
+def _is_whole(known: Followed, place: int) -> bool:
+    """Whether the orbits at both ends of a chord have the same events."""
+    return known.orbits[place].itinerary == known.orbits[place + 1].itinerary
+
+
+def _solved_at(
+    family: Family, event: Located, known: Followed, place: int, share: float, width: Array
+) -> tuple[Array, Orbit] | None:
+    """The point of a curve on the line across its chord, with its orbit."""
+    ends = [k for k in (place, place + 1) if _is_alike(known.orbits[k].itinerary, event.orbit.itinerary)]
+    if not ends:
+        return None
+    condition, along = known.conditions[ends[0]], known.values[place + 1] - known.values[place]
+    if condition.kind == PAIR:
+        condition = condition._replace(kappa=event.kappa)
+    equations = Extended(family, known.orbits[ends[0]], (condition,), known.values[ends[0]], width)
+    packed = [equations.pack(known.orbits[k], known.contacts[k], known.values[k]) for k in ends]
+    guess = (1.0 - share) * packed[0] + share * packed[1] if _is_whole(known, place) else packed[0]
+    row = np.zeros(len(guess))
+    row[-2:] = along / width**2
+    row /= np.linalg.norm(row * equations.scale)
+    try:
+        equations = equations.at(guess)
+        found = solve(equations, guess, row)
+    except (NoOscillatorError, np.linalg.LinAlgError):
+        return None
+    return (equations.values(found.X), equations.orbit(found.X)) if found.converged else None

@@ -1,0 +1,77 @@
+"""One task of a search on a worker: its message, its execution, its receipt."""
+
+import json
+import time
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any
+
+from atlas.orbits.curves.cells import CellOrbits
+from atlas.orbits.curves.following import Followed
+from atlas.orbits.curves.plane import plane_of
+from atlas.orbits.curves.record import curve_from_json
+from atlas.orbits.curves.settings import CurveSettings
+from atlas.orbits.curves.tasks import Task, do
+from atlas.store.groups import CURVES
+from atlas.store.store import Atlas
+from atlas.task.compile import ORBITS, compile_once, kernels_for
+from atlas.task.site import RefusedError, Site, stored_part
+
+
+@dataclass(frozen=True)
+class CurveJob:
+    """A task of a search in a store, by the name of the part that is to hold its result.
+
+    ``digest`` is that of the search: a worker whose store gives another one refuses. ``do_and_keep`` redoes it by hand.
+    """
+
+    index: tuple[int, ...]
+    name: str
+    task: Task
+    settings: CurveSettings
+    digest: str
+    site: Site
+
+
+@dataclass(frozen=True)
+class CurveReceipt:
+    """What a finished task reports: its part, and the seconds of the worker's processor."""
+
+    index: tuple[int, ...]
+    name: str
+    processor_seconds: float
+
+
+def do_and_keep(job: CurveJob) -> CurveReceipt:
+    """Do a task and keep its result as a part of the store."""
+    handle = job.site.handle()
+    compile_once(*kernels_for(handle.spec.record, ORBITS))
+    begin = time.thread_time()
+    orbits = _orbits(job.site, job.digest, job.settings)
+    try:
+        found = do(job.task, orbits, partial(read_part, handle), partial(_curve, job.site, job.digest))
+    except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
+        # One place at which a method breaks down must not end the search: it is counted, in words.
+        found = {"trouble": f"{type(error).__name__}: {error}"}
+    job.site.keep(handle, CURVES, job.name, json.dumps(found).encode())
+    return CurveReceipt(job.index, job.name, time.thread_time() - begin)
+
+
+def read_part(handle: Atlas, name: str) -> dict[str, Any]:
+    """The result that a part holds; RefusedError if there is none."""
+    found: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
+    return found
+
+
+@lru_cache(maxsize=64)  # one curve passes many edges
+def _curve(site: Site, digest: str, name: str) -> Followed:
+    return curve_from_json(read_part(site.handle(), name)["curve"])
+
+
+@lru_cache(maxsize=1)  # a plane takes a while to read, and its orbits to find
+def _orbits(site: Site, digest: str, settings: CurveSettings) -> CellOrbits:
+    plane = plane_of(site.handle())
+    if settings.digest(plane) != digest:
+        text = "its cells differ from those of the search; is the path the same on all hosts?"
+        raise RefusedError(f"{site.store}: {text}")
+    return CellOrbits(plane)

@@ -1,0 +1,76 @@
+"""Where curves pass the edges between cells, within one cell."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.following import Followed
+from atlas.orbits.curves.plane import Cells, CurvePlane
+from workers.continuation import Orbit
+
+Array = NDArray[np.float64]
+
+ONE_CELL = 1.0
+"""Distance along either axis, in cells, between a curve and the middle of an edge that it passes."""
+
+TOGETHER = 1 << 22
+"""Distances worked out at a time."""
+
+
+class Passing(NamedTuple):
+    """A place on a curve: the number of a chord, and the share of it."""
+
+    curve: Followed
+    chord: int
+    share: float
+
+
+def middles(plane: CurvePlane, edges: Cells) -> Array:
+    """The middles (E, 2) of edges between cells, in units of cells."""
+    along = len(plane.x)
+    return np.stack([(edges % along).mean(axis=1), (edges // along).mean(axis=1)], axis=1)
+
+
+def passed(plane: CurvePlane, values: Array, at: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Which of the middles ``at`` (E, 2) a curve through points (N, 2) passes within one cell: their numbers, the chord
+    that comes nearest, and the share of it.
+    """
+    points = plane.places(values)
+    chords, starts = np.diff(points, axis=0), points[:-1]
+    lengths = np.einsum("ij,ij->i", chords, chords)
+    safe = np.where(lengths > 0.0, lengths, 1.0)
+    rows, which, shares = [], [], []
+    near = np.flatnonzero(np.all((at > points.min(0) - ONE_CELL) & (at < points.max(0) + ONE_CELL), axis=1))
+    for part in np.array_split(near, max(1, len(near) * len(chords) // TOGETHER + 1)) if len(near) else []:
+        off = at[part][:, None, :] - starts
+        share = np.clip(np.einsum("esk,sk->es", off, chords) / safe, 0.0, 1.0)
+        distance = np.max(np.abs(off - share[..., None] * chords), axis=2)
+        chord = np.argmin(distance, axis=1)
+        each = np.arange(len(part))
+        close = distance[each, chord] <= ONE_CELL
+        rows.append(part[close])
+        which.append(chord[close])
+        shares.append(share[each, chord][close])
+    if not rows:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    return np.concatenate(rows), np.concatenate(which), np.concatenate(shares)
+
+
+def orbits_beside(passings: list[Passing]) -> tuple[list[Orbit], Array]:
+    """About the orbits at places on curves, and the parameters (N, 2) there: between the ends of their chords, or at
+    the nearer one where their events differ.
+    """
+    orbits, values = [], []
+    for found, chord, share in passings:
+        first, last = found.orbits[chord], found.orbits[chord + 1]
+        if first.itinerary != last.itinerary:
+            nearer = chord + (share > 0.5)
+            orbits.append(found.orbits[nearer])
+            values.append(found.values[nearer])
+            continue
+        times = (1.0 - share) * first.times + share * last.times
+        speeds = (1.0 - share) * first.speeds + share * last.speeds
+        orbits.append(Orbit(first.itinerary, times, speeds))
+        values.append((1.0 - share) * found.values[chord] + share * found.values[chord + 1])
+    return orbits, np.array(values).reshape(-1, 2)

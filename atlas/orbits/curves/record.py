@@ -1,0 +1,97 @@
+"""Events and curves as JSON text, exact to the bit."""
+
+from typing import Any
+
+import numpy as np
+
+from atlas.orbits.curves.following import Followed, Located
+from workers.continuation import Condition, Itinerary, Orbit
+from workers.continuation.itinerary import Leg
+from workers.model.hybrid_modes import Code
+
+
+def event_as_json(event: Located) -> dict[str, Any]:
+    """An event as plain values."""
+    return {
+        "kind": event.kind,
+        "condition": list(event.condition),
+        "orbit": orbit_as_json(event.orbit),
+        "contacts": event.contacts.tolist(),
+        "values": event.values.tolist(),
+        "kappa": None if np.isnan(event.kappa) else event.kappa,
+    }
+
+
+def event_from_json(given: dict[str, Any]) -> Located:
+    """The inverse of ``event_as_json``."""
+    return Located(
+        kind=given["kind"],
+        condition=Condition(*given["condition"]),
+        orbit=orbit_from_json(given["orbit"]),
+        contacts=np.array(given["contacts"], dtype=np.float64),
+        values=np.array(given["values"]),
+        kappa=np.nan if given["kappa"] is None else given["kappa"],
+    )
+
+
+def curve_as_json(found: Followed) -> dict[str, Any]:
+    """A curve as plain values; orbits share their itineraries, each with the condition on them."""
+    own = [(orbit.itinerary, condition) for orbit, condition in zip(found.orbits, found.conditions, strict=True)]
+    shared = list(dict.fromkeys(own))
+    return {
+        "of": event_as_json(found.of),
+        "itineraries": [[list(itinerary), list(condition)] for itinerary, condition in shared],
+        "which": [shared.index(each) for each in own],
+        "values": found.values.tolist(),
+        "times": [orbit.times.tolist() for orbit in found.orbits],
+        "speeds": [orbit.speeds.tolist() for orbit in found.orbits],
+        "contacts": found.contacts.tolist(),
+        "unstable": found.unstable.tolist(),
+        "corners": [[kind, place.tolist()] for kind, place in found.corners],
+        "ends": list(found.ends),
+    }
+
+
+def curve_from_json(given: dict[str, Any]) -> Followed:
+    """The inverse of ``curve_as_json``."""
+    shared = [(_itinerary(itinerary), Condition(*condition)) for itinerary, condition in given["itineraries"]]
+    orbits = [
+        Orbit(shared[k][0], np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64))
+        for k, times, speeds in zip(given["which"], given["times"], given["speeds"], strict=True)
+    ]
+    first, last = given["ends"]
+    return Followed(
+        of=event_from_json(given["of"]),
+        values=np.array(given["values"]),
+        orbits=orbits,
+        contacts=np.array(given["contacts"], dtype=np.float64).reshape(len(orbits), -1),
+        conditions=[shared[k][1] for k in given["which"]],
+        unstable=np.array(given["unstable"], dtype=np.int64),
+        corners=[(kind, np.array(place)) for kind, place in given["corners"]],
+        ends=(first, last),
+    )
+
+
+def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
+    """An orbit as plain values."""
+    return {
+        "itinerary": list(orbit.itinerary),
+        "times": orbit.times.tolist(),
+        "speeds": orbit.speeds.tolist(),
+    }
+
+
+def orbit_from_json(given: dict[str, Any]) -> Orbit:
+    """The inverse of ``orbit_as_json``."""
+    times, speeds = (np.array(given[name], dtype=np.float64) for name in ("times", "speeds"))
+    return Orbit(_itinerary(given["itinerary"]), times, speeds)
+
+
+def _itinerary(given: list[Any]) -> Itinerary:
+    sides, periods, symmetric, legs = given
+    return Itinerary(tuple(sides), periods, symmetric, tuple(tuple(map(_leg, chain)) for chain in legs))
+
+
+def _leg(given: list[Any]) -> Leg:
+    (phase, contacts, slips), begun, signal, side = given
+    return Leg(Code(phase, tuple(contacts), tuple(slips)), tuple(begun), signal, side)

@@ -1,0 +1,222 @@
+"""The search for a plane's curves as stages of tasks, each a function of the results of earlier stages alone.
+
+So the curves found depend neither on the number of workers nor on when a search was stopped and resumed.
+
+1. Which orbits exist on the other side of an edge too, where only basins of attraction end.
+2. Beside one edge of each pair of regions, the events of the orbit that does not.
+3. The curves of these, one of a kind and orbit at a time; an event on a known curve needs none.
+4. Which edges these curves explain. Back to 2 for the remaining ones, the longest borders first.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.cells import CEASES, IS, PERSISTS, CellOrbits
+from atlas.orbits.curves.following import Followed, Located, lies_on
+from atlas.orbits.curves.groups import Groups
+from atlas.orbits.curves.near import ONE_CELL, middles, passed
+from atlas.orbits.curves.plane import CurvePlane
+from atlas.orbits.curves.record import curve_from_json, event_from_json
+from atlas.orbits.curves.settings import CurveSettings
+from atlas.orbits.curves.tasks import Follow, Look, Match, Persist, Task
+from workers.continuation import Itinerary
+
+CHUNK = 128
+"""Edges in a task."""
+
+WAY = 1000
+"""Points of a curve in either direction, at most."""
+
+SHORT, LONG = 2.0, 12.0
+"""Cells that the orbit of a cell is followed over: past an edge where it ends; where only basins end, further on."""
+
+OPEN, BASIN, CURVE, TRIED, NONE = range(5)
+"""The state of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
+its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
+
+FAR = "no event of the orbits of its cells lies within a cell"
+SPENT = "the budget of curves or points is spent"
+
+Result = dict[str, Any]
+
+
+@dataclass
+class _Event:
+    """An event that was found: where its record is, and the edge that it may explain, -1 for none."""
+
+    part: str
+    number: int
+    event: Located
+    edge: int
+
+
+@dataclass
+class CurveSearch:
+    """The state of a search. ``tasks`` gives the next ones by the names of their parts, ``take`` their results.
+
+    ``why`` says of edges that were looked beside, in words, what keeps them unexplained, unless a curve explains them.
+    """
+
+    plane: CurvePlane
+    settings: CurveSettings
+    orbits: CellOrbits = field(init=False)
+    curves: list[Followed] = field(default_factory=list)
+    curve_names: list[str] = field(default_factory=list)
+    troubles: list[str] = field(default_factory=list)
+    looked: int = 0
+    points: int = 0
+    dropped: int = 0
+    why: dict[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.orbits = CellOrbits(self.plane)
+        self.edges = self.plane.edges
+        self.middles = middles(self.plane, self.edges)
+        self.verdicts: NDArray[np.int64] = np.full(len(self.edges), OPEN)
+        self.groups = Groups(self.plane, self.settings.least)
+        self._names: list[str] = []
+        self._pending: list[_Event] = []
+        self._stages = self._run()
+        self._results: list[Result] = []
+        self.stage = 0
+        self.doing = ""
+
+    def tasks(self) -> dict[str, Task]:
+        """The tasks of the next stage by name; empty at the end."""
+        for found in self._stages:
+            if found:
+                made = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(found)}
+                self.stage += 1
+                self._names = list(made)
+                return made
+            self._results = []
+        return {}
+
+    @property
+    def settled(self) -> int:
+        """Edges about which there is nothing more to find out."""
+        return int(np.sum(self.verdicts != OPEN))
+
+    def take(self, results: list[Result]) -> None:
+        """The results of the last tasks, in their order."""
+        self._results = results
+
+    def _run(self) -> Iterator[list[Any]]:
+        yield from self._find_basins()
+        while looks := self.groups.choose(self.verdicts, self.settings.seeds - self.looked):
+            yield from self._look_beside(looks)
+            known = len(self.curves)
+            while self._pending:
+                yield from self._follow()
+            if len(self.curves) > known:
+                yield from self._explain(known)
+
+    def _find_basins(self) -> Iterator[list[Any]]:
+        self.doing = "looking for orbits beyond their regions"
+        ways = np.concatenate([self.edges, self.edges[:, ::-1]])
+        which = np.tile(np.arange(len(self.edges)), 2)
+        inside = self.groups.inside[ways[:, 0]]
+        ways, which = ways[inside], which[inside]
+        order = np.argsort(ways[:, 0], kind="stable")
+        ways, which = ways[order], which[order]
+        parts = [slice(k, k + CHUNK) for k in range(0, len(ways), CHUNK)]
+        yield [Persist(tuple((int(a), int(b)) for a, b in ways[part])) for part in parts]
+        for part, result in zip(parts, self._results, strict=True):
+            there = np.array(result.get("persist", [CEASES] * len(ways[part])))
+            self.verdicts[which[part][there == PERSISTS]] = BASIN
+            self.verdicts[which[part][there == IS]] = NONE
+            self._note(result)
+
+    def _look_beside(self, edges: list[int]) -> Iterator[list[Any]]:
+        self.doing = "looking for events beside edges"
+        far = [self.verdicts[edge] == BASIN for edge in edges]
+        yield [
+            Look(self.groups.orders(self.edges[edge]), LONG if beyond else SHORT)
+            for edge, beyond in zip(edges, far, strict=True)
+        ]
+        self.looked += len(edges)
+        for name, edge, result in zip(self._names, edges, self._results, strict=True):
+            if self.verdicts[edge] == OPEN:
+                self.verdicts[edge] = {PERSISTS: BASIN, IS: NONE}.get(result.get("there", CEASES), TRIED)
+            self.why[edge] = result.get("why") or result.get("trouble") or FAR
+            self.groups.tried(edge, bool(result.get("events")))
+            self._note(result)
+            for number, given in enumerate(result.get("events", [])):
+                event = event_from_json(given)
+                off = np.abs(self.plane.places(event.values[None])[0] - self.middles[edge])
+                beside = edge if np.max(off) <= ONE_CELL and self.verdicts[edge] == TRIED else -1
+                self._pending.append(_Event(name, number, event, beside))
+
+    def _follow(self) -> Iterator[list[Any]]:
+        """Drop the events that lie on known curves, and follow the first one of each signature."""
+        self.doing = "following curves"
+        left, chosen, taken = [], list[_Event](), set[Any]()
+        for each in self._pending:
+            if any(lies_on(self.orbits, each.event, curve) for curve in self.curves):
+                self._explained(each)
+            elif each.event.signature in taken:
+                left.append(each)
+            else:
+                taken.add(each.event.signature)
+                chosen.append(each)
+        self._pending = left
+        room = max(0, self.settings.curves - len(self.curves))
+        chosen, over = chosen[:room], chosen[room:]
+        points = max(0, self.settings.points - self.points)
+        if not chosen or points < len(chosen):
+            self.dropped += len(chosen) + len(over) + len(left)
+            self.why |= {each.edge: SPENT for each in self._pending + chosen + over if each.edge >= 0}
+            self._pending = []
+            return
+        budget = min(WAY, points // (2 * len(chosen)) or 1)
+        self._pending = over + left
+        yield [Follow(each.part, each.number, budget) for each in chosen]
+        for each, name, result in zip(chosen, self._names, self._results, strict=True):
+            self._note(result)
+            if "curve" in result:
+                found = curve_from_json(result["curve"])
+                self.curves.append(found)
+                self.curve_names.append(name)
+                self.points += len(found.values)
+                self._explained(each)
+            elif each.edge >= 0:
+                self.why[each.edge] = f"no curve of its {each.event.kind.replace('_', ' ')}: {result.get('trouble')}"
+
+    def _explain(self, known: int) -> Iterator[list[Any]]:
+        """Find the edges that the curves from number ``known`` on pass, and of whose cells they are."""
+        self.doing = "looking for the edges that curves explain"
+        wanted = np.flatnonzero((self.verdicts == OPEN) | (self.verdicts == TRIED))
+        passings, which = [], []
+        for name, curve in list(zip(self.curve_names, self.curves, strict=True))[known:]:
+            rows, chords, shares = passed(self.plane, curve.values, self.middles[wanted])
+            for edge, chord, share in zip(wanted[rows].tolist(), chords.tolist(), shares.tolist(), strict=True):
+                for cell in self.edges[edge].tolist():
+                    if any(self._may_be(curve.orbits[k].itinerary, cell) for k in (chord, chord + 1)):
+                        passings.append((name, chord, share, cell))
+                        which.append(edge)
+        parts = [slice(k, k + CHUNK) for k in range(0, len(passings), CHUNK)]
+        yield [Match(tuple(passings[part])) for part in parts]
+        for part, result in zip(parts, self._results, strict=True):
+            edges = np.array(which[part], dtype=np.int64)
+            self.verdicts[edges[np.array(result.get("match", [False] * len(edges)), dtype=bool)]] = CURVE
+            self._note(result)
+
+    def _may_be(self, itinerary: Itinerary, cell: int) -> bool:
+        """Whether a cell has an orbit of the periods and impacts of one on a curve, mirror images alike."""
+        plane = self.plane
+        counts = {itinerary.impacts(1), itinerary.impacts(-1)}
+        own = {int(plane.impacts_upper[cell]), int(plane.impacts_lower[cell])}
+        uncounted = min(own) < 0
+        return bool(plane.proven[cell]) and plane.period[cell] == itinerary.periods and (counts == own or uncounted)
+
+    def _explained(self, each: _Event) -> None:
+        if each.edge >= 0:
+            self.verdicts[each.edge] = CURVE
+
+    def _note(self, result: Result) -> None:
+        if "trouble" in result:
+            self.troubles.append(result["trouble"])

@@ -1,0 +1,44 @@
+"""The budget of a search."""
+
+import hashlib
+from dataclasses import asdict, dataclass, fields
+
+from atlas.arguments import is_whole
+from atlas.errors import InputError, shown
+from atlas.orbits.curves.plane import SMALL, CurvePlane
+from workers import SOLVER_VERSION
+
+VERSION = 4
+"""Of the search: raised whenever any curve may change."""
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """The budget of a search, in counts, so that no result depends on a machine's speed; InputError below 1.
+
+    seeds    largest number of places beside edges where events are searched for
+    curves   largest number of curves that are followed
+    points   largest number of points of all curves; the table marks a curve that this limit ends
+    least    smallest region, in cells, beside which events are searched for; 1 takes long
+
+    >>> import atlas
+    >>> atlas.CurveSettings(seeds=40, points=2000).curves
+    300
+    """
+
+    seeds: int = 1000
+    curves: int = 300
+    points: int = 60_000
+    least: int = SMALL
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if not is_whole(value) or value < 1:
+                raise InputError(f"{each.name}: found {shown(value)}, must be a whole number, 1 or more")
+
+    def digest(self, plane: CurvePlane) -> str:
+        """The digest of the cells and the budget."""
+        return hashlib.sha256(
+            repr((plane.digest, sorted(asdict(self).items()), SOLVER_VERSION, VERSION)).encode()
+        ).hexdigest()

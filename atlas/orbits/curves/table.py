@@ -1,0 +1,221 @@
+"""The curves of a plane as values and as arrays of a store's group."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import ChunkError, message_of
+from atlas.orbits.curves.stored import read_arrays, write_arrays
+from atlas.store.groups import CURVES
+from atlas.store.schema import StoredArray
+from atlas.store.store import Atlas
+
+KINDS = (
+    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
+    "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
+)  # fmt: skip
+"""What a curve can be of; where an impact is lost the orbit without it grazes, and that is the curve kept."""
+
+
+class Corner(NamedTuple):
+    """A point of codimension two on a curve: its kind, where it lies on the x axis and on the y axis, and the curve's
+    point (from 0) that it follows or is.
+
+    Kinds: cusp, fold_flip, resonance_1_1 to resonance_1_4, double_graze, graze_fold and the like.
+    """
+
+    kind: str
+    x: float
+    y: float
+    after: int
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve of one event of one orbit in a plane.
+
+    kind            one of KINDS
+    period          of the orbit in forcing periods
+    impacts_upper (N,)  impacts of the orbit at either stop, which change where nothing jumps; of an orbit and its
+    impacts_lower (N,)  mirror image, which have the same curves, that with more at the upper one
+    symmetric       whether the orbit is its own mirror image
+    points (N, 2)   in order along the curve, x axis first; of a closed curve the last is the first
+    unstable (N,)   number of multipliers with modulus above 1, not counting the event's own: where it is 0 the orbit
+                    is otherwise stable, and the curve bounds a region that an attractor can live in
+    ends            why the curve ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
+                    shorter_orbit, or the kind of a point of codimension two
+    corners         its points of codimension two, in order along the curve
+    """
+
+    kind: str
+    period: int
+    impacts_upper: NDArray[np.int64]
+    impacts_lower: NDArray[np.int64]
+    symmetric: bool
+    points: NDArray[np.float64]
+    unstable: NDArray[np.int64]
+    ends: tuple[str, str]
+    corners: tuple[Corner, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The orbit as n-p-q: periods, impacts at the upper and at the lower stop; in turn where these change."""
+        counts = zip(self.impacts_upper.tolist(), self.impacts_lower.tolist(), strict=True)
+        return ", ".join(dict.fromkeys(f"{self.period}-{upper}-{lower}" for upper, lower in counts))
+
+    @property
+    def bounding(self) -> NDArray[np.bool_]:
+        """Which points (N,) lie where the orbit is otherwise stable."""
+        return self.unstable == 0
+
+    @property
+    def stable_parts(self) -> list[tuple[int, int]]:
+        """The first and the last point of each part along which the orbit is otherwise stable."""
+        steps = self.bounding[1:] & self.bounding[:-1]
+        ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
+        return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
+
+    @property
+    def stable_lines(self) -> list[NDArray[np.float64]]:
+        """These parts as lines (N, 2)."""
+        return [self.points[first : last + 1] for first, last in self.stable_parts]
+
+    @property
+    def stable_corners(self) -> list[Corner]:
+        """The points of codimension two at or beside such a part."""
+        return [each for each in self.corners if self.bounding[max(0, each.after - 1) : each.after + 2].any()]
+
+    @property
+    def loose_ends(self) -> list[NDArray[np.float64]]:
+        """Where such a part (2,) ends inside the plane at no point of codimension two: the search gave up, the orbit
+        ceased, or it is unstable beyond.
+        """
+        why = {0: self.ends[0], len(self.points) - 1: self.ends[1]}
+        ends = [k for part in self.stable_parts for k in part if why.get(k) not in ("edge", "closed")]
+        return [self.points[k] for k in ends if all(abs(corner.after - k) > 2 for corner in self.corners)]
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """All curves of a plane, the names of its axes, x first, and a report on the search.
+
+    ``report``: plain values by name, see ``atlas.orbits.curves.finish.report_of``.
+    """
+
+    axes: tuple[str, str]
+    curves: tuple[Curve, ...]
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+    def __iter__(self) -> Iterator[Curve]:
+        return iter(self.curves)
+
+    def __len__(self) -> int:
+        return len(self.curves)
+
+    def of_kind(self, kind: str | None) -> tuple[Curve, ...]:
+        """The curves of one kind; all for None."""
+        return tuple(curve for curve in self.curves if kind in (None, curve.kind))
+
+
+def write_curves(handle: Atlas, found: Curves) -> None:
+    """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
+    write_arrays(handle, as_arrays(found), {"axes": list(found.axes), "report": dict(found.report)})
+
+
+def read_curves(handle: Atlas) -> Curves | None:
+    """The curves that a store keeps, None where it keeps none; ChunkError where they are damaged."""
+    stored = read_arrays(handle)
+    if stored is None:
+        return None
+    try:
+        return from_arrays(*stored)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ChunkError(handle.place, {CURVES: f"is damaged ({message_of(error)})"}) from None
+
+
+def as_arrays(found: Curves) -> dict[str, StoredArray]:
+    """The curves as arrays along ``curve``, ``point`` and ``corner``: ragged ones end to end (CF's row_size)."""
+    curves = found.curves
+    corners = [(number, corner) for number, curve in enumerate(curves) for corner in curve.corners]
+
+    def text(values: list[str]) -> NDArray[Any]:
+        return np.array(values, dtype="T")
+
+    def each(name: str, dtype: str) -> NDArray[Any]:
+        return np.array([getattr(curve, name) for curve in curves], dtype=dtype)
+
+    of_curve = {
+        "kind": (text([curve.kind for curve in curves]), "kind of event"),
+        "period": (each("period", "int32"), "forcing periods per orbit"),
+        "symmetric": (each("symmetric", "bool"), "orbit is its own mirror image"),
+        "first_end": (text([curve.ends[0] for curve in curves]), "why the curve ends at its first point"),
+        "last_end": (text([curve.ends[1] for curve in curves]), "why the curve ends at its last point"),
+        "row_size": (np.array([len(curve.points) for curve in curves], dtype="int64"), "points of the curve"),
+    }
+    points = np.concatenate([np.zeros((0, 2)), *(curve.points for curve in curves)])
+    of_point = {
+        "unstable": "unstable multipliers besides the event's own",
+        "impacts_upper": "impacts at the upper stop per orbit",
+        "impacts_lower": "impacts at the lower stop per orbit",
+    }
+
+    def whole(name: str) -> NDArray[Any]:
+        return np.concatenate([np.zeros(0, "int64"), *(getattr(curve, name) for curve in curves)]).astype("int32")
+
+    places = np.array([(corner.x, corner.y) for _, corner in corners], dtype="float64").reshape(-1, 2)
+
+    def count(values: NDArray[Any], dim: str, what: str) -> StoredArray:
+        return StoredArray(values, (dim,), {"long_name": what, "units": "1"})
+
+    made = {
+        name: StoredArray(
+            values, ("curve",), {"long_name": what} | ({} if values.dtype.kind == "T" else {"units": "1"})
+        )
+        for name, (values, what) in of_curve.items()
+    }
+    made["row_size"].attributes["sample_dimension"] = "point"
+    made |= {name: count(whole(name), "point", what) for name, what in of_point.items()}
+    return made | {
+        "position": StoredArray(points, ("point", "axis"), {"long_name": "points of all curves, end to end"}),
+        "corner_curve": count(
+            np.array([number for number, _ in corners], dtype="int32"), "corner", "its curve, from 0"
+        ),
+        "corner_kind": StoredArray(
+            text([corner.kind for _, corner in corners]), ("corner",), {"long_name": "kind of point of codimension two"}
+        ),
+        "corner_after": count(
+            np.array([corner.after for _, corner in corners], dtype="int64"),
+            "corner",
+            "its curve's point that it follows, from 0",
+        ),
+        "corner_position": StoredArray(places, ("corner", "axis"), {"long_name": "points of codimension two"}),
+        "axis": StoredArray(text(list(found.axes)), ("axis",), {"long_name": "axis of the plane"}),
+    }
+
+
+def from_arrays(arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> Curves:
+    """The curves that ``as_arrays`` made arrays of."""
+    first, last = attributes["axes"]
+    corners: list[list[Corner]] = [[] for _ in arrays["kind"]]
+    parts = [arrays[f"corner_{name}"] for name in ("curve", "kind", "position", "after")]
+    for number, kind, (x, y), after in zip(*parts, strict=True):
+        corners[int(number)].append(Corner(str(kind), float(x), float(y), int(after)))
+    ends = np.cumsum(arrays["row_size"])
+    curves = tuple(
+        Curve(
+            kind=str(arrays["kind"][k]),
+            period=int(arrays["period"][k]),
+            impacts_upper=arrays["impacts_upper"][end - size : end].astype(np.int64),
+            impacts_lower=arrays["impacts_lower"][end - size : end].astype(np.int64),
+            symmetric=bool(arrays["symmetric"][k]),
+            points=arrays["position"][end - size : end].copy(),
+            unstable=arrays["unstable"][end - size : end].astype(np.int64),
+            ends=(str(arrays["first_end"][k]), str(arrays["last_end"][k])),
+            corners=tuple(corners[k]),
+        )
+        for k, (end, size) in enumerate(zip(ends, arrays["row_size"], strict=True))
+    )
+    return Curves((str(first), str(last)), curves, attributes["report"])

@@ -1,0 +1,82 @@
+"""The tasks of a search as small records, and their execution."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.cells import CEASES, CellOrbits
+from atlas.orbits.curves.following import Followed, events_between, follow_event
+from atlas.orbits.curves.near import Passing, orbits_beside
+from atlas.orbits.curves.record import curve_as_json, event_as_json, event_from_json
+
+RESOLUTION = 0.02
+"""The longest step along a curve, as a share of the window."""
+
+
+@dataclass(frozen=True)
+class Persist:
+    """Which orbits, of the first cell of each pair, exist and attract at the second one too."""
+
+    pairs: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Look:
+    """The events of the orbits of some cells, from each to a neighbour and on, over ``cells`` cells; of the first way
+    that has any.
+    """
+
+    ways: tuple[tuple[int, int], ...]
+    cells: float
+
+
+@dataclass(frozen=True)
+class Follow:
+    """The curve of event number ``event`` of the part ``part``; at most ``budget`` points either way."""
+
+    part: str
+    event: int
+    budget: int
+
+
+@dataclass(frozen=True)
+class Match:
+    """Which curves, by the names of their parts, are of the orbits of cells that they pass: (curve, chord, cell)."""
+
+    passings: tuple[tuple[str, int, float, int], ...]
+
+
+Task = Persist | Look | Follow | Match
+Known = Callable[[str], dict[str, Any]]
+"""Gives the result of an earlier task by the name of its part."""
+
+
+def do(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[str], Followed]) -> dict[str, Any]:
+    """The result of a task as plain values, exact to the bit."""
+    if isinstance(task, Persist):
+        return {"persist": orbits.persist(np.array(task.pairs, dtype=np.int64)).tolist()}
+    if isinstance(task, Look):
+        return _looked(task, orbits)
+    if isinstance(task, Follow):
+        event = event_from_json(known(task.part)["events"][task.event])
+        found = follow_event(orbits, event, RESOLUTION, task.budget)
+        return {"trouble": found} if isinstance(found, str) else {"curve": curve_as_json(found)}
+    passings = [Passing(curve_of(name), chord, share) for name, chord, share, _ in task.passings]
+    points, values = orbits_beside(passings)
+    cells: NDArray[np.int64] = np.array([cell for *_, cell in task.passings], dtype=np.int64)
+    return {"match": orbits.belong(cells, points, values).tolist()}
+
+
+def _looked(task: Look, orbits: CellOrbits) -> dict[str, Any]:
+    """Of the first way with an event; a way without one is followed by the next. Without any, why, of each way."""
+    why, there = list[str](), list[int]()
+    for start, beyond in task.ways:
+        looked = events_between(orbits, start, beyond, task.cells)
+        if looked.events:
+            return {"events": [event_as_json(event) for event in looked.events]}
+        why.append(looked.why)
+        there.append(looked.there)
+    return {"events": [], "why": "; ".join(dict.fromkeys(why)), "there": max(there, default=CEASES)}

@@ -1,0 +1,169 @@
+"""The labels of an atlas as a value, and in its store.
+
+A label is the number of a branch: of attractors of neighbouring cells that are one orbit, followed from cell to cell.
+Branches are numbered by the sum of their shares over all cells, the largest first, equal ones by their first cell.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import ChunkError
+from atlas.orbits.labels.components import branches
+from atlas.orbits.labels.following import followed
+from atlas.orbits.labels.rows import Array, Rows, attractors_of
+from atlas.store.groups import LABELS, read_group, write_table
+from atlas.store.schema import StoredArray
+from atlas.store.store import Atlas
+from workers import SOLVER_VERSION
+from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
+
+VERSION = 4
+"""Of the way in which labels are found: raised whenever any may change."""
+
+BRANCH = "branch"
+"""The dimension of the table, an entry a label."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """What became of the attractors of an atlas.
+
+    attractors    kept ones in all; labelled: those on a branch, the others are chaos, tori, or orbits not followed
+    orbits        attractors that are orbits; followed: orbits without rest
+    branches      labels given; alone: labels of a single cell
+    links         pairs in neighbouring cells that are one orbit; cut: of these left out, since they would put two
+                  attractors of one cell on a branch; one_way: pairs that
+                  are one only as followed from one of them, and are not linked
+    """
+
+    attractors: int
+    orbits: int
+    followed: int
+    branches: int
+    alone: int
+    links: int
+    cut: int
+    one_way: int
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """The label of every attractor of every cell, -1 for none, (cells..., keep); the branches by their labels.
+
+    cells, total (B,)   cells of each branch, the sum of its shares; first (B,) the row of its first orbit
+    mirror (B,)         the label of its mirror image, its own where it is symmetric, -1 where there is none
+    """
+
+    values: Rows
+    cells: Rows
+    total: Array
+    mirror: Rows
+    kinds: Mapping[str, NDArray[Any]]
+    count: Count
+
+
+def labels_of(handle: Atlas) -> Labels:
+    """The labels of a finished atlas of all attractors. Raises as ``attractors_of``."""
+    every, kept = attractors_of(handle)
+    links = followed(every)
+    branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
+    number, total = _numbered(np.where(links.known, branch[: len(every)], -1), every.share)
+    cells = np.bincount(number[number >= 0], minlength=len(total))
+    values = np.full((len(every.values), every.keep), UNKNOWN_LABEL, dtype=np.int64)
+    values[every.cell, every.place] = number
+    there = np.flatnonzero(number >= 0)
+    first = there[np.unique(number[there], return_index=True)[1]]
+    names = ("regime", "period", "impacts_upper", "impacts_lower", "symmetric")
+    count = Count(
+        attractors=kept,
+        orbits=len(every),
+        followed=int(links.known.sum()),
+        branches=len(total),
+        alone=int(np.sum(cells == 1)),
+        links=len(links.pairs),
+        cut=cut,
+        one_way=links.one_way,
+    )
+    return Labels(
+        values=values.reshape(*every.shape, every.keep),
+        cells=cells,
+        total=total,
+        mirror=mirrors(number, branch, links.image),
+        kinds={name: getattr(every, name)[first] for name in names},
+        count=count,
+    )
+
+
+def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
+    """Branches (A,), -1 for none, numbered anew by the sum of their shares; that sum (B,)."""
+    known = branch >= 0
+    _, first, inverse = np.unique(branch[known], return_index=True, return_inverse=True)
+    total = np.bincount(inverse, weights=share[known], minlength=len(first))
+    order = np.lexsort((first, -total))
+    number = np.full(len(branch), UNKNOWN_LABEL, dtype=np.int64)
+    number[known] = np.argsort(order)[inverse]
+    return number, np.asarray(total[order], dtype=np.float64)
+
+
+def mirrors(number: Rows, branch: Rows, image: Rows) -> Rows:
+    """The label of the mirror image of each branch: its own where it is symmetric, -1 where no cell has it or none is.
+
+    number (A,)         the label of every orbit, -1 for none
+    branch, image (N,)  the branch and the mirror image of these and of images that no cell has
+
+    The mirror image of a branch is a branch, so that the image of any of its orbits says which. Who is whose image is
+    mutual: ``mirrors(...)[m] == k`` wherever ``mirrors(...)[k] == m >= 0``.
+    """
+    there = np.flatnonzero(number >= 0)
+    label = np.full(branch.max(initial=-1) + 1, -1)
+    label[branch[there]] = number[there]
+    first = there[np.unique(number[there], return_index=True)[1]]
+    return np.where(image[first] >= 0, label[branch[image[first]]], -1)
+
+
+def write_labels(handle: Atlas, found: Labels) -> None:
+    """Keep labels in the store, in the place of any before."""
+    dims = (*handle.spec.dims, ATTRACTOR)
+    about = {
+        name: StoredArray(values, (BRANCH,), {"long_name": _MEANINGS[name], "units": "1"})
+        for name, values in _rows(found).items()
+    }
+    values = found.values.astype(LABEL.dtype)
+    label = StoredArray(values, dims, {"long_name": "branch that the attractor is on; -1 if none", "units": "1"})
+    own = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
+    write_table(handle, LABELS, {LABEL.name: label} | about, own | {"count": asdict(found.count)})
+
+
+_MEANINGS = {
+    "cells": "cells that have an attractor on the branch",
+    "total_share": "sum of their shares",
+    "mirror": "label of the branch of mirror images; its own where it is symmetric; -1 if none",
+    "regime": "regime of motion, as in the atlas",
+    "period": "forcing periods per orbit",
+    "impacts_upper": "impacts at the upper stop per orbit period",
+    "impacts_lower": "impacts at the lower stop per orbit period",
+    "symmetric": "orbits are symmetric under (x, t) -> (-x, t + T/2)",
+}
+
+
+def _rows(found: Labels) -> dict[str, NDArray[Any]]:
+    made = {"cells": found.cells.astype("int32"), "total_share": found.total, "mirror": found.mirror.astype("int32")}
+    types = {"regime": "int8", "symmetric": "bool"}
+    return made | {name: values.astype(types.get(name, "int32")) for name, values in found.kinds.items()}
+
+
+def stored_count(handle: Atlas) -> Count | None:
+    """The report of the stored labels; None where there are none, or they would be found differently now."""
+    try:
+        stored = read_group(handle, LABELS)
+    except ChunkError:
+        return None  # they are found anew
+    if stored is None:
+        return None
+    known = stored[1]
+    found_so = (known.get("version"), known.get("solver_version")) == (VERSION, SOLVER_VERSION)
+    return Count(**known["count"]) if found_so else None

@@ -1,0 +1,137 @@
+"""Measuring some cells of a tile on a worker: the message, its execution, its receipt."""
+
+import io
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.robustness.table import LINEAR, SHOCKS, Arrays, check_names
+from atlas.spec.spec import Spec
+from atlas.store.groups import STABILITY
+from atlas.store.store import Atlas, done_tiles
+from atlas.store.tiles import read_tile
+from atlas.task.compile import compile_once
+from atlas.task.site import Site, file_errors, stored_part
+from atlas.task.solving import kernels_of
+from atlas.text import plural
+from workers.results import LARGEST, REGIME
+
+NEEDED = (REGIME.name, "period", LARGEST.name, "state")
+"""What of a cell its measures depend on, besides its parameters."""
+AT_ONCE = {LINEAR: 2048, SHOCKS: 4}
+"""Cells of a job: a second or a few of work, up to minutes for shocks."""
+
+
+def group_of(family: str) -> str:
+    """Where the parts of a family lie while it is measured, by themselves: another request needs others of them."""
+    return f"{STABILITY}/{family}"
+
+
+@dataclass(frozen=True)
+class MeasureJob:
+    """Some cells of a tile, in C order from ``first`` to before ``last``, and the part that is to hold their measures.
+
+    ``measure_and_keep`` does it by hand.
+    """
+
+    index: tuple[int, ...]
+    name: str
+    family: str
+    tile: tuple[int, ...]
+    first: int
+    last: int
+    norm: tuple[tuple[str, float], ...]
+    site: Site
+
+
+@dataclass(frozen=True)
+class MeasureReceipt:
+    """What a finished job reports: its part, its cells, and the seconds of the worker's processor."""
+
+    index: tuple[int, ...]
+    name: str
+    cells: int
+    processor_seconds: float
+
+
+def pieces(handle: Atlas, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
+    """Name, tile and cells, from the first to before the last, of each part that the measures of a family take."""
+    for tile in (each.index for each in handle.tiling.tiles()):
+        count, most = int(np.prod(handle.tiling.at(tile).shape)), AT_ONCE[family]
+        for first in range(0, count, most):
+            yield f"{family}/{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
+
+
+def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
+    """Measure some cells and keep the measures as a part of the store."""
+    handle = job.site.handle()
+    with file_errors(job.site.store):
+        cells = stored_cells(handle, job.tile)
+    compile_once(*kernels_of(handle.spec))
+    begin = time.thread_time()
+    slices = handle.tiling.at(job.tile).slices
+    found = _measured(handle.spec, job, params_of(handle.spec, slices), cells)
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **found)
+    job.site.keep(handle, STABILITY, job.name, file.getvalue())
+    return MeasureReceipt(job.index, job.name, job.last - job.first, time.thread_time() - begin)
+
+
+def read_measured(handle: Atlas, name: str) -> Arrays:
+    """The measures that a part holds; RefusedError if there is none."""
+    with np.load(io.BytesIO(stored_part(handle, STABILITY, name))) as arrays:
+        return dict(arrays)
+
+
+def check_store(handle: Atlas) -> None:
+    """InputError unless a store is a finished atlas whose attractors can be measured."""
+    spec = handle.spec
+    if spec.basins:
+        raise InputError(
+            f"{handle.place}: found basins of one machine; measure its attractors by atlas attractors stability --set"
+        )
+    check_names(handle)
+    held = {each.name for each in handle.variables}
+    if lacking := [name for name in NEEDED if name not in held]:
+        raise InputError(f"{handle.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
+    missing = handle.tiling.count - len(done_tiles(handle))
+    if missing:
+        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+
+
+def stored_cells(handle: Atlas, tile: tuple[int, ...]) -> dict[str, NDArray[Any]]:
+    """What measures depend on of the cells of a tile, (cells, keep, ...); keep is 1 for one attractor a cell."""
+    arrays, dims, keep = read_tile(handle, tile, NEEDED), len(handle.spec.shape), int(handle.spec.coexistence)
+    count = int(np.prod(handle.tiling.at(tile).shape))
+    return {
+        name: values.reshape(count, *(values.shape[dims : dims + 1] if keep else (1,)), *values.shape[dims + keep :])
+        for name, values in arrays.items()
+    }
+
+
+def params_of(spec: Spec, slices: tuple[slice, ...]) -> dict[str, NDArray[np.float64]]:
+    """The value (cells,) of every parameter in a block of cells, in C order."""
+    given, shape = spec.cell_params(slices), tuple(part.stop - part.start for part in slices)
+    return {
+        p.name: np.broadcast_to(np.asarray(given.get(p.name, p.default), dtype=np.float64), shape).ravel()
+        for p in spec.record.parameters
+    }
+
+
+def _measured(
+    spec: Spec, job: MeasureJob, params: dict[str, NDArray[np.float64]], cells: dict[str, NDArray[Any]]
+) -> Arrays:
+    from atlas.robustness.stored_cells import linear_measures, shock_measures  # with it Numba
+
+    some = slice(job.first, job.last)
+    params = {name: values[some].copy() for name, values in params.items()}
+    cells = {name: values[some] for name, values in cells.items()}
+    if job.family == LINEAR:
+        return linear_measures(spec.record, params, cells, dict(job.norm))
+    assert spec.attractors is not None
+    return shock_measures(spec.record, params, cells, dict(job.norm), spec.settings, spec.attractors)

@@ -1,0 +1,93 @@
+"""The measures of the attractors of many cells, from stored results."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.robustness.linear import NO_ORBIT, UNMEASURED, measures_of
+from atlas.robustness.norm import weights_of
+from atlas.robustness.shock import shock_of
+from atlas.robustness.table import LINEAR, SHOCKS, Arrays, empty, of_family
+from workers.attractors.basins import AttractorTable
+from workers.attractors.record import ON_ATTRACTOR, STABLE, Attractor
+from workers.attractors.starts import Starts
+from workers.cell.stretch import begin
+from workers.model.oscillator import Array, taken
+from workers.model.system import System
+from workers.results import BEYOND_TABLE, NO_REASON, UNKNOWN_LABEL
+from workers.settings import Settings
+
+SAME = 1e-6
+"""Distance of the states of one attractor, relative to the largest component of any."""
+
+
+def linear_measures(
+    record: System, params: Mapping[str, Array], cells: Mapping[str, NDArray[Any]], norm: Mapping[str, float]
+) -> Arrays:
+    """Return time, reactivity and amplification of attractors (N, keep) of cells, in a norm of weights by name.
+
+    params   of the cells (N,)
+    cells    regime, period, largest (N, keep), and state (N, keep, 2n): a section state of each attractor
+    """
+    regime = cells["regime"]
+    found = empty(of_family(LINEAR), regime.shape)
+    found["unmeasured"][np.isin(regime, ON_ATTRACTOR) & ~np.isin(regime, STABLE)] = UNMEASURED[NO_ORBIT]
+    oscillators, reasons = record.build_many(params)
+    stable = np.isin(regime, STABLE) & (reasons == NO_REASON)[:, None] & np.isfinite(cells["state"]).all(axis=-1)
+    cell, place = np.nonzero(stable)
+    motions, _ = begin(taken(oscillators, cell), reasons[cell], cells["state"][stable])
+    for k, at in enumerate(zip(cell.tolist(), place.tolist(), strict=True)):
+        one = taken(oscillators, cell[k : k + 1])
+        orbit = Attractor(
+            int(regime[at]),
+            {"largest": cells["largest"][at]},
+            contact=int(motions.contact[k, 0]),
+            h=motions.h[k],
+            period=int(cells["period"][at]),
+        )
+        linear = measures_of(one, orbit, weights_of(norm, record, float(one.period[0])))
+        found["return_time"][at], found["reactivity"][at] = linear.return_time, linear.reactivity
+        found["amplification"][at], found["amplified_after"][at] = linear.amplification, linear.after
+        if linear.reason:
+            found["unmeasured"][at] = UNMEASURED[linear.reason]
+    return found
+
+
+def shock_measures(
+    record: System,
+    params: Mapping[str, Array],
+    cells: Mapping[str, NDArray[Any]],
+    norm: Mapping[str, float],
+    settings: Settings,
+    starts: Starts,
+) -> Arrays:
+    """The minimal fatal shocks of attractors (N, keep) of cells; arguments as in ``linear_measures``.
+
+    The attractors of a cell are found anew from the same initial states; one that is not found again has no shock.
+    """
+    found = empty(of_family(SHOCKS), cells["regime"].shape)
+    for n in np.flatnonzero(np.isin(cells["regime"], ON_ATTRACTOR).any(axis=1)).tolist():
+        table = AttractorTable(record, {name: float(values[n]) for name, values in params.items()}, settings, starts)
+        if len(table.attractors) < 2:
+            continue
+        weights = weights_of(norm, record, float(table.oscillators.period[0]))
+        places = [_place(each, {name: values[n] for name, values in cells.items()}) for each in table.attractors]
+        for label, place in enumerate(places):
+            shock = shock_of(table, label, weights) if place >= 0 else None
+            if shock is not None:
+                found["fatal_shock"][n, place] = shock.size
+                reached = places[shock.reached] if shock.reached >= 0 else BEYOND_TABLE
+                found["shock_reaches"][n, place] = BEYOND_TABLE if reached == UNKNOWN_LABEL else reached
+                found["shock_tried"][n, place] = shock.tried
+    return found
+
+
+def _place(attractor: Attractor, cell: Mapping[str, NDArray[Any]]) -> int:
+    """The place (keep,) of a cell's stored attractors that an attractor has; UNKNOWN_LABEL if it has none."""
+    state = np.asarray(attractor.result["state"])
+    away = np.abs(cell["state"] - state).max(axis=-1)
+    same = (cell["regime"] == attractor.regime) & (cell["period"] == int(attractor.result["period"]))
+    here = np.flatnonzero(same & (away <= SAME * np.abs(state).max(initial=1e-300)))
+    return int(here[0]) if len(here) else UNKNOWN_LABEL

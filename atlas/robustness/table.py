@@ -1,0 +1,139 @@
+"""The measures of an atlas as values, and the group ``stability`` of a store that keeps them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import ChunkError, InputError
+from atlas.orbits.curves.table import KINDS
+from atlas.robustness.linear import FLAGS
+from atlas.store.groups import STABILITY, read_group, write_table
+from atlas.store.schema import StoredArray, variable_attributes
+from atlas.store.store import Atlas
+from workers import SOLVER_VERSION
+from workers.results import ATTRACTOR, CodeMeaning, Variable
+
+Arrays = dict[str, NDArray[Any]]
+
+VERSION = 1
+"""Of the way in which measures are computed: raised whenever any may change."""
+
+LINEAR, SHOCKS, MARGIN = FAMILIES = ("linear", "shocks", "margin")
+"""The groups of measures computed together."""
+
+
+@dataclass(frozen=True)
+class Measure(Variable):
+    """A measure of each attractor, or of each cell: a variable of a family."""
+
+    family: str = ""
+    of_cell: bool = False
+
+
+def _numbered(names: Iterable[str]) -> tuple[CodeMeaning, ...]:
+    return tuple(CodeMeaning(code, name, name.replace("_", " ")) for code, name in enumerate(names))
+
+
+_NAN = float("nan")
+_FAMILIES = {
+    LINEAR: (
+        Measure("return_time", "float64", _NAN, "forcing periods in which deviations fall by e in the end"),
+        Measure("reactivity", "float64", _NAN, "largest log growth of a deviation over one forcing period"),
+        Measure("amplification", "float64", _NAN, "largest growth of a deviation over any number of periods"),
+        Measure("amplified_after", "int32", -1, "forcing periods after which it is that large"),
+        Measure("unmeasured", "int8", -1, "why one of these is not known; -1 if all are", codes=_numbered(FLAGS)),
+    ),
+    SHOCKS: (
+        Measure("fatal_shock", "float64", _NAN, "smallest deviation found that leads to another attractor"),
+        Measure("shock_reaches", "int32", -1, "place of the attractor it leads to; -2 if it is not stored"),
+        Measure("shock_tried", "int32", -1, "states that fill the ball of this size and are not fatal"),
+    ),
+    MARGIN: (
+        Measure("margin", "float64", _NAN, "distance to the nearest curve"),
+        Measure("margin_error", "float64", _NAN, "estimated distance of its nearest chord from the curve"),
+        Measure("margin_kind", "int8", -1, "kind of the nearest curve", codes=_numbered(KINDS)),
+        Measure("margin_curve", "int32", -1, "number of the nearest curve, from 0"),
+    ),
+}
+MEASURES = {
+    each.name: replace(each, family=family, of_cell=family == MARGIN)
+    for family, some in _FAMILIES.items()
+    for each in some
+}
+"""All measures by name."""
+
+
+def of_family(family: str) -> list[Measure]:
+    """The measures that are computed together."""
+    return [each for each in MEASURES.values() if each.family == family]
+
+
+def empty(measures: Iterable[Measure], shape: tuple[int, ...]) -> Arrays:
+    """Arrays of one shape in which no measure is known."""
+    return {each.name: np.full(shape, each.fill, dtype=each.dtype) for each in measures}
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """The measures that a store has, by name, and of each family the request that they answer."""
+
+    arrays: Arrays
+    requests: dict[str, dict[str, Any]]
+
+
+def read_measures(handle: Atlas) -> Stored:
+    """The measures of a store; none if it has none, or damaged ones, or those of another version."""
+    try:
+        found = read_group(handle, STABILITY)
+    except ChunkError:
+        found = None  # they are computed anew
+    if found is None or found[1].get("version") != VERSION or found[1].get("solver_version") != SOLVER_VERSION:
+        return Stored({}, {})
+    arrays, attributes = found
+    requests = {family: dict(attributes[family]) for family in FAMILIES if family in attributes}
+    return Stored({name: arrays[name] for name in MEASURES if name in arrays}, requests)
+
+
+def write_measures(handle: Atlas, found: Stored) -> None:
+    """Keep measures in the store, in the place of any before."""
+    dims = handle.spec.dims
+    many = (*dims, ATTRACTOR) if handle.spec.coexistence else dims
+    columns = {
+        name: StoredArray(values, dims if MEASURES[name].of_cell else many, variable_attributes(MEASURES[name]))
+        for name, values in found.arrays.items()
+    }
+    own = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}
+    write_table(handle, STABILITY, columns, own | found.requests)
+
+
+def drop_family(handle: Atlas, family: str) -> None:
+    """Remove the measures of a family from the store, if it has any."""
+    stored = read_measures(handle)
+    if family in stored.requests:
+        arrays = {name: values for name, values in stored.arrays.items() if MEASURES[name].family != family}
+        write_measures(handle, Stored(arrays, {k: v for k, v in stored.requests.items() if k != family}))
+
+
+def check_names(handle: Atlas) -> None:
+    """InputError if its machine has a parameter or a result with the name of a measure."""
+    taken = {*handle.array_names} & MEASURES.keys()
+    if taken:
+        raise InputError(f"{handle.place}: {min(taken)!r} is a name of its own, and that of a measure")
+
+
+def summary_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, float]]:
+    """Of each measure that is a number how often it is known, and its least, middle and largest finite value."""
+    found = {}
+    for name, values in arrays.items():
+        if MEASURES[name].dtype != "float64" or name == "margin_error":
+            continue
+        known = values[np.isfinite(values)]
+        found[name] = {"known": int(np.sum(~np.isnan(values)))} | (
+            {"least": float(known.min()), "median": float(np.median(known)), "largest": float(known.max())}
+            if known.size
+            else {}
+        )
+    return found
