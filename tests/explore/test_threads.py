@@ -16,6 +16,7 @@ from bokeh.document import Document
 from distributed import Client
 from tornado.ioloop import IOLoop
 
+from atlas.explore import kept, threads
 from atlas.explore.chosen import beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
@@ -45,10 +46,17 @@ def raise_once(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, error: B
     return calls
 
 
+@pytest.fixture(autouse=True)
+def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work begins again, and tiles are kept, after moments: 30 tests would wait for a second or two each."""
+    monkeypatch.setattr(threads, "PAUSE", 0.01)
+    monkeypatch.setattr(kept, "PAUSE", 0.05)
+
+
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """All that patches and keepers have said of trouble."""
-    said, patched, kept = list[str](), Patches._say, Keeper._say
+    said, patched, keeper = list[str](), Patches._say, Keeper._say
 
     def patches_say(self: Patches, trouble: str, workers: int = 0) -> None:
         said.append(trouble)
@@ -56,7 +64,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def keeper_says(self: Keeper, trouble: str) -> None:
         said.append(trouble)
-        kept(self, trouble)
+        keeper(self, trouble)
 
     monkeypatch.setattr(Patches, "_say", patches_say)
     monkeypatch.setattr(Keeper, "_say", keeper_says)
