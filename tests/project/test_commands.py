@@ -147,7 +147,7 @@ def run(command: list[str], work: Path) -> None:
     assert ended.returncode == 0, f"{shlex.join(command)}\n{ended.stdout}{ended.stderr}"
 
 
-def coarse(spec: str) -> str:
+def coarser(spec: str) -> str:
     """A page's spec with at most MOST values along each axis."""
     return re.sub(r"^num = (\d+)", lambda found: f"num = {min(int(found[1]), MOST)}", spec, flags=re.MULTILINE)
 
@@ -163,7 +163,7 @@ def test_what_a_page_shows_can_be_run_as_it_stands(
     for name, text in FILES.items():
         (folder / name).write_text(text)
     for name, text in files(page).items():
-        (folder / name).write_text(coarse(text) if name.endswith(".toml") else text)
+        (folder / name).write_text(coarser(text) if name.endswith(".toml") else text)
     for number, (language, text) in enumerate(runnable(page)):
         if language == "sh":
             run(["sh", "-eu", "-c", text], folder)
