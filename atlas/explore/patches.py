@@ -1,36 +1,34 @@
-"""Jobs out to a cluster and their results back, in the order in which they are wanted at this moment.
+"""Jobs for the workers of a cluster, in the order in which they are wanted at this moment.
 
-What is no longer wanted is dropped: here at once, on the cluster where it has not begun. Dask cannot interrupt what
-has; its results come back all the same, and are handed on.
+How they are sent, tried again and given up is that of all work on a cluster, see ``atlas.service.dispatch``. What is
+no longer wanted is dropped: here at once, on the cluster where it has not begun. Dask cannot interrupt what has; its
+results come back all the same, and are handed on.
 """
 
 import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import partial
-from queue import Empty, SimpleQueue
+from itertools import count
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from atlas.errors import InputError, RunError
 from atlas.explore.threads import steady, why
-from atlas.service.cluster import LOST, loss_reported, worker_threads
+from atlas.service.batches import LEAST_MEMORY
+from atlas.service.cluster import LOST, loss_reported
+from atlas.service.dispatch import Workers, Workforce
+from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
-ATTEMPTS = 3
-"""How often a job that raises, or whose workers die, is tried."""
-SPARE = 1
-"""Jobs under way beyond one for each thread: the next begins as soon as one ends, and little is to be dropped."""
 RATE_SECONDS = 10.0
 """The rate is taken over this number of last seconds."""
-
-_LOST = LOST.partition(";")[0]  # what follows is advice for a run
 
 A = TypeVar("A")
 Task = tuple[Callable[[Any], Any], Any]
@@ -65,7 +63,7 @@ class PatchJob(Protocol):
         """Take the result, and return how many cells it has."""
 
     def failed(self, why: str) -> None:
-        """Take note that the job is given up, for bad input or after ATTEMPTS tries, and what it raised."""
+        """Take note that the job is given up, for bad input or after some tries, and what it raised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,40 +104,114 @@ class Errand(PatchJob):
         self.refuse(why)
 
 
+@dataclass(frozen=True)
+class Sent:
+    """A job on its way: its number, and all that crosses the scheduler."""
+
+    index: tuple[int, ...]
+    task: Task
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the job of that number gave: what its function found, or what that said of bad input."""
+
+    index: tuple[int, ...]
+    found: Any = None
+    refused: str = ""
+
+
+def answer(sent: Sent) -> Answer:
+    """Do a job on a worker. Bad input stays bad, so that it is no failure that is tried again."""
+    function, value = sent.task
+    try:
+        return Answer(sent.index, function(value))
+    except InputError as error:
+        return Answer(sent.index, refused=str(error))
+
+
+class Wanted(Iterator[PatchJob]):
+    """Which job comes first: of all who want some in turn, the first that is ready and not under way.
+
+    As an iterator it may have none now and one later.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._jobs: dict[Hashable, deque[PatchJob]] = {}
+        self._turn: deque[Hashable] = deque()
+        self._under_way: set[PatchJob] = set()
+
+    def want(self, who: Hashable, jobs: Iterable[PatchJob], too: bool) -> None:
+        """See ``Patches.want``."""
+        wanted = deque(jobs)
+        with self._lock:
+            wanted.extend(self._jobs.get(who, ()) if too else ())
+            if wanted:
+                self._jobs[who] = wanted
+                if who not in self._turn:
+                    self._turn.append(who)
+            else:
+                self._jobs.pop(who, None)
+                if who in self._turn:
+                    self._turn.remove(who)
+
+    def left(self, who: Hashable) -> int:
+        """See ``Patches.left``."""
+        with self._lock:
+            return len(self._jobs.get(who, ()))
+
+    def __contains__(self, job: PatchJob) -> bool:
+        """Whether anybody waits for a job."""
+        with self._lock:
+            return any(job in jobs for jobs in self._jobs.values())
+
+    def __next__(self) -> PatchJob:
+        """The next job, which is under way from now on."""
+        with self._lock:
+            for _ in range(len(self._turn)):
+                who = self._turn[0]
+                self._turn.rotate(-1)
+                for job in self._jobs.get(who, ()):
+                    if job not in self._under_way and job.ready():
+                        self._under_way.add(job)
+                        return job
+        raise StopIteration
+
+    def back(self, job: PatchJob | None = None) -> None:
+        """Count a job, or all, as no longer under way."""
+        with self._lock:
+            self._under_way = self._under_way - {job} if job else set()
+
+    def end(self, job: PatchJob) -> None:
+        """Have nobody wait for a job any more."""
+        with self._lock:
+            self._under_way.discard(job)
+            for jobs in self._jobs.values():
+                with suppress(ValueError):
+                    jobs.remove(job)
+
+
 class Patches:
     """Has jobs done on the cluster that ``connect`` leads to; connects again whenever that is lost."""
 
     def __init__(self, connect: Callable[[], "AbstractContextManager[Client]"], timing: Timing = TIMING) -> None:
         self._connect, self._timing = connect, timing
-        self._lock, self._stopped = threading.Lock(), threading.Event()
-        self._wanted: dict[Hashable, deque[PatchJob]] = {}
-        self._turn: deque[Hashable] = deque()
-        self._ended: SimpleQueue[Future[Any] | None] = SimpleQueue()
-        self._running: dict[Future[Any], tuple[PatchJob, Any]] = {}  # for this service's own thread alone
-        self._tries: dict[PatchJob, int] = {}
+        self._lock, self._stopped, self._woken = threading.Lock(), threading.Event(), threading.Event()
+        self._wanted, self._numbers = Wanted(), count()
+        self._sent: dict[tuple[int, ...], tuple[PatchJob, Any]] = {}  # for this service's own thread alone
         self._solved: deque[tuple[float, int]] = deque()
         self._state = WorkState()
         self._thread = steady("atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again"))
 
     def want(self, who: Hashable, jobs: Iterable[PatchJob], too: bool = False) -> None:
         """From now on these jobs are wanted, in this order, with ``too`` before those that were; none cancels all."""
-        wanted = deque(jobs)
-        with self._lock:
-            wanted.extend(self._wanted.get(who, ()) if too else ())
-            if wanted:
-                self._wanted[who] = wanted
-                if who not in self._turn:
-                    self._turn.append(who)
-            else:
-                self._wanted.pop(who, None)
-                if who in self._turn:
-                    self._turn.remove(who)
-        self._ended.put(None)  # wakes the thread
+        self._wanted.want(who, jobs, too)
+        self._woken.set()
 
     def left(self, who: Hashable) -> int:
         """Jobs that somebody still waits for."""
-        with self._lock:
-            return len(self._wanted.get(who, ()))
+        return self._wanted.left(who)
 
     @property
     def state(self) -> WorkState:
@@ -154,118 +226,81 @@ class Patches:
     def stop(self) -> None:
         """End the work, and the cluster where it is a local one."""
         self._stopped.set()
-        self._ended.put(None)
+        self._woken.set()
         self._thread.join()
 
     def _serve(self) -> None:
         while not self._stopped.is_set():
             try:
-                with self._connect() as client, loss_reported(client):
-                    self._work(client)
+                with self._connect() as client, loss_reported(client), suppress(_StoppedError):
+                    while True:
+                        self._work(client)
             except (InputError, RunError, OSError) as error:
-                self._say(f"{str(error).replace(LOST, _LOST)}; trying again")
+                self._say(f"{_without_advice(error)}; trying again")
             finally:
-                self._running.clear()
+                self._forget()
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
-        ticked, threads = float("-inf"), 0
-        try:
-            while not self._stopped.is_set():
-                if client.status != "running":
-                    raise RunError(LOST)
-                if time.monotonic() - ticked >= self._timing.tick:
-                    ticked, threads = time.monotonic(), self._looked(client)
-                self._drop(client)
-                while len(self._running) < threads + SPARE and self._submit(client):
-                    pass
-                try:
-                    ended = self._ended.get(timeout=self._timing.tick)
-                except Empty:
-                    continue
-                if ended is not None and ended in self._running:
-                    self._finish(ended)
-        finally:
-            with suppress(Exception):  # a cluster that is gone has nothing to cancel
-                client.cancel(list(self._running))
+        """Have jobs done until no worker may have one: what is under way then is given up, and all have a new chance.
 
-    def _looked(self, client: "Client") -> int:
-        """Threads of the cluster now, which the state reports."""
-        threads = sum(worker_threads(client).values())
-        self._say("" if threads else "no worker: waiting for one", threads)
-        return threads
+        _StoppedError once this service is to end.
+        """
+        force = Workforce(client, answer, self._timing, LEAST_MEMORY, ahead=0.0)
+        try:
+            while True:
+                self._woken.clear()
+                for outcome in force.outcomes(filter(None, map(self._made, self._wanted)), partial(self._look, force)):
+                    self._take(outcome)
+                self._woken.wait(self._timing.tick)
+        except RunError as error:
+            if client.status != "running" or str(error) == LOST:
+                raise
+            for job, _ in self._sent.values():
+                self._give_up(job, _without_advice(error))
+            self._forget()
+
+    def _look(self, force: "Workforce[Sent, Answer]", workers: Workers) -> None:
+        """Report the state of the cluster, and cancel what nobody wants any more and no worker has."""
+        if self._stopped.is_set():
+            raise _StoppedError
+        self._say(workers.trouble or ("" if workers.threads else "no worker: waiting for one"), workers.threads)
+        for sent in force.drop(lambda sent: self._sent[sent.index][0] not in self._wanted):
+            job, _ = self._sent.pop(sent.index)
+            self._wanted.back(job)
 
     def _say(self, trouble: str, workers: int = 0) -> None:
         with self._lock:
             self._state = WorkState(trouble, workers)
 
-    def _drop(self, client: "Client") -> None:
-        """Cancel what nobody wants any more and no worker has."""
-        with self._lock:
-            wanted = {job for jobs in self._wanted.values() for job in jobs}
-        stale = [future for future, (job, _) in self._running.items() if job not in wanted]
-        if not stale:
-            return
-        with suppress(OSError):
-            begun = {key for keys in client.processing().values() for key in keys}
-            idle = [future for future in stale if future.key not in begun and not future.done()]
-            client.cancel(idle)
-            for future in idle:
-                self._forget(future)
-
-    def _next(self) -> PatchJob | None:
-        """The next job to send: of all who want some in turn, the first that is not under way."""
-        under_way = {job for job, _ in self._running.values()}
-        with self._lock:
-            for _ in range(len(self._turn)):
-                who = self._turn[0]
-                self._turn.rotate(-1)
-                for job in self._wanted.get(who, ()):
-                    if job not in under_way and job.ready():
-                        return job
-        return None
-
-    def _submit(self, client: "Client") -> bool:
-        job = self._next()
-        if job is None:
-            return False
+    def _made(self, job: PatchJob) -> Sent | None:
+        """A job as it is sent; None if it needs not be."""
         made = self._tried(job, job.make)
         if made is None:
-            self._done_with(job)
-            return True
+            self._wanted.end(job)
+            return None
         task, held = made
-        future = client.submit(*task, pure=False)
-        self._running[future] = (job, held)
-        future.add_done_callback(self._ended.put)
-        return True
+        sent = Sent((next(self._numbers),), task)
+        self._sent[sent.index] = job, held
+        return sent
 
-    def _finish(self, future: "Future[Any]") -> None:
-        job, held = self._running[future]
-        if future.status == "finished":
-            try:
-                found = future.result(timeout=self._timing.connect)
-            except TimeoutError:  # its worker is gone: Dask has it done again once there is another one
-                future.add_done_callback(self._ended.put)
-                return
-            self._forget(future)
-            cells = self._tried(job, partial(job.solved, held, found)) or 0
+    def _take(self, outcome: Answer | TileFailure) -> None:
+        """Hand on what a job gave, or why it is given up."""
+        job, held = self._sent.pop(outcome.index)
+        if isinstance(outcome, TileFailure):
+            self._give_up(job, outcome.message)
+        elif outcome.refused:
+            self._give_up(job, outcome.refused)
+        else:
+            cells = self._tried(job, partial(job.solved, held, outcome.found)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
-            self._done_with(job)  # not before it is known: who asks meanwhile would have it solved again
-            return
-        if future.status != "error":
-            raise RunError(LOST)
-        error = future.exception()
-        self._forget(future)
-        self._tries[job] = self._tries.get(job, 0) + 1
-        if self._tries[job] >= ATTEMPTS or isinstance(error, InputError):  # bad input stays bad
-            self._done_with(job)
-            self._give_up(job, error)
+        self._wanted.end(job)  # not before it is known: who asks meanwhile would have it solved again
 
-    def _forget(self, future: "Future[Any]") -> None:
-        """Count a job as no longer sent."""
-        self._running.pop(future)
-        future.release()
+    def _forget(self) -> None:
+        """Count nothing as sent."""
+        self._sent.clear()
+        self._wanted.back()
 
     def _tried(self, job: PatchJob, step: Callable[[], Any]) -> Any:
         """What a step of a job returns; None after a mistake of ours, which ends that job and not the work for all."""
@@ -275,20 +310,22 @@ class Patches:
             raise
         except Exception as error:
             logging.getLogger(__name__).exception("a job could not be done")
-            self._give_up(job, error)
+            self._give_up(job, str(error) if isinstance(error, InputError) else why(error))
             return None
 
-    def _give_up(self, job: PatchJob, error: BaseException | None) -> None:
+    def _give_up(self, job: PatchJob, reason: str) -> None:
         """Have a job told that it is given up; a mistake in that is its own."""
         try:
-            job.failed(str(error) if isinstance(error, InputError) else why(error))
+            job.failed(reason)
         except Exception:
             logging.getLogger(__name__).exception("the end of a job could not be reported")
+        self._wanted.end(job)
 
-    def _done_with(self, job: PatchJob) -> None:
-        """Nobody has to wait for a job any more."""
-        self._tries.pop(job, None)
-        with self._lock:
-            for jobs in self._wanted.values():
-                with suppress(ValueError):
-                    jobs.remove(job)
+
+class _StoppedError(Exception):
+    """This service is to end."""
+
+
+def _without_advice(error: Exception) -> str:
+    """What an error says, without the advice for a run that follows."""
+    return str(error).partition("; ")[0]

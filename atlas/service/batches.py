@@ -127,14 +127,16 @@ class Batches(Generic[J, R]):
                 futures = self._client.map(work, acts, jobs, key=keys, workers=names, pure=False)
             self._running.update(zip(futures, those, strict=True))
 
-    def withdraw(self, which: Callable[[Attempt[J]], bool]) -> list[Attempt[J]]:
-        """Take attempts back."""
+    def withdraw(self, which: Callable[[Attempt[J]], bool], waiting: bool = False) -> list[Attempt[J]]:
+        """Take attempts back; with ``waiting`` only those that no worker has: Dask cannot interrupt the others."""
         futures = [future for future, attempt in self._running.items() if which(attempt)]
-        attempts = [self._running.pop(future) for future in futures]
-        if futures:
-            with loss_reported(self._client):
+        with loss_reported(self._client):
+            if futures and waiting:
+                begun = {key for keys in self._client.processing().values() for key in keys}
+                futures = [future for future in futures if future.key not in begun and not future.done()]
+            if futures:
                 self._client.cancel(futures)
-        return attempts
+        return [self._running.pop(future) for future in futures]
 
     def ended(self) -> "Iterator[tuple[Attempt[J], Result[R]]]":
         """The attempts that have ended after a short while, with their results.

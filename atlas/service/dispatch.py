@@ -29,6 +29,8 @@ as many as keep it busy for AHEAD, up to MOST_IN_FLIGHT.
 """
 AHEAD = 10.0
 """Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
+SPARE = 1
+"""Jobs under way beyond one for each thread where their order may change: the next begins as soon as one ends."""
 ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
 NAMED = 3
@@ -59,11 +61,14 @@ class Workforce(Generic[J, R]):
     """The workers of a cluster, and what is known of them.
 
     A job that fails is tried again, on another worker or machine if there is one. A worker at which FAILURES jobs in a
-    row failed is excluded while others succeed, as is one with too little memory.
+    row failed is excluded while others succeed, as is one with too little memory. ``ahead`` is how many seconds of work
+    each thread has waiting; with 0 the next job is chosen as late as possible.
     """
 
-    def __init__(self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int) -> None:
-        self.client, self.timing, self.memory = client, timing, memory
+    def __init__(
+        self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int, ahead: float = AHEAD
+    ) -> None:
+        self.client, self.timing, self.memory, self.ahead = client, timing, memory, ahead
         self.waiting: Iterator[J] = iter(())
         self.running: Batches[J, R] = Batches(client, act, timing.connect)
         self.again: deque[Attempt[J]] = deque()
@@ -77,6 +82,7 @@ class Workforce(Generic[J, R]):
     def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
         """Submit jobs in a window and give each one's outcome as it ends; what is under way at an error is dropped.
 
+        ``jobs`` may have none now and one later: while some are under way, it is asked whenever there is room.
         ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it.
         Raises RunError if the cluster is lost, no worker may have a job any more, or the store has no room.
         """
@@ -167,8 +173,7 @@ class Workforce(Generic[J, R]):
             return  # one that did tiles is gone, and may come back
         if self.client.status != "running":
             raise RunError(LOST)
-        wanted = self.in_flight() * max(1, sum(self.threads[worker] for worker in willing))
-        room = max(0, wanted - len(self.running))
+        room = max(0, self.window(max(1, sum(self.threads[worker] for worker in willing))) - len(self.running))
         anywhere = _some(willing, room) if left_out else None
         attempts = []
         for _ in range(room):
@@ -179,11 +184,22 @@ class Workforce(Generic[J, R]):
             attempts.append(replace(attempt, workers=workers))
         self.running.submit(attempts)
 
-    def in_flight(self) -> int:
-        """Jobs to have under way for each thread, by what they have taken so far."""
-        if not self.thread_seconds:
-            return IN_FLIGHT
-        return min(MOST_IN_FLIGHT, max(IN_FLIGHT, math.ceil(AHEAD * self.done / self.thread_seconds)))
+    def window(self, threads: int) -> int:
+        """Jobs to have under way for that number of threads, by what they have taken so far."""
+        if not self.ahead:
+            return threads + SPARE
+        each = math.ceil(self.ahead * self.done / self.thread_seconds) if self.thread_seconds else IN_FLIGHT
+        return threads * min(MOST_IN_FLIGHT, max(IN_FLIGHT, each))
+
+    def drop(self, stale: Callable[[J], bool]) -> list[J]:
+        """Take back jobs that are not wanted any more, and return them; one that a worker has goes on."""
+        dropped = self.running.withdraw(lambda attempt: stale(attempt.job), waiting=True)
+        for attempts in (self.again, self.doubtful):
+            gone = [attempt for attempt in attempts if stale(attempt.job)]
+            for attempt in gone:
+                attempts.remove(attempt)
+            dropped += gone
+        return [attempt.job for attempt in dropped]
 
     def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None if it is to be tried again, or is in doubt."""

@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from distributed import CancelledError, Client, Future
+from distributed import CancelledError, Client, LocalCluster, get_worker
 
 import atlas
 from atlas.errors import InputError
@@ -26,6 +27,8 @@ from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Subject, SubjectPlane, subject_of
 from atlas.explore.tiles import Memory
 from atlas.explore.view import TILE, Sight, TileKey
+from atlas.service.dispatch import SPARE
+from atlas.service.fitness import FAILURES
 from atlas.service.lease import claimed
 from atlas.store.sidecar import notes_of
 from atlas.store.store import open_handle
@@ -335,13 +338,13 @@ def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
 ) -> None:
     back = threading.Event()
 
-    def gone(future: Future, timeout: float | None = None) -> object:
+    def gone(client: Client, *given: Any, **named: Any) -> Any:
         if not back.is_set():
-            raise CancelledError(future.key)
-        return result(future, timeout)
+            raise CancelledError("gone")
+        return gather(client, *given, **named)
 
-    result = Future.result
-    monkeypatch.setattr(Future, "result", gone)
+    gather = Client.gather
+    monkeypatch.setattr(Client, "gather", gone)
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         explorer.want("test", explorer.subject.plane, sight, range(3, -1, -1))
@@ -387,30 +390,38 @@ class Mistaken(PatchJob):
             raise KeyError(name)
 
 
-def test_a_result_that_went_with_its_worker_is_asked_for_again_and_never_waited_for_without_end(
-    client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A worker may die after it reported a job as done, before it handed the result over."""
-    asked, found, result = list[float | None](), list[int](), Future.result
+_FAILED_AT = list[str]()
 
-    def late(future: Future, timeout: float | None = None) -> Any:
-        asked.append(timeout)
-        if len(asked) == 1:
-            raise TimeoutError
-        return result(future, timeout)
 
-    @contextmanager
-    def connect() -> Iterator[Client]:
-        yield client
+def _at_one_worker_only(good: str) -> str:
+    time.sleep(0.02)  # so that the other worker gets some, too
+    if (here := get_worker().address) != good:
+        _FAILED_AT.append(here)
+        raise MemoryError(here)
+    return here
 
-    monkeypatch.setattr(Future, "result", late)
-    patches = Patches(connect)
-    try:
-        patches.want("test", [Errand(Question(abs, -3), found.append, pytest.fail)])
-        assert waited(lambda: patches.left("test") == 0)
-    finally:
-        patches.stop()
-    assert found == [3] and len(asked) == 2 and None not in asked
+
+def test_a_worker_at_which_patches_fail_gets_no_more_of_them_and_another_does_them(tmp_path: Path) -> None:
+    """As with the tiles of a run: the same crew has both done."""
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+
+        @contextmanager
+        def connect() -> Iterator[Client]:
+            yield client
+
+        good, came, refused = max(client.scheduler_info()["workers"]), list[str](), list[str]()
+        patches = Patches(connect)
+        try:
+            question = partial(Question[str], _at_one_worker_only, good)
+            patches.want("test", [Errand(question(), came.append, refused.append) for _ in range(40)])
+            assert waited(lambda: patches.left("test") == 0)
+        finally:
+            patches.stop()
+    assert came == [good] * 40 and not refused
+    assert len(_FAILED_AT) <= FAILURES + SPARE + 1
 
 
 def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: Client) -> None:

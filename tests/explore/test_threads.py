@@ -72,7 +72,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-@pytest.mark.parametrize("step", ["_serve", "_work", "_looked", "_drop", "_submit"])
+@pytest.mark.parametrize("step", ["_serve", "_work", "_look", "_made", "_take"])
 def test_the_thread_that_has_jobs_done_goes_on_with_a_new_client_after_any_exception(
     client: Client, monkeypatch: pytest.MonkeyPatch, shown: list[str], step: str, error: BaseException
 ) -> None:
