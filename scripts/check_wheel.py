@@ -21,7 +21,8 @@ COARSER = 20
 """Every so-many-th column and row of the demo's plane is solved."""
 HELD = (
     "atlas/py.typed", "workers/py.typed", "atlas/examples/omega-b.toml", "workers/model/systems/two-mass.toml",
-    *(f"atlas/explore/static/{name}" for name in ("page.html", "page.css", "draw.js", "panel.js", "page.js")),
+    *(f"atlas/explore/static/{name}" for name in ("page.html", "page.css", "atlas.mjs", "cell.mjs", "page.mjs")),
+    *(f"atlas/explore/front/{name}" for name in ("key.css", "numbers.mjs", "colors.mjs", "plane.mjs", "key.mjs")),
 )  # fmt: skip
 PROGRAM = """
 import atlas

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import to_hex
+from matplotlib.colors import Colormap, to_hex
 from matplotlib.markers import MarkerStyle
 from numpy.typing import NDArray
 
@@ -117,13 +117,19 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
         "meaning": meaning,
         "numbers": view.kind.name == SCALAR,
         "entries": entries,
-        "bars": [_bar(bar, view.plane[needs[0]], needs[0]) for bar in layers.bars],
+        "bars": [_bar(bar, view.plane[needs[0]], needs[0], bar is _main(layers)) for bar in layers.bars],
         "shade": _shade(layers, needs[0]),
         "title": text_of(layers.beside or ""),
         "legend": [_entry(each) for each in layers.entries],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
+
+
+def _main(layers: Layers) -> Field | None:
+    """The field whose ends can be chosen: the only one with a bar, or of the errors that of chaos."""
+    named = [bar for bar in layers.bars if len(layers.bars) == 1 or bar.title == "chaotic"]
+    return named[0] if named else None
 
 
 def _shown(layers: Layers, look: CellLook) -> dict[str, Any]:
@@ -161,8 +167,9 @@ def _textures(layers: Layers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     return found, patterns
 
 
-def _bar(bar: Field, stored: NDArray[Any], variable: str) -> dict[str, Any]:
-    colors = np.asarray(bar.colormap(np.arange(bar.colormap.N), bytes=True))[:, :3]
+def _bar(bar: Field, stored: NDArray[Any], variable: str, main: bool) -> dict[str, Any]:
+    """A bar; ``main`` is the one whose ends can be chosen."""
+    above, both = bar.signs or (bar.colormap, None)
     zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
     return {
         "variable": variable,
@@ -170,9 +177,15 @@ def _bar(bar: Field, stored: NDArray[Any], variable: str) -> dict[str, Any]:
         "title": bar.title,
         "scale": bar.form,
         "ends": list(bar.ends),
-        "colors": colors.tobytes().hex(),
+        "main": main,
+        "colors": _table(above),
+        "both": both and _table(both),
         "zero": float(zeros[0]) if zeros.size else 0.0,  # where a number of exactly 0 stands on a logarithmic scale
     }
+
+
+def _table(colormap: Colormap) -> str:
+    return np.asarray(colormap(np.arange(colormap.N), bytes=True))[:, :3].tobytes().hex()
 
 
 def _entry(entry: Entry) -> dict[str, Any]:

@@ -99,7 +99,8 @@ class Field:
     """Numbers of cells (y, x), NaN where they have none, on a scale of colours with a bar.
 
     title   of the bar where there are several
-    both    the colours of both signs, where ``colormap`` is a part of them, with zero in their middle
+    signs   the colours of numbers above zero, and of both signs with zero in the middle, of a scale that has both where
+            zero lies between its ends: ``colormap`` are these, or a part of those
     bar     whether there is one
     """
 
@@ -108,7 +109,7 @@ class Field:
     values: Array
     label: str
     title: str = ""
-    both: Colormap | None = None
+    signs: tuple[Colormap, Colormap] | None = None
     bar: bool = True
 
     @property

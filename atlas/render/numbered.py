@@ -60,8 +60,8 @@ def numbered(layers: Layers) -> tuple[Colors, PixelScale | None]:
 def scale_of(field: Field) -> PixelScale | None:
     """The scale of a field; None where its numbers do not differ, or are placed in no way that has a name."""
     form, colormap = field.form, field.colormap
-    if field.both is not None:
-        form, colormap = SIGNED, field.both
+    if field.signs is not None and field.ends[0] < 0.0 < field.ends[1]:
+        form, colormap = SIGNED, field.signs[1]
     known = field.values[np.isfinite(field.values) & ((field.values > 0.0) | (form != LOG))]
     if form is None or known.size == 0 or known.min() == known.max():
         return None

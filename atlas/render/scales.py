@@ -146,9 +146,8 @@ def scalar(view: View) -> Layers:
     zero = known & (values == 0.0) & log
     none = ~known & plane.determined & (regime != NO_IMPACT)
     meaning = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
-    two, shown = norm.vmin < 0.0 < norm.vmax, bool(np.isfinite(values).any())  # type: ignore[operator]
-    both = both_signs(scale.colors) if two else None
-    field = Field(signed_colormap(norm, scale.colors), norm, values, label, both=both, bar=shown)
+    signs, shown = None if log else (colormap_of(scale.colors), both_signs(scale.colors)), np.isfinite(values).any()
+    field = Field(signed_colormap(norm, scale.colors), norm, values, label, signs=signs, bar=bool(shown))
     return _scaled(regime, field, [(zero | none, NEUTRAL, meaning)])
 
 

@@ -64,7 +64,7 @@ def at_cell(tab: Tab, column: int, row: int) -> tuple[float, float]:
     x, y = tab.page.evaluate(
         """([column, row]) => {
             const box = map.getBoundingClientRect()
-            return [box.left + place(X.values[column], 0), box.top + place(Y.values[row], 1)]
+            return [box.left + place(scene(), X.values[column], 0), box.top + place(scene(), Y.values[row], 1)]
         }""",
         [column, row],
     )
@@ -278,7 +278,7 @@ def test_text_stands_out_from_what_is_behind_it_and_nothing_is_wider_than_the_pa
         numbers(tab)
         assert tab.page.evaluate("() => document.documentElement.scrollWidth") == width
         for name in ("--ink", "--faint"):
-            paper, ink = (tab.page.evaluate(f"() => look('{each}')") for each in ("--paper", name))
+            paper, ink = (tab.page.evaluate(f"() => themed('{each}')") for each in ("--paper", name))
             assert contrast(paper, ink) >= 4.5  # WCAG AA
     finally:
         context.close()

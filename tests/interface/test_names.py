@@ -37,7 +37,7 @@ from workers.model.entries import DefinitionError
 from workers.model.system import packaged_system, system_names
 from workers.results import result_variables
 
-PAGE = Path(atlas.__file__).with_name("explore").joinpath("static", "page.js").read_text(encoding="utf-8")
+PAGE = Path(atlas.__file__).with_name("explore").joinpath("static", "page.mjs").read_text(encoding="utf-8")
 EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 

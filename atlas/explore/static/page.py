@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_path
 from atlas.errors import InputError
+from atlas.explore.front.script import looks, program
 from atlas.explore.static import about
 from atlas.explore.static.numbers import Packed, fit, pack
 from atlas.query.attractors import leading, of_all, one
@@ -37,8 +38,8 @@ MOST_CELLS = 1 << 20
 """Cells of a page; a larger atlas is shown by an overview."""
 COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
 """What a page says of the attractors of a cell that it does not show."""
-PROGRAM = ("draw.js", "panel.js", "page.js")
-"""The program of a page, in this order."""
+PROGRAM = ("atlas.mjs", "cell.mjs", "page.mjs")
+"""The modules of a page of its own, in this order."""
 _EACH = 300
 """Bytes that surround an array in a page, at most."""
 
@@ -182,7 +183,7 @@ def _filled(
         "maps": [each.described for each in maps],
         "arrays": {name: {"type": each.type, "digits": each.digits} for name, each in arrays.items()},
     }
-    parts = {name: files(__package__).joinpath(name).read_text("utf-8") for name in ("page.html", "page.css", *PROGRAM)}
+    parts = {name: files(__package__).joinpath(name).read_text("utf-8") for name in ("page.html", "page.css")}
     listed = "".join(
         f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in words["provenance"].items()
     )
@@ -192,8 +193,8 @@ def _filled(
         spec=html.escape(words["spec"]),
         citation=html.escape(words["citation"]),
         provenance=listed,
-        style=parts["page.css"],
-        program="".join(parts[name] for name in PROGRAM),
+        style=looks() + parts["page.css"],
+        program=program(__package__, *PROGRAM),
         described=json.dumps(whole, allow_nan=False, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c"),
         arrays="\n".join(blobs),
     )

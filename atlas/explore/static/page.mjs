@@ -1,3 +1,41 @@
+// The page of an atlas: it draws the map of the cells in any window, reads cells out and keeps the view in the address.
+
+import { colorsOf } from "../front/colors.mjs";
+import { fillKey, fitted, make, updateKey } from "../front/key.mjs";
+import { drawAxes, drawPlane, place } from "../front/plane.mjs";
+import { sentence } from "../front/words.mjs";
+import { NX, REGIME, X, Y, atlas, axes, by, numbers } from "./atlas.mjs";
+import { copying, describe, drawCell, placeOf } from "./cell.mjs";
+
+const map = by("map");
+const whole = () => axes.map(({ cuts }) => [cuts[0], cuts[cuts.length - 1]]);
+
+// What is shown: all that the address holds. Everything on the page follows from it.
+let state = { map: atlas.maps[0], window: whole(), cell: null, ends: null, hidden: new Set() };
+let shown = null; // a map, the arrays and the colours of its cells: state.map once these are read
+let plot = { left: 0, top: 8, width: 1, height: 1 };
+const chosen = { get ends() { return state.ends; }, get hidden() { return state.hidden; } };
+
+// The picture
+
+const themed = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+let asked = false;
+function draw() {
+  if (!asked) requestAnimationFrame(() => { asked = false; drawNow(); });
+  asked = true;
+}
+
+const scene = () => ({ axes, window: state.window, plot, shown, lines: atlas.curves, hidden: state.hidden,
+  mark: state.cell && state.cell.map((at, along) => axes[along].edges.slice(at, at + 2)) });
+
+function drawNow() {
+  const { context, ratio, width, height } = fitted(map);
+  plot = { left: 58, top: 8, width: width - 70, height: height - 50 };
+  drawAxes(context, scene(), themed("--ink"), themed("--faint"));
+  if (shown) drawPlane(context, scene(), ratio);
+}
+
 // The gestures, and the address.
 
 async function change(given, remembered = false) {
@@ -9,18 +47,25 @@ async function change(given, remembered = false) {
     const [codes, ...several] = await Promise.all([one.codes, ...names].map(numbers));
     if (state.map !== one) return;
     const values = Object.fromEntries(names.map((name, k) => [name, several[k]]));
-    shown = { map: one, codes, values, colors: colorsOf(one, codes, values) };
+    shown = { map: one, codes, values, colors: colorsOf(one, codes, values, state.ends) };
   }
   by("kind").value = state.map.name;
   map.ariaLabel = `${state.map.meaning}, over ${X.label} and ${Y.label}`;
   if (!by("key").firstChild || state.map !== before.map) makeKey();
-  else if (state.ends !== before.ends || state.hidden !== before.hidden) updateKey();
+  else if (state.ends !== before.ends || state.hidden !== before.hidden) updateKey(by("key"));
   draw();
-  if (state.cell !== before.cell) drawCell();
-  if (state.cell && state.cell !== before.cell) say(sentence(state.cell));
+  if (state.cell !== before.cell) showCell();
+  if (state.cell && state.cell !== before.cell) say(said(state.cell));
   if (remembered !== null) remember(remembered);
 }
 
+function makeKey() {
+  fillKey(by("key"), state.map, atlas.curves, chosen, change);
+}
+
+const showCell = () => drawCell(state.cell, (cell) => state.cell === cell);
+
+const said = (cell) => `${placeOf(cell)}: ${sentence(atlas, shown.map, cell[1] * NX + cell[0], shown.values)}`;
 const say = (text) => { by("readout").textContent = text || "\u00a0"; };
 
 function remember(asNew) {
@@ -110,7 +155,7 @@ map.onpointerdown = (event) => {
 map.onpointermove = (event) => {
   if (!fingers.has(event.pointerId)) {
     const cell = cellAt(event);
-    return say(shown && cell ? sentence(cell) : state.cell && shown ? sentence(state.cell) : "");
+    return say(shown && cell ? said(cell) : state.cell && shown ? said(state.cell) : "");
   }
   const before = [...fingers.values()], old = fingers.get(event.pointerId);
   if (pressed && Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < 5) return;
@@ -134,7 +179,7 @@ map.onpointerup = map.onpointercancel = (event) => {
   pressed = null;
 };
 
-map.onpointerleave = () => say(state.cell && shown ? sentence(state.cell) : "");
+map.onpointerleave = () => say(state.cell && shown ? said(state.cell) : "");
 
 map.addEventListener("wheel", (event) => {
   event.preventDefault();
@@ -142,10 +187,10 @@ map.addEventListener("wheel", (event) => {
   zoom(Math.exp(Math.max(-0.5, Math.min(0.5, 0.002 * lines * event.deltaY))), sharesAt(event));
 }, { passive: false });
 
-const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 map.onkeydown = (event) => {
-  const step = STEPS[event.key];
+  const step = ARROWS[event.key];
   if (event.ctrlKey || event.altKey || event.metaKey) return;
   if (step && event.shiftKey) zoom(1, [0.5, 0.5], step.map((share) => -0.2 * share));
   else if (step) stepTo(step);
@@ -182,8 +227,8 @@ for (const button of document.querySelectorAll(".copy")) button.replaceWith(copy
 window.onpopstate = recall;
 window.onhashchange = recall;
 new ResizeObserver(draw).observe(map);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { updateKey(); draw(); });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { updateKey(by("key")); draw(); });
 describe();
-drawCell();
+showCell();
 if ("DecompressionStream" in window) recall();
 else say("This browser is too old for this page: it cannot unpack its numbers. Any browser of 2023 or later can.");

@@ -1,0 +1,79 @@
+// The colours of cells, from their codes and numbers: to the bit those of atlas.render.layers.paint.
+
+export const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
+export const pixel = ([r, g, b]) => (0xff000000 | (b << 16) | (g << 8) | r) >>> 0;
+
+/** Where a number stands between the ends of a bar's scale, from 0 to 1; below or above that beyond them. */
+export function shareOf(bar, [low, high], value) {
+  if (bar.scale === "two-sided") return value < 0 ? (0.5 / -low) * (value - low) : (0.5 / high) * value + 0.5;
+  if (bar.scale !== "log") return high === low ? 0 : (value - low) / (high - low);
+  const least = Math.log10(low);
+  return (Math.log10(Math.max(value || bar.zero, low)) - least) / (Math.log10(high) - least);
+}
+
+/** Whether a bar can have these ends. */
+export function fits(bar, [low, high]) {
+  if (!(low < high)) return false;
+  return bar.scale === "log" ? low > 0 : bar.scale !== "two-sided" || (low < 0 && high > 0);
+}
+
+/** The ends of a bar's scale: those asked for, null for its own, where it takes them. */
+export function endsOf(bar, asked) {
+  const own = bar.ends, ends = bar.main && asked ? own.map((end, k) => asked[k] ?? end) : own;
+  return fits(bar, ends) ? ends : own;
+}
+
+const STEPS = 512;
+const placed = (share, count) => Math.min(count - 1, Math.max(0, Math.floor(share * count)));
+
+/** The colours of a bar between these ends, from the lower one on. */
+export function tableOf(bar, [low, high]) {
+  const table = (hex) => Uint32Array.from(hex.match(/.{6}/g), (color) => pixel(rgb(`#${color}`)));
+  if (!bar.both || !(low < 0 && high > 0)) return table(bar.colors);
+  const both = table(bar.both), most = Math.max(-low, high), step = (high - low) / (STEPS - 1);
+  return Uint32Array.from({ length: STEPS }, (_, k) => {
+    const value = k < STEPS - 1 ? k * step + low : high;
+    return both[placed(0.5 + 0.5 * (value / most), both.length)];
+  });
+}
+
+/** The colour of a number on a bar. */
+export function coloring(bar, ends) {
+  const table = tableOf(bar, ends);
+  return (value) => table[placed(shareOf(bar, ends, Math.max(value, bar.scale === "log" ? 0 : ends[0])), table.length)];
+}
+
+function shadeOf({ variable, low, high, dark }, values) {
+  const share = (value) => Math.min(1, Math.max(0, (value - low) / Math.max(high - low, 1)));
+  return (k) => 1 - (1 - dark) * share(values[variable][k]);
+}
+
+/** The colour of each cell of a map, as pixels: of its code, or of its number on a bar between the ends asked for. */
+export function colorsOf(map, codes, values, asked) {
+  const colors = new Uint32Array(codes.length), brightness = map.shade && shadeOf(map.shade, values);
+  const flat = map.entries.map((entry) => (entry.color ? pixel(rgb(entry.color)) : 0));
+  const bars = map.bars.map((bar) => ({ color: coloring(bar, endsOf(bar, asked)), of: values[bar.variable] }));
+  for (let k = 0; k < codes.length; k++) {
+    const code = codes[k], entry = map.entries[code], bar = bars[entry.bar];
+    if (bar) colors[k] = bar.color(bar.of[k]);
+    else if (entry.shaded) colors[k] = pixel(rgb(entry.color).map((part) => Math.floor(part * brightness(k))));
+    else colors[k] = flat[code];
+  }
+  return colors;
+}
+
+/** Whether a texture inks a point of its tile. */
+export function inkedBy(hatch, x, y, size, width) {
+  const near = (value) => ((value % size) + size) % size < width;
+  const square = (x - size / 2) ** 2 + (y - size / 2) ** 2;
+  return { "/": near(x + y), "\\": near(x - y), x: near(x + y) || near(x - y), "+": near(x) || near(y),
+    "-": near(y), "|": near(x), ".": square < width ** 2 }[hatch];
+}
+
+/** The tile of each entry's texture, as masks, and the pixels of their inks. */
+export function texturesOf(entries, ratio) {
+  const size = Math.round(8 * ratio);
+  const masks = entries.map(({ hatch }) => hatch && Uint8Array.from({ length: size * size }, (_, k) =>
+    inkedBy(hatch, k % size, Math.floor(k / size), size, 0.9 * ratio)));
+  return { size, masks, inks: entries.map(({ ink }) => (ink ? pixel(rgb(ink)) : 0)) };
+}

@@ -1,0 +1,181 @@
+// Draws a plane with a 2D context: its cells, its curves and marks, its axes.
+//
+// A scene is { axes: [x, y], window, plot, shown, lines, names, hidden, mark }. An axis has cuts between its cells, in
+// the coordinate in which they are drawn, `to` and `from` that coordinate, and a label; the window is in the same
+// coordinate; the plot is the area in CSS pixels; shown is { map, codes, colors, regions }; lines are as curves_over of
+// atlas.render.coded has them.
+
+import { pixel, rgb, texturesOf } from "./colors.mjs";
+import { number } from "./words.mjs";
+
+const BORDER = "#101418";
+
+function cellsAlong(cuts, [low, high], count, falling) {
+  const found = new Int32Array(count).fill(-1);
+  for (let k = 0, cell = 0; k < count; k++) {
+    const at = low + ((high - low) * (k + 0.5)) / count;
+    while (cell < cuts.length - 2 && cuts[cell + 1] <= at) cell++;
+    if (at >= cuts[0] && at < cuts[cuts.length - 1]) found[falling ? count - 1 - k : k] = cell;
+  }
+  return found;
+}
+
+/** The pixels of the cells in view, of so many to a CSS pixel; clear ones where there are none. */
+export function pixelsOf({ axes: [x, y], window, plot, shown }, ratio) {
+  const columns = Math.max(1, Math.round(plot.width * ratio)), rows = Math.max(1, Math.round(plot.height * ratio));
+  const image = new ImageData(columns, rows), pixels = new Uint32Array(image.data.buffer), count = x.cuts.length - 1;
+  const across = cellsAlong(x.cuts, window[0], columns, false), up = cellsAlong(y.cuts, window[1], rows, true);
+  const { size, masks, inks } = texturesOf(shown.map.entries, ratio), { regions } = shown;
+  const border = pixel(rgb(BORDER)), wide = Math.max(1, Math.round(ratio));
+  for (let row = 0, at = 0; row < rows; row++) {
+    const first = up[row] * count, line = (row % size) * size, below = up[Math.min(rows - 1, row + wide)] * count;
+    if (first < 0) at += columns;
+    else for (let column = 0; column < columns; column++, at++) {
+      const cell = first + across[column], code = shown.codes[cell];
+      if (across[column] < 0) continue;
+      pixels[at] = masks[code] && masks[code][line + (column % size)] ? inks[code] : shown.colors[cell];
+      if (!regions) continue;
+      const right = across[Math.min(columns - 1, column + wide)];
+      if ((right >= 0 && regions[first + right] !== regions[cell])
+        || (below >= 0 && regions[below + across[column]] !== regions[cell])) pixels[at] = border;
+    }
+  }
+  return image;
+}
+
+/** Where a value of an axis, the first or the second, lies on the page. */
+export function place({ axes, window, plot }, value, along) {
+  const [low, high] = window[along], share = (axes[along].to(value) - low) / (high - low);
+  return along ? plot.top + (1 - share) * plot.height : plot.left + share * plot.width;
+}
+
+/** Draw the cells of a scene and what lies on them. */
+export function drawPlane(pen, scene, ratio) {
+  const { left, top, width, height } = scene.plot;
+  pen.putImageData(pixelsOf(scene, ratio), Math.round(left * ratio), Math.round(top * ratio));
+  pen.save();
+  pen.beginPath();
+  pen.rect(left, top, width, height);
+  pen.clip();
+  drawCurves(pen, scene);
+  drawNames(pen, scene);
+  if (scene.mark) drawMark(pen, scene);
+  pen.restore();
+}
+
+/** Round numbers between two ends, so many at most. */
+export function ticks(low, high, most, log) {
+  if (log && high / low > 8) {
+    const found = [];
+    const steps = Math.log10(high / low) > most / 2 ? [1] : [1, 2, 5];
+    for (let power = Math.floor(Math.log10(low)); 10 ** power <= high; power++)
+      for (const step of steps) found.push(Number(`${step}e${power}`));
+    const every = Math.ceil(found.length / (1.5 * most));
+    return found.filter((value, k) => value >= low && value <= high && k % every === 0);
+  }
+  const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].find((each) => each * power >= rough) * power;
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++)
+    found.push(Number((k * step).toPrecision(12)));
+  return found;
+}
+
+/** Draw the frame of a plot, its ticks and its labels. */
+export function drawAxes(pen, scene, ink, faint) {
+  const { axes, plot } = scene, bottom = plot.top + plot.height;
+  pen.font = "12px system-ui, sans-serif";
+  pen.fillStyle = ink;
+  pen.strokeStyle = faint;
+  pen.lineWidth = 1;
+  pen.strokeRect(plot.left - 0.5, plot.top - 0.5, plot.width + 1, plot.height + 1);
+  axes.forEach((axis, along) => {
+    const [low, high] = scene.window[along].map(axis.from);
+    pen.textAlign = along ? "right" : "center";
+    pen.textBaseline = along ? "middle" : "top";
+    for (const value of ticks(low, high, along ? plot.height / 60 : plot.width / 80, axis.log)) {
+      const at = place(scene, value, along);
+      pen.beginPath();
+      if (along) pen.moveTo(plot.left - 5, at), pen.lineTo(plot.left, at);
+      else pen.moveTo(at, bottom), pen.lineTo(at, bottom + 5);
+      pen.stroke();
+      if (along) pen.fillText(number(value, 8), plot.left - 8, at);
+      else pen.fillText(number(value, 8), at, bottom + 8);
+    }
+  });
+  pen.textAlign = "center";
+  pen.fillText(axes[0].label, plot.left + plot.width / 2, bottom + 28, plot.width);
+  pen.save();
+  pen.translate(12, plot.top + plot.height / 2);
+  pen.rotate(-Math.PI / 2);
+  pen.fillText(axes[1].label, 0, -6, plot.height);
+  pen.restore();
+}
+
+function drawCurves(pen, scene) {
+  const { looks, lines = [], marks, corners = [], ends = [] } = scene.lines;
+  const there = ({ kind }) => !scene.hidden.has(kind);
+  for (const casing of [true, false])
+    for (const { kind, points } of lines.filter(there)) {
+      const { color, dashes, width = 1.6, edge = "#ffffff" } = looks[kind];
+      pen.beginPath();
+      for (let k = 0; k < points.length; k += 2)
+        pen.lineTo(place(scene, points[k], 0), place(scene, points[k + 1], 1));
+      pen.strokeStyle = casing ? edge : color;
+      pen.lineWidth = casing ? width + 1.8 : width;
+      pen.setLineDash(casing ? [] : dashes.map((dash) => width * dash));
+      pen.stroke();
+    }
+  pen.setLineDash([]);
+  pen.lineWidth = 1;
+  if (!scene.hidden.has("codimension_two"))
+    for (const [kind, x, y] of corners) outlined(pen, marks[kind].shape, place(scene, x, 0), place(scene, y, 1));
+  for (const [kind, x, y] of ends) if (there({ kind })) dot(pen, place(scene, x, 0), place(scene, y, 1));
+}
+
+function drawNames(pen, scene) {
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  for (const { text, x, y, angle, color, size } of scene.names || []) {
+    pen.save();
+    pen.translate(place(scene, x, 0), place(scene, y, 1));
+    pen.rotate((-angle * Math.PI) / 180);
+    pen.font = `${size}px STIXGeneral, "Times New Roman", serif`;
+    pen.fillStyle = color;
+    pen.fillText(text, 0, 0);
+    pen.restore();
+  }
+}
+
+/** The end of a curve. */
+export function dot(pen, x, y) {
+  pen.beginPath();
+  pen.arc(x, y, 2.5, 0, 7);
+  pen.fillStyle = "#000000";
+  pen.strokeStyle = "#ffffff";
+  pen.fill();
+  pen.stroke();
+}
+
+/** A mark with an outline: polygons in units of 7 pixels. */
+export function outlined(pen, shape, x, y) {
+  pen.beginPath();
+  for (const part of shape) {
+    for (let k = 0; k < part.length; k += 2) pen[k ? "lineTo" : "moveTo"](x + 7 * part[k], y - 7 * part[k + 1]);
+    pen.closePath();
+  }
+  pen.fillStyle = "#ffffff";
+  pen.strokeStyle = "#000000";
+  pen.fill();
+  pen.stroke();
+}
+
+function drawMark(pen, scene) {
+  const [[left, right], [bottom, top]] = scene.mark.map((edges, along) => edges.map((edge) => place(scene, edge, along)));
+  const [width, height] = [Math.max(8, right - left), Math.max(8, bottom - top)];
+  for (const [color, line] of [["#ffffff", 5], ["#000000", 2]]) {
+    pen.strokeStyle = color;
+    pen.lineWidth = line;
+    pen.strokeRect((left + right - width) / 2, (top + bottom - height) / 2, width, height);
+  }
+}

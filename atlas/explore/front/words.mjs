@@ -1,0 +1,44 @@
+// Numbers of cells in words. What is `told` of an atlas is plain JSON: see static/about.py.
+
+const raised = (text) => text.replace(/./g, (letter) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(letter)] || "");
+
+/** A number with so many digits at most. */
+export function number(value, digits = 6) {
+  if (!Number.isFinite(value)) return Number.isNaN(value) ? "none" : value > 0 ? "∞" : "−∞";
+  const small = value !== 0 && Math.abs(value) < 1e-3, near = Number(value.toPrecision(digits));
+  const [mantissa, power] = (small ? near.toExponential() : String(near)).split("e");
+  if (!power) return mantissa.replace("-", "−");
+  return `${mantissa === "1" ? "" : `${mantissa.replace("-", "−")}·`}10${raised(power)}`;
+}
+
+function withError(value, error, most) {
+  if (!(error > 0) || !Number.isFinite(value) || value === 0) return number(value, most);
+  const certain = Math.floor(Math.log10(Math.abs(value))) - Math.floor(Math.log10(error)) + 2;
+  return `${number(value, Math.min(most, Math.max(1, certain)))} ± ${number(error, 2)}`;
+}
+
+/** The value of a variable in cell k, where `told.arrays` says how many digits it has. */
+export function inWords(told, name, k, values) {
+  const value = values[name][k], { special, variables, arrays } = told, { flag, endless } = variables[name];
+  const digits = Math.min(6, arrays[name].digits || 6);
+  if (name === special.regime) return told.regimes[value];
+  if (name === special.reason) return told.reasons[value];
+  if (name === special.largest && values[special.error]) return withError(value, values[special.error][k], digits);
+  if (endless && value < 0) return "without end: at rest on a stop";
+  return flag ? (value ? "yes" : "no") : number(value, digits);
+}
+
+/** Whether a variable is a result in cell k. */
+export function isResult(told, name, k, values) {
+  const value = values[name][k], { regime, reason } = told.special;
+  if (name === reason) return value !== 0;
+  return name === regime || (told.variables[name].regimes.includes(values[regime][k]) && !Number.isNaN(value));
+}
+
+/** The regime of cell k and the results that a map shows of it. */
+export function sentence(told, map, k, values) {
+  const { regime } = told.special;
+  const rest = map.needs.filter((name) => name !== regime && isResult(told, name, k, values));
+  const parts = rest.map((name) => `${told.variables[name].label} ${inWords(told, name, k, values)}`);
+  return [told.regimes[values[regime][k]], ...parts].join("; ");
+}
