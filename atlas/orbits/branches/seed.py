@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from atlas.errors import InputError
 from atlas.spec.spec import checked_parameters, given_settings
 from atlas.spec.system import checked_system, must_offer, resolved_system
@@ -83,8 +85,8 @@ def system_of(ds: "xr.Dataset") -> System:
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:
     """The orbit of a cell with these results; InputError, which says what the cell is, where it has none."""
-    from workers.continuation import orbit_from_state
-    from workers.continuation.oscillator import has_images
+    from atlas.orbits.stored import NEEDED, orbits_of
+    from workers.continuation import family_of
 
     must_offer(record, "branches")
     regime = int(cell[REGIME.name])
@@ -94,10 +96,8 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
         raise InputError(f"this cell is {found}: a branch starts from a periodic one")
     if bool(cell["sticks"]) and not record.has_modes:
         raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")
-    # Without impacts it is its own mirror image wherever orbits have one.
-    symmetric = bool(cell["symmetric"]) or (regime == NO_IMPACT and has_images(record, values))
-    try:
-        orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]) or 1, symmetric)
-    except ValueError as error:
-        raise InputError(f"this cell: {error}") from None
+    row = {name: np.asarray(cell[name])[None] for name in NEEDED}
+    (orbit,) = orbits_of(family_of(record, values, ()), np.zeros((1, 0)), row)
+    if isinstance(orbit, str):
+        raise InputError(f"this cell: {orbit}")
     return Seed(record, values, orbit)

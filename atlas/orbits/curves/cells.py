@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.orbits.curves.plane import Cells, CurvePlane
+from atlas.orbits.stored import NEEDED, orbits_of
 from workers.continuation import Family, Orbit, family_of
-from workers.continuation.equations import check_orbits
-from workers.continuation.itinerary import Itinerary
-from workers.continuation.orbits import alike, attract, many_of, moved, recorded_each, refined
+from workers.continuation.orbits import alike, attract, many_of, moved
 from workers.continuation.same import same_orbit
 from workers.model.family import NoOscillatorError
 
@@ -46,10 +45,10 @@ class CellOrbits:
         plane, found = self.plane, self._known
         wanted = np.array([cell for cell in dict.fromkeys(cells.tolist()) if cell not in found], dtype=np.int64)
         found.update(dict.fromkeys(wanted.tolist()))
-        impacts = (plane.impacts_upper[wanted] > 0) | (plane.impacts_lower[wanted] > 0) | plane.system.has_modes
-        for cell in wanted[plane.proven[wanted] & ~impacts].tolist():
-            found[cell] = self._without_impact(plane.values(np.array([cell])))
-        found.update(self._with_impacts(wanted[plane.proven[wanted] & impacts]))
+        wanted = wanted[plane.proven[wanted]]
+        orbits = orbits_of(self.family, plane.values(wanted), {name: getattr(plane, name)[wanted] for name in NEEDED})
+        known = zip(wanted.tolist(), orbits, strict=True)
+        found.update((cell, orbit) for cell, orbit in known if isinstance(orbit, Orbit))
 
     def omega(self, values: Array) -> Array:
         """The forcing frequency (N,) at points (N, 2)."""
@@ -117,29 +116,3 @@ class CellOrbits:
         orbits = [self.of(int(cell)) for cell in cells]
         for rows in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
             yield rows, [orbit for row in rows if (orbit := orbits[row]) is not None]
-
-    def _with_impacts(self, cells: Cells) -> dict[int, Orbit | None]:
-        plane, values, found = self.plane, self.plane.values(cells), dict[int, Orbit | None]()
-        if not len(cells):
-            return found
-        given = {name: np.full(len(cells), value) for name, value in plane.fixed.items()}
-        given |= {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(plane.axes)}
-        turns = plane.period[cells].tolist(), plane.symmetric[cells].tolist()
-        orbits = recorded_each(plane.system, given, plane.state[cells], *turns)
-        for k, (cell, orbit) in enumerate(zip(cells.tolist(), orbits, strict=True)):
-            try:
-                found[cell] = orbit and refined(self.family, orbit, values[k])
-            except ValueError:
-                found[cell] = None
-        return found
-
-    def _without_impact(self, values: Array) -> Orbit | None:
-        """The motion without impact, in its symmetric form where the machine has one."""
-        for symmetric in (True, False):
-            itinerary = Itinerary((), 1, symmetric)
-            try:
-                check_orbits(self.family.model(values), itinerary)
-            except ValueError:
-                continue
-            return Orbit(itinerary, np.zeros(0), np.zeros(0))
-        return None

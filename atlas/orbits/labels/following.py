@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from atlas.orbits.labels.orbits import orbits_of
 from atlas.orbits.labels.rows import Array, Attractors, Rows, with_images
+from atlas.orbits.stored import NEEDED, orbits_of
 from workers.continuation import Family, Orbit, branch, family_of, section_states
 from workers.continuation.orbits import Many, alike, many_of, moved
 from workers.model.family import NoOscillatorError
@@ -124,7 +124,9 @@ class _Follower:
     def __init__(self, attractors: Attractors) -> None:
         self.attractors = attractors
         self.family: Family = family_of(attractors.system, attractors.fixed, attractors.axes)
-        self.orbits = orbits_of(attractors, self.family)
+        points, cells = attractors.values[attractors.cell], {name: getattr(attractors, name) for name in NEEDED}
+        found = orbits_of(self.family, points, cells)
+        self.orbits = [orbit if isinstance(orbit, Orbit) else None for orbit in found]
 
     def reach(self, pairs: Rows, away: int) -> tuple[NDArray[np.bool_], Array]:
         """Whether the first orbit of each pair (N, 2), followed to the second's cell, is that one; and its change.
