@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.orbits.finished import columns_of, must_be_finished, params_of
 from atlas.robustness.table import LINEAR, SHOCKS, Arrays, check_names
 from atlas.spec.spec import Spec
 from atlas.store.groups import STABILITY
-from atlas.store.store import Atlas, done_tiles
-from atlas.store.tiles import read_tile
+from atlas.store.store import Atlas
 from atlas.task.compile import compile_once
 from atlas.task.site import Site, file_errors, stored_part
 from atlas.task.solving import kernels_of
-from atlas.text import plural
 from workers.results import LARGEST, REGIME
 
 NEEDED = (REGIME.name, "period", LARGEST.name, "state")
@@ -71,7 +70,7 @@ def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
     """Measure some cells and keep the measures as a part of the store."""
     handle = job.site.handle()
     with file_errors(job.site.store):
-        cells = stored_cells(handle, job.tile)
+        cells = columns_of(handle, NEEDED, job.tile)
     compile_once(*kernels_of(handle.spec))
     begin = time.thread_time()
     slices = handle.tiling.at(job.tile).slices
@@ -99,28 +98,7 @@ def check_store(handle: Atlas) -> None:
     held = {each.name for each in handle.variables}
     if lacking := [name for name in NEEDED if name not in held]:
         raise InputError(f"{handle.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
-    missing = handle.tiling.count - len(done_tiles(handle))
-    if missing:
-        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-
-
-def stored_cells(handle: Atlas, tile: tuple[int, ...]) -> dict[str, NDArray[Any]]:
-    """What measures depend on of the cells of a tile, (cells, keep, ...); keep is 1 for one attractor a cell."""
-    arrays, dims, keep = read_tile(handle, tile, NEEDED), len(handle.spec.shape), int(handle.spec.coexistence)
-    count = int(np.prod(handle.tiling.at(tile).shape))
-    return {
-        name: values.reshape(count, *(values.shape[dims : dims + 1] if keep else (1,)), *values.shape[dims + keep :])
-        for name, values in arrays.items()
-    }
-
-
-def params_of(spec: Spec, slices: tuple[slice, ...]) -> dict[str, NDArray[np.float64]]:
-    """The value (cells,) of every parameter in a block of cells, in C order."""
-    given, shape = spec.cell_params(slices), tuple(part.stop - part.start for part in slices)
-    return {
-        p.name: np.broadcast_to(np.asarray(given.get(p.name, p.default), dtype=np.float64), shape).ravel()
-        for p in spec.record.parameters
-    }
+    must_be_finished(handle)
 
 
 def _measured(

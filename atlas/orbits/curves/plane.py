@@ -4,18 +4,15 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError, check_names
-from atlas.query.attractors import leading
-from atlas.query.open import open_atlas
+from atlas.errors import InputError
+from atlas.orbits.finished import columns_of, must_be_finished
 from atlas.spec.cells import edges_of
 from atlas.spec.system import must_offer
-from atlas.store.store import Atlas, done_tiles
-from atlas.text import plural
+from atlas.store.store import Atlas
 from workers.model.parameter import TAU
 from workers.model.system import System
 from workers.results import INVALID, NO_IMPACT, PERIODIC, REGIME
@@ -31,7 +28,7 @@ JUMP, ALONE = 0.03, 3.0
 is more than both, the orbit may be another one of the same kind."""
 
 SPEED = "mean_impact_speed"
-NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
+NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", SPEED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,17 +186,8 @@ def plane_of(handle: Atlas) -> CurvePlane:
             )
         if len(axis) < 2:
             raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
-    missing = handle.tiling.count - len(done_tiles(handle))
-    if missing:
-        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = leading(open_atlas(handle))
-    check_names("result of this atlas", NEEDED, map(str, ds.data_vars))
-    x, y = spec.axes
-
-    def cells(name: str, kind: Any) -> NDArray[Any]:
-        values = ds[name].transpose(y.name, x.name, ...).values
-        return values.reshape(len(x) * len(y), *values.shape[2:]).astype(kind)
-
+    must_be_finished(handle)
+    (x, y), leading = spec.axes, {name: values[:, 0] for name, values in columns_of(handle, NEEDED).items()}
     return CurvePlane(
         system=system,
         axes=(x.name, y.name),
@@ -207,11 +195,11 @@ def plane_of(handle: Atlas) -> CurvePlane:
         y=np.array(y.values),
         log=(x.scale == "log", y.scale == "log"),
         fixed={name: float(value) for name, value in spec.parameters.items()},
-        regime=cells(REGIME.name, np.int64),
-        period=cells("period", np.int64),
-        impacts_upper=cells("impacts_upper", np.int64),
-        impacts_lower=cells("impacts_lower", np.int64),
-        symmetric=cells("symmetric", np.bool_),
-        speed=cells(SPEED, np.float64),
-        state=cells("state", np.float64),
+        regime=leading[REGIME.name].astype(np.int64),
+        period=leading["period"].astype(np.int64),
+        impacts_upper=leading["impacts_upper"].astype(np.int64),
+        impacts_lower=leading["impacts_lower"].astype(np.int64),
+        symmetric=leading["symmetric"].astype(np.bool_),
+        speed=leading[SPEED].astype(np.float64),
+        state=leading["state"].astype(np.float64),
     )

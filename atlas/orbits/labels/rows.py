@@ -2,21 +2,21 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query.open import open_atlas
-from atlas.store.store import Atlas, done_tiles
-from atlas.text import plural
+from atlas.orbits.finished import columns_of, must_be_finished, params_of
+from atlas.store.store import Atlas
 from workers.attractors.record import ON_ATTRACTOR
 from workers.model.system import System
 from workers.results import NO_IMPACT, PERIODIC, REGIME
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+
+NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share", "mirror")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,23 +108,14 @@ def attractors_of(handle: Atlas) -> tuple[Attractors, int]:
         raise InputError(f"{handle.place}: found one attractor per cell; labels need an atlas of all, see [attractors]")
     if spec.points:
         raise InputError(f"{handle.place}: found a table of points; labels go from cell to cell along axes")
-    missing = handle.tiling.count - len(done_tiles(handle))
-    if missing:
-        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
-    ds = open_atlas(handle)
-    cells = int(np.prod(spec.shape))
-
-    def read(name: str) -> NDArray[Any]:
-        values = ds[name].values
-        return values.reshape(cells, *values.shape[len(spec.shape) :])
-
-    regime, upper, period, mirror = read(REGIME.name), read("impacts_upper"), read("period"), read("mirror")
+    must_be_finished(handle)
+    columns, points = columns_of(handle, NEEDED), params_of(spec)
+    regime, period = columns[REGIME.name], columns["period"]
     known = np.isin(regime, (NO_IMPACT, PERIODIC)) & (period > 0)
     cell, place = np.nonzero(known)
     row = np.full(known.shape, -1)
     row[cell, place] = np.arange(len(cell))
-    image = mirror[cell, place]
-    points = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
+    image = columns["mirror"][known]
     axes = tuple(axis.name for axis in reversed(spec.axes))
     found = Attractors(
         system=spec.record,
@@ -132,16 +123,16 @@ def attractors_of(handle: Atlas) -> tuple[Attractors, int]:
         fixed={name: float(value) for name, value in spec.parameters.items()},
         shape=spec.shape,
         keep=known.shape[1],
-        values=np.stack([np.broadcast_to(points[name], spec.shape).ravel() for name in axes], axis=1),
+        values=np.stack([points[name] for name in axes], axis=1),
         cell=cell,
         place=place,
         regime=regime[known].astype(np.int64),
         period=period[known].astype(np.int64),
-        impacts_upper=upper[known].astype(np.int64),
-        impacts_lower=read("impacts_lower")[known].astype(np.int64),
-        symmetric=read("symmetric")[known].astype(np.bool_),
-        state=read("state")[known],
-        share=read("share")[known],
+        impacts_upper=columns["impacts_upper"][known].astype(np.int64),
+        impacts_lower=columns["impacts_lower"][known].astype(np.int64),
+        symmetric=columns["symmetric"][known].astype(np.bool_),
+        state=columns["state"][known],
+        share=columns["share"][known],
         twin=np.where(image >= 0, row[cell, np.maximum(image, 0)], -1),
     )
     return found, int(np.sum(np.isin(regime, ON_ATTRACTOR)))
