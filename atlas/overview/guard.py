@@ -9,7 +9,9 @@ import atexit
 import errno
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import google_crc32c
@@ -21,6 +23,7 @@ from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
 from atlas.store.groups import TABLES
 from atlas.store.origin import ALLOWANCES
+from atlas.store.place import Place
 from atlas.store.remote import zarr_store
 from atlas.store.schema import OVERVIEWS, coordinate_names
 from atlas.store.spare import unlike_copy
@@ -31,6 +34,8 @@ _CHECKSUM_BYTES = 4
 _FRAME = b"\x28\xb5\x2f\xfd"
 """What a Zstandard frame begins with."""
 _PATIENCE_SECONDS = 10.0
+_asked: ContextVar[set[tuple[Place, str]] | None] = ContextVar("asked", default=None)
+"""Of ``unread``; Zarr's own thread works in the context of who asks."""
 
 
 class GuardedStore(WrapperStore[Any]):
@@ -54,7 +59,10 @@ class GuardedStore(WrapperStore[Any]):
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
             return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
-        array = folder[1:]
+        array, asked = folder[1:], _asked.get()
+        if asked is not None:
+            asked.add((self.place, array))
+            return None
         try:
             found = await self._store.get(key, prototype, byte_range)
             if found is None and await self._must_exist(array, index):
@@ -109,6 +117,17 @@ class GuardedStore(WrapperStore[Any]):
     def _error(self, key: str, fault: str) -> ChunkError:
         _loops.add(asyncio.get_running_loop())
         return ChunkError(self.place, {key: fault})
+
+
+@contextmanager
+def unread() -> Iterator[set[tuple[Place, str]]]:
+    """Have no chunk read inside, as if there were none; note which arrays are asked for one, by place and path."""
+    asked: set[tuple[Place, str]] = set()
+    token = _asked.set(asked)
+    try:
+        yield asked
+    finally:
+        _asked.reset(token)
 
 
 def _is_whole(data: bytes) -> bool:

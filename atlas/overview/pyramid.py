@@ -50,11 +50,8 @@ MARKS = (REGIME, REGIME_SHOWN)
 _LOOKS, _PAUSE = 10, 0.2
 """A tile that a run before this one is still writing is unfinished for a moment: looks, and seconds between them."""
 
-_MOST_OPEN = 4
-"""Runs whose overviews a process keeps open."""
 _SHAPES = ("side", "least", "classes", "complete")
 """Attributes of the group of all levels: those of ``Levels``, the number of regimes, and, written last, that all is."""
-_opened: dict[tuple[str, str], "Pyramid"] = {}
 
 
 class Pyramid:
@@ -99,11 +96,6 @@ class Pyramid:
             before, kept = found[-1], self.levels.kept
             found.append((*before[:kept], *map(halved, before[kept:])))
         return found
-
-    def holds(self, array: Any, name: str) -> bool:
-        """Whether this store is where a Zarr array lies, by that name."""
-        path = getattr(array, "store_path", None)
-        return path is not None and path.path == name and path.store in (self.root.store, self._plain.store)
 
     def array(self, level: int, name: str) -> Any:
         """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
@@ -238,15 +230,11 @@ class Pyramid:
         return open_group(self.handle.place, "r")
 
 
-def opened(handle: Atlas, run: str) -> Pyramid:
-    """The overviews of a store, opened once for a run, in which they keep their form; opened anew without a run."""
-    key = (str(handle.place), run)
-    found = _opened.get(key) if run else None
-    if found is None:
-        found = Pyramid(handle)
-        while len(_opened) >= _MOST_OPEN:
-            _opened.pop(next(iter(_opened)), None)
-        _opened[key] = found
+def pyramid_of(handle: Atlas) -> Pyramid:
+    """The cells and overviews of a store as they are, opened once for all views of its handle."""
+    with handle.kept.lock:
+        found = handle.kept.get(GROUP) or Pyramid(handle)
+        handle.kept[GROUP] = found
     through = copy(found)  # what it has opened, with the handle whose place is to be written
     through.handle = handle
     return through

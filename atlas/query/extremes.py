@@ -7,7 +7,6 @@ import numpy as np
 from atlas.arguments import checked_name
 from atlas.errors import InputError
 from atlas.query.classes import Classes
-from atlas.query.resample import view
 from atlas.query.walk import CellBlock, walk
 from atlas.query.window import Window, axis_names, axis_values, columns, within
 from atlas.spec.system import stored_system
@@ -62,8 +61,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
             entry |= {name: float(axis_values(part, name)[at[0]]) for name in columns(part)}
             entry["value"] = number_there
             if name == LARGEST.name and ERROR.name in ds:
-                one = part.isel({axis: slice(i, i + 1) for axis, i in index.items()})
-                entry["error"] = float(view(one, [ERROR.name])[ERROR.name].values.item())
+                entry["error"] = float(part[ERROR.name].isel(index).values)
             found.append(entry | {"cells": best[number].cells})
     return found
 

@@ -120,7 +120,7 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
         areas = _areas_of_cells(shown, ds, inside(ds, window))
     else:
         areas = StoreTotals(part).areas()
-        count_reads(part.pyramid.chunks_read)
+        count_reads(part.chunks_read)
     total = sum(areas.values())
     return {name: area / total for name, code in _CODES.items() if (area := areas[code])}
 
@@ -138,7 +138,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     if part is None:
         return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
     counts = StoreTotals(part).reasons().tolist()
-    count_reads(part.pyramid.chunks_read)
+    count_reads(part.chunks_read)
     return {each.text: n for each, n in zip(REASON.codes, counts, strict=True) if n and each.code != NO_REASON}
 
 

@@ -73,7 +73,7 @@ def view(
     steps = [0] * kept + (_steps(ds, pixels)[-free:] if pixels and free and known.issuperset(wanted) else [0] * free)
     seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
     block = tuple(2**count for count in reversed(steps[kept:]))
-    count_reads(part.pyramid.chunks_read, min(steps[kept:], default=0), block or (1,))
+    count_reads(part.chunks_read, min(steps[kept:], default=0), block or (1,))
     return seen
 
 

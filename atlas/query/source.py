@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, InputError
 from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, needed
-from atlas.overview.pyramid import MARKS, Pyramid
+from atlas.overview.pyramid import MARKS, Pyramid, pyramid_of
 from atlas.query.open import handle_of
 from atlas.query.window import axis_values
 from atlas.spec.axis import Axis
@@ -41,10 +41,10 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
         return None
     axes = reversed(spec.axes)
     cells = [_neighbours(np.array(axis.values), np.atleast_1d(axis_values(ds, axis.name))) for axis in axes]
-    pyramid = Pyramid(handle)
-    if any(run is None for run in cells) or not all(_is_untouched(ds, name, pyramid) for name in names):
+    if any(run is None for run in cells) or not all(_is_untouched(ds, name, handle) for name in names):
         return None
-    return Part(handle, tuple(run for run in cells if run is not None), pyramid, plane=dims != spec.dims)
+    found, pyramid = tuple(run for run in cells if run is not None), pyramid_of(handle)
+    return Part(handle, found, pyramid, dims != spec.dims, pyramid.chunks_read)
 
 
 def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
@@ -54,25 +54,29 @@ def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice
     return slice(first, first + values.size) if values.size and np.array_equal(found, values) else None
 
 
-def _is_untouched(ds: "xr.Dataset", name: str, pyramid: Pyramid) -> bool:
-    """Whether a variable's values are still, whole in their inner dimensions, those of the stored one of its name."""
-    if name not in ds:
+def _is_untouched(ds: "xr.Dataset", name: str, handle: Atlas) -> bool:
+    """Whether a variable's values are still, whole in their inner dimensions, those of the stored one of its name.
+
+    Its first value tells, which takes no read: if nothing was computed, loaded or assigned, then this array is asked.
+    """
+    from atlas.overview.guard import unread  # with it Zarr, which takes a while to load
+
+    stored = handle.arrays.get(name)
+    if name not in ds or ds[name].chunks is not None or stored is None:
         return False
-    # Xarray has no public word for "neither loaded nor assigned to, and from where": its wrappers are followed down to
-    # the Zarr array. Should they change, none is found, and the cells are read from the dataset: slower, never wrong.
-    data: Any = getattr(ds[name].variable, "_data", None)
-    while hasattr(data, "array") and not getattr(data, "_copied", False):
-        data = data.array
-    array = getattr(data, "_array", None)
-    inner, dims = ds[name].shape[ds[REGIME.name].ndim :], len(pyramid.levels.shape)
-    return array is not None and pyramid.holds(array, name) and bool(inner == array.shape[dims:])
+    variable = ds[name].variable
+    with unread() as asked:
+        _ = variable[(0,) * variable.ndim].values
+    inner = list(variable.shape[ds[REGIME.name].ndim :])
+    return asked == {(handle.place, name)} and inner == list(stored["shape"][len(handle.spec.shape) :])
 
 
 @dataclass(frozen=True)
 class Part:
     """A block of the cells of a store, and how its levels are read.
 
-    A ``piece`` is a block of cells of a level; level 0 are the cells of the store. Of a stack, ``plane`` says that the
+    A ``piece`` is a block of cells of a level; level 0 are the cells of the store. ``before`` are the chunks that the
+    pyramid had read before. Of a stack, ``plane`` says that the
     dataset has one plane of it and no dimension across the planes, which the part has all the same.
     """
 
@@ -80,6 +84,12 @@ class Part:
     cells: Slices
     pyramid: Pyramid = field(repr=False)
     plane: bool = False
+    before: int = field(default=0, repr=False)
+
+    @property
+    def chunks_read(self) -> int:
+        """Chunks found and read since the part was found."""
+        return self.pyramid.chunks_read - self.before
 
     def as_given(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values over cells of the part in the dimensions of the dataset."""

@@ -49,7 +49,7 @@ def walk(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iter
     try:
         yield from _walk_part(part, wanted, codes)
     finally:
-        count_reads(part.pyramid.chunks_read)
+        count_reads(part.chunks_read)
 
 
 def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator[CellBlock]:

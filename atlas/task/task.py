@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atlas.errors import RunError
-from atlas.overview.pyramid import opened
+from atlas.overview.pyramid import pyramid_of
 from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
 from atlas.store.records import read_record, single_records
@@ -92,7 +92,7 @@ def make_chunk(job: Job) -> Made:
     with file_errors(job.site.store):
         handle = job.handle()
         try:
-            opened(handle, job.site.claim).make(job.level, job.index)
+            pyramid_of(handle).make(job.level, job.index)
         except RefusedError:
             raise
         except (RunError, ValueError) as error:  # damage below is not the worker's fault
@@ -156,7 +156,7 @@ def commit(handle: Atlas, job: Job, arrays: Arrays, source: Atlas | None = None)
     look at the notes and the write that follows writes later than it may, but the same bits as any other.
     """
     record = write_tile(handle, job.index, arrays) if source is None else take_tile(handle, source, job.index, arrays)
-    opened(handle, job.site.claim).make_over(job.index, arrays)
+    pyramid_of(handle).make_over(job.index, arrays)
     return tuple(record.tolist())
 
 

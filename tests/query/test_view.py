@@ -1,5 +1,6 @@
 """Claims about what views and shares read: the chunks in view, at the level that fits, of what the store holds."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,12 @@ from atlas import render
 from atlas.query.queries import fractions
 from atlas.query.reads import Reads, counted
 from atlas.query.resample import view
+from atlas.query.source import find_part
 from atlas.query.window import cell_edges
 from atlas.store import making, store
 from atlas.store.tiles import write_tile
 from tests.chunk_keys import noted_keys
+from tests.paths import ROOT
 from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC
 
@@ -200,6 +203,23 @@ def test_a_variable_of_another_atlas_is_drawn_as_what_it_is(ds: xr.Dataset, tmp_
 def test_an_assignment_in_place_is_seen(ds: xr.Dataset) -> None:
     ds["largest"][0, 0] = 7.0
     assert float(view(ds, ["largest"], pixels=(10, 10)).largest[0, 0]) == 7.0
+
+
+def test_that_a_variable_is_as_stored_is_found_without_a_read(
+    ds: xr.Dataset, handle: store.Atlas, keys: list[str]
+) -> None:
+    part = ds.isel(omega=slice(3, 40))
+    keys.clear()
+    assert find_part(part, ["largest", "regime"]) is not None
+    assert of_cells(keys) == []
+    np.testing.assert_array_equal(part.largest, handle.readable["largest"][:, 3:40])
+    assert find_part(part.load(), ["largest", "regime"]) is None
+
+
+def test_that_a_variable_is_as_stored_is_found_by_no_private_word_of_xarray() -> None:
+    pages = [path.read_text() for path in (ROOT / "atlas").rglob("*.py") if "xarray" in path.read_text()]
+    assert len(pages) > 10
+    assert not any(re.search(r"variable\._|\._variables\b|[\"']_(data|array|copied)[\"']", page) for page in pages)
 
 
 def test_a_selection_of_neighbours_still_reads_overviews(ds: xr.Dataset) -> None:

@@ -6,10 +6,11 @@ Truth: the store's own objects, counted as they are asked for, by its place and 
 import pickle
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from zarr.storage import LocalStore
@@ -63,15 +64,38 @@ def test_a_tile_looks_at_the_state_of_the_root_twice_and_reads_no_metadata(
     assert of_metadata(asked) == {("version", ROOT): 2}
 
 
-def test_a_question_to_a_dataset_looks_at_its_store_by_one_object(
-    finished: Path, asked: Counter[tuple[str, str]]
+QUESTIONS: dict[str, Callable[[Any], object]] = {
+    "fractions": lambda of: of.fractions(),
+    "reasons": lambda of: of.reasons(),
+    "extremes": lambda of: of.extremes("largest"),
+    "regions": lambda of: of.regions(),
+    "labels": lambda of: of.labels(),
+    "boundary": lambda of: of.boundary("periodic"),
+    "plot": lambda of: of.plot(),
+}
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_a_question_to_a_dataset_looks_at_its_store_by_one_object_and_opens_it_no_second_time(
+    finished: Path, asked: Counter[tuple[str, str]], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
+    keys, whole = list[str](), LocalStore.get
+
+    async def get(store: LocalStore, key: str, *given: object, **named: object) -> object:
+        keys.append(key)
+        return await whole(store, key, *given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(LocalStore, "get", get)
     ds = atlas.open(finished)
+    ds.atlas.fractions()  # the first question opens the overviews
     asked.clear()
-    for ask in (ds.atlas.fractions, ds.atlas.reasons):
-        ask()
-        assert of_metadata(asked) == {("get", ROOT): 1}
-        asked.clear()
+    keys.clear()
+    QUESTIONS[question](ds.atlas)
+    assert of_metadata(asked) == {("get", ROOT): 1}
+    assert ROOT not in keys and "overviews/zarr.json" not in keys
+    for ask in QUESTIONS.values():
+        ask(ds.atlas)
+    assert max(Counter(key for key in keys if key.endswith(ROOT)).values(), default=0) <= 1
 
 
 def test_a_store_is_read_by_three_objects_when_it_is_opened(finished: Path, asked: Counter[tuple[str, str]]) -> None:
