@@ -1,4 +1,4 @@
-"""The numerics of impact-atlas: what Dask's workers run. Depends on numpy, scipy and numba only.
+"""The numerics of impact-atlas, run by Dask's workers. Depends on numpy, scipy and numba only.
 
 Two functions: ``solve_tile`` for results over arrays of parameters, ``trace`` for one orbit's history. Both take the
 name of a packaged system, or a ``System`` of one's own, ``System.from_toml``.
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from workers.tile import solve_tile
 
 SOLVER_VERSION = 13
-"""Raised whenever any number that solve_tile returns may change."""
+"""Raised whenever a number of solve_tile may change."""
 
 __all__ = ["SOLVER_VERSION", "Settings", "System", "solve_tile", "trace"]
 

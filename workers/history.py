@@ -1,4 +1,4 @@
-"""``trace``: one orbit's history: section states, every impact, exponents as they converge."""
+"""``trace``, the history of one cell: section states, every impact, running means of the exponents."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,17 +11,17 @@ from workers.cell.stretch import batch_of, begin, run, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames, states_within
 from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import OVERDRAFT, PROGRESS, RECORDED, WORK
-from workers.model.oscillator import Array, Oscillator, each
+from workers.model.oscillator import Array, Oscillator, map_fields
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError
 from workers.settings import Settings, check_whole
 from workers.tile import broadcast, initial_state
 
 RECORD = 4096
-"""Impacts of one period that there is room for; a period of more is gone through again with twice the room."""
+"""Room for the impacts of one period; a period with more is repeated with twice the room."""
 
 LONGEST = 1_000_000
-"""Periods of a history, which is kept in memory: 300 MB and more."""
+"""Most periods of a history, which is kept in memory: 300 MB and more."""
 
 
 class Trace(NamedTuple):
@@ -30,8 +30,8 @@ class Trace(NamedTuple):
     times      (K + 1,)     section times k T
     states     (K + 1, 2n)  physical section states, the initial one first
     impacts    (N, 3)       time, side (+1 upper, -1 lower; of contact c of a machine with modes +-(1 + c)) and speed
-                            before it, of every impact. A chatter has infinitely many: they are listed until what is
-                            left of it is below rounding, and a row of speed 0 tells when it ends and the rest begins
+                            before it, of every impact. Of the infinitely many impacts of a chatter those above rounding
+                            are listed; a row of speed 0 marks its end, where the rest begins
     exponents  (K, m)       running means of the exponents per period; m = 0, 1 or all, 2n or one less where a
                             coordinate drifts, as settings.exponents asks
     """
@@ -53,8 +53,8 @@ def trace(
 
     A machine without a force is followed over periods of the length ``cycle``, else over natural ones, and its
     exponents are per unit time. Raises KeyError for unknown names and ValueError, in one line, for a cycle of a machine
-    with a force, for another number of periods, for parameters without a motion, and where the motion costs more
-    evaluations than a cell solved over as many periods may.
+    with a force, for another number of periods, for parameters without a motion, and if the motion costs more
+    evaluations than allowed to a cell over the same periods.
 
     >>> from workers import trace
     >>> history = trace("two-mass", {"omega": 4.0, "b": 0.1}, periods=3)
@@ -64,11 +64,11 @@ def trace(
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)
     settings = settings or Settings()
-    given = broadcast(record, {name: float(value) for name, value in params.items()})
+    parameters = broadcast(record, {name: float(value) for name, value in params.items()})
     for parameter in record.parameters:
-        if not parameter.admits(given[parameter.name]):
-            raise ValueError(f"{parameter.name} = {given[parameter.name]}: must satisfy {parameter.range}")
-    values = {name: value.reshape(1) for name, value in given.items()}  # the kernels for many cells serve one too
+        if not parameter.admits(parameters[parameter.name]):
+            raise ValueError(f"{parameter.name} = {parameters[parameter.name]}: must satisfy {parameter.range}")
+    values = {name: value.reshape(1) for name, value in parameters.items()}  # the kernels for many cells serve one too
     oscillators, reasons = record.build_many(record.with_cycle(values, cycle))
     starts, cell = initial_state(record, values), np.zeros(1, dtype=np.int64)
     vectors = {"none": 0, "largest": 1, "spectrum": record.exponents}[settings.exponents]
@@ -86,13 +86,13 @@ def trace(
         if reason != NO_REASON:
             raise ValueError(f"period {k}: {REASONS[reason].text}")
         reset_frames(oscillators.gap.blocks, motions, cell)
-        found = motions.impacts[0, : int(motions.tally[0, RECORDED])] + [k * period, 0.0, 0.0]
+        listed = motions.impacts[0, : int(motions.tally[0, RECORDED])] + [k * period, 0.0, 0.0]
         motions.tally[0, RECORDED] = 0.0
         states.append(physical_states(oscillators, motions, cell)[0])
-        if record.definition.drift:  # which is counted from each section
+        if record.definition.drift:  # the drift is counted from each section
             drifting = record.states.index(record.definition.drift)
             states[-1][drifting] = starts[0, drifting] + motions.tally[0, PROGRESS]
-        impacts.append(found)
+        impacts.append(listed)
         exponents.append(motions.growth[0] / ((k + 1) * (period if record.definition.unforced else 1)))
     return Trace(
         times=period * np.arange(periods + 1.0),
@@ -104,17 +104,17 @@ def trace(
 
 def _a_period_later(batch: Batch, cell: NDArray[np.int64]) -> Batch:
     """The one motion of a batch a period later, with room for all of its impacts."""
-    before = each(batch.motions._replace(impacts=batch.motions.impacts[:, :0]), np.copy)
+    before = map_fields(batch.motions._replace(impacts=batch.motions.impacts[:, :0]), np.copy)
     while True:
         batch.done[:] = 0
         run(batch, cell)
         room = batch.motions.impacts.shape[1]
         if batch.motions.tally[0, RECORDED] < room:
             return batch
-        batch = batch._replace(motions=each(before, np.copy)._replace(impacts=np.empty((1, 2 * room, 3))))
+        batch = batch._replace(motions=map_fields(before, np.copy)._replace(impacts=np.empty((1, 2 * room, 3))))
 
 
 def within_periods(oscillators: Oscillator, states: Array, times: Array) -> Array:
     """Physical states (S, K, 2n) of one machine at times (K,) within the period after each section state (S, 2n)."""
-    found: Array = oscillators.with_modes(lambda _: states_within(oscillators, 0, states, times), np.array([0]))
-    return found
+    reached: Array = oscillators.with_modes(lambda _: states_within(oscillators, 0, states, times), np.array([0]))
+    return reached

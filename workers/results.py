@@ -11,7 +11,7 @@ from workers.settings import Settings
 
 @dataclass(frozen=True)
 class CodeMeaning:
-    """What a code in the data stands for: its name there, and what pictures and pages say."""
+    """Meaning of a code in the data: its name there, and its words on pictures and pages."""
 
     code: int
     name: str
@@ -20,7 +20,7 @@ class CodeMeaning:
 
 @dataclass(frozen=True)
 class Regime(CodeMeaning):
-    """A class of motion, with the colour that pictures give it."""
+    """A class of motion, with its colour in pictures."""
 
     color: str
 
@@ -45,7 +45,7 @@ REGIMES = tuple(Regime(code, name, name.replace("_", " "), color) for code, name
 
 @dataclass(frozen=True)
 class Reason(CodeMeaning):
-    """Why a cell has no result, or an uncertain one, in a sentence; with the regime of such cells."""
+    """A reason for a missing or uncertain result, in a sentence; with the regime of such cells."""
 
     regime: int
 
@@ -88,11 +88,11 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
     ("periods_spent", UNDETERMINED, "its budget of forcing periods is spent before its class is certain"),
     ("never_recurs", UNDETERMINED, "its energy still rises or falls when its budget ends: it has not come back"),
 )))  # fmt: skip
-"""Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
+"""Codes are stored: new reasons are appended, and a code never changes its meaning."""
 
 
 class InvalidError(ValueError):
-    """Parameters that make no sense; ``reason`` is the code of why."""
+    """Parameters without an oscillator; ``reason`` is the code of the reason."""
 
     def __init__(self, reason: int) -> None:
         super().__init__(REASONS[reason].text)
@@ -101,20 +101,18 @@ class InvalidError(ValueError):
 
 SOLVED = frozenset(regime.code for regime in REGIMES) - {PENDING}
 OF_MOTIONS = frozenset({NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, LOCKING})
-"""The codes of all regimes but pending, and of those with exponents."""
+"""The codes of all regimes except pending, and of regimes with exponents."""
 
 
 @dataclass(frozen=True)
 class Variable:
     """One result array: name, numpy type, value of a cell without a result, CF long_name and units.
 
-    ``extra`` names dimensions after the cell's own: "attractor" (how many are kept), "exponent" (2n), "state" (2n),
-    "sample" (section_samples).
-    ``sparse``: most tiles have nothing but fill values of it, and are stored without a chunk.
-    ``label``: the few words of a table or a list, where its name does not say it.
-    ``regimes``: codes of the regimes in which it is a result.
-    ``endless``: below zero it stands for infinitely many, at rest on a stop.
-    ``codes``: what its values stand for where they are codes.
+    ``extra`` names the dimensions that follow those of the cells: "attractor" (how many are kept), "exponent" (2n),
+    "state" (2n), "sample" (section_samples). ``sparse``: most tiles hold only its fill value and are stored without a
+    chunk. ``label``: short words for tables and lists, if its name does not suffice. ``regimes``: codes of the regimes
+    in which it is a result. ``endless``: a negative value stands for infinitely many, at rest on a stop. ``codes``:
+    meanings of its values if they are codes.
     """
 
     name: str
@@ -135,18 +133,18 @@ class Variable:
         return self.label or self.name.replace("_", " ")
 
     def meaning(self, code: int) -> CodeMeaning:
-        """What a code of it stands for."""
-        return next(each for each in self.codes if each.code == code)
+        """Meaning of one of its codes."""
+        return next(meaning for meaning in self.codes if meaning.code == code)
 
     def code_of(self, name: str) -> int:
-        """The code of this name."""
-        return next(each.code for each in self.codes if each.name == name)
+        """The code with this name."""
+        return next(meaning.code for meaning in self.codes if meaning.name == name)
 
 
 PER_PERIOD = "per forcing period"
-"""How the meaning of what is counted over forcing periods says so: its unit is 1, since a period has none."""
+"""Ending of meanings of quantities per forcing period: their unit is 1, since a period has none."""
 PER_TIME = "per unit time"
-"""How it says so of what is counted over time, which is all of a machine without a force."""
+"""Ending of meanings of quantities per time, as for all of a machine without a force."""
 ATTRACTOR = "attractor"
 """The dimension along the attractors of a cell, the one with the largest share first."""
 
@@ -160,7 +158,7 @@ def _count(name: str, long_name: str, *extra: str, fill: int = 0, label: str = "
 
 
 def count_of_orbit(name: str, long_name: str, label: str = "", endless: bool = True) -> Variable:
-    """What is counted along an orbit, a result where there is one; of impacts there may be no end."""
+    """A count along an orbit, a result if there is one; the number of impacts may be infinite."""
     return Variable(name, "int32", 0, long_name, label=label, regimes=frozenset({PERIODIC}), endless=endless)
 
 
@@ -236,8 +234,8 @@ SETTLED = _count("settled", "forcing periods until the motion is on the attracto
 
 
 _BY_NAME = {
-    each.name: each
-    for each in (
+    variable.name: variable
+    for variable in (
         LARGEST, ERROR, AVERAGE, SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE, SECTION, PROGRESS, *_ALWAYS, *_COEXISTENCE,
         LABEL, SETTLED, REASON, REGIME,
     )
@@ -245,12 +243,12 @@ _BY_NAME = {
 
 
 def result_named(name: str) -> Variable:
-    """The result of this name that all machines may have; of another name a number of which no more is known."""
+    """The result of this name that all machines may have; for another name a plain number."""
     return _BY_NAME.get(name) or _number(name, name)
 
 
 def in_words(values: Mapping[str, Any]) -> dict[str, str]:
-    """The regime of a cell by its name, and the reason, where there is one, as a sentence."""
+    """The regime of a cell by its name, and its reason, if any, as a sentence."""
     reason = int(values.get(REASON.name, NO_REASON))
     why = {REASON.name: REASONS[reason].text} if reason != NO_REASON else {}
     return {REGIME.name: REGIME.meaning(int(values[REGIME.name])).name} | why
@@ -259,12 +257,12 @@ def in_words(values: Mapping[str, Any]) -> dict[str, str]:
 def result_variables(
     settings: Settings, attractors: bool = False, basins: bool = False, own: tuple[Variable, ...] = ()
 ) -> tuple[Variable, ...]:
-    """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written.
+    """The variables of a solution with these settings; ``regime`` comes last, since it is written last.
 
     ``own``: the machine's own variables, see ``model.measures``.
 
-    With ``attractors`` each cell has all its attractors: every result but the cost has the dimension ``attractor``.
-    With ``basins`` each initial state has the label of the attractor that it reaches.
+    With ``attractors`` each cell lists all its attractors: every result except the cost has the dimension
+    ``attractor``. With ``basins`` each initial state has the label of the attractor that it reaches.
     """
     chosen = [LABEL, SETTLED] if basins else []
     if settings.exponents != "none":
@@ -301,21 +299,21 @@ def in_time(variable: Variable) -> Variable:
 
 
 def of_one(variable: Variable) -> Variable:
-    """The variable as it is of one attractor of a cell."""
+    """The variable for a single attractor of a cell."""
     return replace(variable, extra=tuple(dim for dim in variable.extra if dim != ATTRACTOR))
 
 
 def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: int) -> dict[str, Any]:
-    """Arrays over cells of ``dims`` dimensions, each with its first attractor alone: views, not copies."""
+    """Arrays over cells of ``dims`` dimensions, with the first attractor of each: views, not copies."""
     many = {variable.name for variable in variables if ATTRACTOR in variable.extra}
     first = (slice(None),) * dims + (0,)
     return {name: values[first] if name in many else values for name, values in arrays.items()}
 
 
 def reason_counts(codes: np.ndarray) -> dict[str, int]:
-    """Cells by reason, each as its sentence, from an array of codes; those without a reason are left out."""
-    found, counts = np.unique(codes[codes != NO_REASON], return_counts=True)
-    return {REASONS[code].text: count for code, count in zip(found.tolist(), counts.tolist(), strict=True)}
+    """Cells by reason, each as its sentence, from an array of codes; cells without a reason are left out."""
+    present, counts = np.unique(codes[codes != NO_REASON], return_counts=True)
+    return {REASONS[code].text: count for code, count in zip(present.tolist(), counts.tolist(), strict=True)}
 
 
 def empty_results(

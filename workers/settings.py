@@ -6,32 +6,32 @@ from dataclasses import dataclass
 EXPONENTS = ("none", "largest", "spectrum")
 METHODS = ("adaptive", "fixed")
 MOST_PERIODS = 500_000_000
-"""Of each kind: all that a cell may cost has to fit the 32 bits of ``periods_used``."""
+"""Most periods of each kind: the cost of a cell must fit the 32 bits of ``periods_used``."""
 LONGEST_ORBIT = 10_000
-"""Forcing periods: a cell keeps a section state of each while it is solved."""
+"""Most forcing periods of an orbit: a cell keeps a section state of each while it is solved."""
 MOST_SAMPLES = 100_000
-"""Section states of a cell, 3 MB, and values of an observable."""
+"""Most section states of a cell, 3 MB, and most values of an observable."""
 CHOICES = {"exponents": EXPONENTS, "method": METHODS}
-"""The settings that are words, and which words."""
+"""Settings that are words, and their valid words."""
 WHOLE = {
     "max_periods": (1, MOST_PERIODS), "survival": (0, MOST_PERIODS), "transient_periods": (0, MOST_PERIODS),
     "periods": (1, MOST_PERIODS), "max_period": (1, LONGEST_ORBIT), "section_samples": (0, MOST_SAMPLES),
     "observe_values": (1, MOST_SAMPLES),
 }  # fmt: skip
-"""The settings that are whole numbers, with the least and the greatest."""
+"""Settings that are integers, with the least and the greatest value."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What to compute of a cell, how well and at what price.
+    """What to compute of a cell, how accurately, and at what cost.
 
     exponents          "none", "largest" or "spectrum"
     tolerance          target standard error of the largest exponent, per forcing period; > 0
     max_periods        most forcing periods for deciding a cell's class, and averaging; 1 to 500 million (method
                        "adaptive")
     survival           most further forcing periods for watching motion that looks chaotic; 0 to 500 million (method
-                       "adaptive"). Beside a known stable orbit it is watched for all of them, otherwise for a 32nd
-                       of them at least.
+                       "adaptive"). Motion is watched for all of them if a stable orbit is known, else for at least a
+                       32nd
     method             "adaptive", or "fixed": the schedule of Li & Tan (2011), transient then average
     transient_periods  periods dropped before the average (method "fixed"); 0 to 500 million
     periods            periods averaged (method "fixed"); 1 to 500 million
@@ -76,11 +76,11 @@ class Settings:
 
     @property
     def deciding_periods(self) -> int:
-        """Forcing periods within which a cell is decided; the tenth of ``max_periods`` that is left is for proofs."""
+        """Forcing periods within which a cell is decided; the remaining tenth of ``max_periods`` is for proofs."""
         return self.max_periods - self.max_periods // 10
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """ValueError, in one line, unless the value is a whole number from low to high."""
+    """ValueError in one line unless the value is an integer from low to high."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{name}: found {value!r}, must be a whole number, {low} to {high}")

@@ -1,4 +1,4 @@
-"""``solve_lines``, continuation: lines of cells, each cell started from the attractor of the one before it."""
+"""``solve_lines``, continuation along lines: each cell starts from the attractor of the one before it."""
 
 from collections.abc import Mapping
 
@@ -22,16 +22,15 @@ def solve_lines(
     axis: int = -1,
     backward: bool = False,
 ) -> Results:
-    """Solve every line along one axis of the parameters' broadcast shape as a slow sweep: results as of solve_tile.
+    """Solve every line along one axis of the parameters' broadcast shape as a slow sweep; results as in solve_tile.
 
-    The first cell of a line (with ``backward`` the last) starts from its own initial state. Every other one starts
-    from ``state``, the section state on the attractor, of the nearest cell before it that has one: an invalid or
-    failed cell has none and is passed over. Where the gap has become narrower than that state needs, its gap
-    coordinate is moved onto the stop, as a wall that closes in would push it, and its velocities are kept; an
-    outward one is reversed by the impact that follows at once.
+    The first cell of a line (with ``backward`` the last) starts from its own initial state. Every other cell starts
+    from ``state``, the section state on the attractor, of the nearest earlier cell with one: invalid and failed cells
+    have none. If the gap has become too narrow for that state, its gap coordinate is moved onto the stop, as by a wall
+    that closes in, and its velocities are kept; an outward velocity is reversed by the impact that follows at once.
 
-    A cell therefore depends on its line, but on no other line. Raises as solve_tile does, ValueError too for an
-    axis that does not exist.
+    A cell depends on its line, but on no other line. Raises as solve_tile does, and ValueError for an axis that does
+    not exist.
     """
     record = find_system(system)
     grids = broadcast(record, params)
@@ -55,10 +54,9 @@ def solve_lines(
 
 
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
-    """Initial states of the cells at one position of all lines: the newest known ones, their own where none is.
+    """Initial states of the cells at one position of all lines: the newest known states, else their own.
 
-    The gap coordinate is moved onto the stop that it lies beyond, if it does. Without velocity it rests there then, see
-    kernel.coordinates.placed.
+    A gap coordinate beyond a stop is moved onto it. Without velocity it rests there, see kernel.coordinates.placed.
     """
     states = initial_state(record, here)
     known = np.isfinite(last).all(axis=-1)
@@ -67,6 +65,6 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
         moved = last[known].copy()
         for row, upper, lower in oscillators.rigid_stops:
             put_inside(row, upper, lower, moved)
-        built = reasons == NO_REASON  # solve_tile calls the others invalid
+        built = reasons == NO_REASON  # solve_tile marks the others invalid
         states[known] = np.where(built[:, None], moved, last[known])
     return {name: states[..., k] for k, name in enumerate(record.states)}

@@ -19,10 +19,10 @@ from workers.results import ATTRACTOR, Variable, empty_results
 from workers.settings import Settings
 
 MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
-"""Bytes of section states that cells under way may take together; cells that are under way together all the same."""
+"""Most bytes of section states of the active cells; least number of active cells."""
 
 MODES_AT_ONCE = 512
-"""Cells of machines with modes that are under way together: each has a table of its modes."""
+"""Active cells of machines with modes: each has a table of its modes."""
 
 
 def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Results:
@@ -35,9 +35,9 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
     settings  see Settings
 
     Exponents are per forcing period. ``System.variables`` has the variables and their units.
-    A cell depends on its own parameters and the settings only, to the bit. It never raises for a cell: outside
-    the valid range it is "invalid", and "failed" where its motion cannot be followed; "reason" says why.
-    Raises KeyError for an unknown system or parameter name and ValueError for shapes that do not broadcast.
+    A cell depends on its own parameters and the settings only, to the bit. A cell never raises: it is "invalid" outside
+    the valid range, and "failed" if its motion cannot be followed; "reason" gives the cause. Raises KeyError for an
+    unknown system or parameter name and ValueError for shapes that do not broadcast.
 
     >>> from workers import solve_tile
     >>> result = solve_tile("two-mass", {"omega": 4.0, "b": [0.1, 0.15]})
@@ -70,20 +70,20 @@ def solve_parts(
     solve_part: Callable[[dict[str, Array], Results], None],
     attractors: int = 0,
 ) -> Results:
-    """Arrays of these variables, written part by part: of ``at_once`` cells, from their parameters (N,)."""
+    """Arrays of these variables, written in parts of ``at_once`` cells, from their parameters (N,)."""
     grids = broadcast(record, params)
     shape = next(iter(grids.values())).shape
     flat = {name: grid.flatten() for name, grid in grids.items()}
     count = math.prod(shape)
-    found = result_arrays(variables, settings, count, len(record.states), attractors, record.exponents)
+    results = result_arrays(variables, settings, count, len(record.states), attractors, record.exponents)
     for begin in range(0, count, at_once):
         part = slice(begin, begin + at_once)
-        solve_part(*({name: array[part] for name, array in arrays.items()} for arrays in (flat, found)))
-    return {name: array.reshape(shape + array.shape[1:]) for name, array in found.items()}
+        solve_part(*({name: array[part] for name, array in arrays.items()} for arrays in (flat, results)))
+    return {name: array.reshape(shape + array.shape[1:]) for name, array in results.items()}
 
 
 def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Every parameter, by default where it is not given, as arrays of one shape.
+    """Every parameter, with its default if missing, as arrays of one shape.
 
     Raises KeyError for an unknown name and ValueError for shapes that do not broadcast.
     """
@@ -101,8 +101,9 @@ def initial_state(record: System, params: Mapping[str, Array]) -> Array:
 def result_arrays(
     variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0, exponents: int = 0
 ) -> Results:
-    """Arrays of cells without a result, with states of ``size`` components and as many exponents, or ``exponents``, and
-    room for some attractors each.
+    """Arrays of cells without a result, with room for some attractors each.
+
+    States have ``size`` components; there are as many exponents, or ``exponents``.
     """
     sizes = {ATTRACTOR: attractors, "exponent": exponents or size, "state": size}
     sizes |= {"sample": settings.section_samples, VALUE: settings.observe_values}

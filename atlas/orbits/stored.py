@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation import Family, Orbit
-from workers.continuation.orbits import alike, many_of, moved
+from workers.continuation.orbits import alike, continued_to, many_of
 from workers.continuation.recording import halved, recorded
 from workers.results import NO_IMPACT, REGIME
 
@@ -61,7 +61,7 @@ def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list
 def _by_newton(family: Family, orbits: list[Orbit], points: Array) -> list[Orbit | str]:
     """``_exact`` of orbits of one itinerary."""
     try:
-        near = moved(family, many_of(orbits, points), points)
+        near = continued_to(family, many_of(orbits, points), points)
     except ValueError as error:
         if len(orbits) == 1:
             return [str(error)]

@@ -20,10 +20,10 @@ from workers.cell.stretch import batch_of, begin, run
 from workers.kernel.cells import physical_states, scale_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, Motion, motion_at
-from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, each, many_of, one_of
+from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, many_of, map_fields, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import separation
-from workers.orbit.section import moved
+from workers.orbit.section import motion_after
 from workers.results import NO_IMPACT, NO_REASON
 
 NEAR_ORBIT = 1e-2
@@ -115,13 +115,13 @@ def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[O
     osc = one_of(oscillator, 0)
     if shift == 0.0:
         return osc, motion_at(orbit.h, orbit.contact)
-    return osc._replace(tau=osc.tau + 2.0 * np.pi * shift), moved(osc, orbit.h, orbit.contact, shift)
+    return osc._replace(tau=osc.tau + 2.0 * np.pi * shift), motion_after(osc, orbit.h, orbit.contact, shift)
 
 
 def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
     """Block states (period, n, 2) of an orbit on the section where it was proved."""
     osc, motion = seen_from(oscillator, orbit, orbit.shift)
-    batch = batch_of(many_of(osc), each(motion, lambda field: field[None]), orbit.period)
+    batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]), orbit.period)
     batch.periods[0] = orbit.period
     run(batch, np.zeros(1, dtype=np.int64))
     return batch.sections[0]
@@ -129,7 +129,7 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
 
 def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
     """Where the mirror image of a motion at block state h (n, 2) is, with its contact; NaN where that is not known."""
-    later = moved(osc, h, contact, 0.5)
+    later = motion_after(osc, h, contact, 0.5)
     return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), -int(later.contact[0])
 
 

@@ -1,1 +1,1 @@
-"""One cell: its stages, averages and results. Many cells at a time."""
+"""One cell: its stages, averages and results; many cells at once."""

@@ -16,31 +16,31 @@ Results = dict[str, NDArray[Any]]
 """Result arrays (N, ...) by name."""
 
 RETURNS = 64
-"""Returns of a motion that are known of each cell at least, whatever ``max_period``."""
+"""Least number of returns of a motion known of each cell, for any ``max_period``."""
 
 FAR = 1e6
-"""Size of a motion that grows, beside that of its start, of what forces move it by and of where stops are, from which
-on it counts as one that goes to infinity: all of these are nothing beside it then."""
+"""Size of a growing motion from which on it counts as unbounded, relative to its start, its forced motion and the
+stops, which are negligible then."""
 
 STEPS, SAME_STEP = 16, 1e-7
-"""Periods over which what runs away gets faster by one step; and the share by which steps may differ for that, and that
-they are at least of what they add up to."""
+"""Periods over which a runaway motion gains speed in equal steps; the relative deviation of these steps, and their
+least share of the sum."""
 
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
-"""Evaluations allowed to a cell for each period of its budget, and the least for all of them together.
-Ordinary cells take 5 to 40 a period; R near 1 can take 10^5, and a cell must not cost minutes."""
+"""Evaluations allowed to a cell per period of its budget, and the least for all together. Ordinary cells take 5 to 40 a
+period; R near 1 can take 10^5, and a cell must not cost minutes."""
 
 
 def work_allowed(periods: int) -> int:
-    """Evaluations that a cell may cost over its budget of periods."""
+    """Evaluations allowed to a cell over its budget of periods."""
     return max(WORK_PER_PERIOD * periods, LEAST_WORK)
 
 
 class Average(NamedTuple):
-    """What was averaged of N cells.
+    """An average of N cells.
 
     mean, error  (N,) growth of the first tangent vector per period, and its standard error
-    periods      (N,) over which it was averaged; growth (N, m) sums of all vectors, impacts (N,) over the same periods
+    periods      (N,) averaged; growth (N, m) sums of all vectors, impacts (N,), over the same periods
     """
 
     mean: Array
@@ -56,7 +56,7 @@ def energy_norms(metric: Array, h: Array) -> Array:
 
 
 def sizes(oscillators: Oscillator, h: Array) -> Array:
-    """Energy norms (N,) of block states h (N, n, 2), of what forces move, and of displacements to all stops, in sum."""
+    """Energy norms (N,) of block states h (N, n, 2) plus those of forced motion and displacements to stops."""
     own, n, metric = oscillators, h.shape[1], oscillators.gap.metric
     if own.has_modes:
         rows, stops = own.table.machines.row, own.table.machines.stops
@@ -70,32 +70,32 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
 
 
 class CellCycle(NamedTuple):
-    """A cycle of a machine without a force: its period, and its states (p, 2n) as it passes its rarest event."""
+    """A cycle of a machine without a force: its period, and its states (p, 2n) at its rarest event."""
 
     period: float
     section: Array
 
 
 class Cells:
-    """N cells and the stage of each; the batch has its motion and the periods of its present stretch.
+    """N cells and the stage of each; the batch has their motions and the periods of the current stretch.
 
-    They begin at physical section states ``starts`` (N, 2n), where no reason is against their oscillator; those without
-    a motion are written invalid at once. contact (N,) is that of motions that go on from these states; without it each
-    state shows its own.
+    Cells without a reason against their oscillator begin at physical section states ``starts`` (N, 2n); cells without a
+    motion are written invalid at once. contact (N,) is the contact of motions that continue from these states; without
+    it the state decides.
 
-    going      whether the cell has to go on
-    framed     whether tangent vectors are carried along; averaging: and their growth counts
-    used       periods that the cell has cost
-    flown      periods that its motion has gone through; since: how many of them before it looked chaotic, began: before
-               the average and the counts under way, first: before the first average that counts
-    earlier    the average that was closed before the one under way; of no periods where there is none
-    tallied    (N, TALLIES) what was counted between ``first`` and ``began``
-    directions of the state, 2n; drifts: 1 where one of them is a coordinate that may drift, which has no exponent;
-    vectors: those carried along
-    found      result arrays, written as the cells are done; contact (N,) that of their ``state``
-    orbits     of the cells that were proved to fall into one
-    unforced   whether the machines have no force: then their periods are natural ones; cycles: what is proved of each
-    far        energy norm from which on a motion that grows counts as one without bound; infinite for others
+    going      true if the cell has not ended
+    framed     true if tangent vectors are carried along; averaging: and their growth counts
+    used       periods spent on the cell
+    flown      periods of its motion; since: periods before it looked chaotic, began: before the current average and
+               counts, first: before the first average that counts
+    earlier    the average before the current one; of no periods if there is none
+    tallied    (N, TALLIES) counts between ``first`` and ``began``
+    directions of the state, 2n; drifts: 1 if one of them is a coordinate that may drift, which has no exponent;
+    vectors: number of tangent vectors
+    found      result arrays, written when cells end; contact (N,) of their ``state``
+    orbits     of the cells that were proved to converge to one
+    unforced   true for machines without a force, whose periods are natural ones; cycles: the proved cycle of each
+    far        energy norm from which on a growing motion counts as unbounded; infinite for others
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class Cells:
         kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
         self.directions = 2 * n
         self.drifts = oscillators.drifts
-        one = 2 if unforced else 1  # of a motion without a force, one exponent is 0
+        one = 2 if unforced else 1  # without a force one exponent is 0
         self.vectors = {"none": 0, "largest": one, "spectrum": 2 * n - self.drifts}[settings.exponents]
         self.unforced, self.cycles = unforced, dict[int, CellCycle]()
         self.oscillators, self.settings, self.found = oscillators, settings, found
@@ -137,15 +137,15 @@ class Cells:
 
     @property
     def ready(self) -> Rows:
-        """The cells that have to go on."""
+        """The cells that have not ended."""
         return np.flatnonzero(self.going)
 
     def aim(self, rows: Rows, periods: Rows | int) -> None:
-        """Give these cells a stretch of this many periods to go."""
+        """Give these cells a stretch of this many periods."""
         self.batch.periods[rows], self.batch.done[rows] = periods, 0
 
     def run(self, rows: Rows, *, to_end: bool = False) -> Rows:
-        """Continue these cells, with ``to_end`` until each has ended its stretch; returns those that have ended."""
+        """Advance these cells, ``to_end`` until the end of each stretch; returns the cells that have reached it."""
         framed = self.framed[rows]
         for batch, some in ((self.batch, rows[framed]), (self.bare, rows[~framed])):
             run(batch, some, to_end=to_end)
@@ -155,7 +155,7 @@ class Cells:
         return through
 
     def kept(self) -> Rows:
-        """How many sections of its stretch are known of each cell."""
+        """Number of known sections of each cell's stretch."""
         return np.minimum(self.batch.periods, self.batch.sections.shape[1])
 
     def survived(self, rows: Rows) -> Rows:
@@ -163,9 +163,9 @@ class Cells:
         return self.flown[rows] - self.since[rows]
 
     def run_away(self, rows: Rows) -> Mask:
-        """Of which of these cells the free motion of what drifts has got faster in each period by the same step.
+        """Mask of cells whose drift gains the same speed in each period.
 
-        Without damping its momentum changes by the load, the force and friction alone, whatever else moves.
+        Without damping the momentum of the drift changes only by load, force and friction.
         """
         sections, kept = self.batch.sections, self.kept()[rows]
         if not self.drifts or sections.shape[1] <= STEPS:
@@ -177,18 +177,18 @@ class Cells:
         return np.asarray((kept > STEPS) & away & (high - low <= SAME_STEP * high))
 
     def are_far(self, rows: Rows) -> Mask:
-        """Which of these cells move so far that nothing seems to hold them; also where that is beyond doubles."""
-        found = np.isfinite(self.far[rows])
-        some = rows[found]
+        """Mask of cells that move so far that nothing seems to hold them, also beyond the range of doubles."""
+        far = np.isfinite(self.far[rows])
+        some = rows[far]
         size = energy_norms(self.oscillators.gap.metric[some], self.batch.motions.h[some])
-        found[found] = ~(size <= self.far[some])
-        return np.asarray(found)
+        far[far] = ~(size <= self.far[some])
+        return np.asarray(far)
 
     def budget(self) -> Rows:
-        """Periods that each cell may still cost in all."""
+        """Periods that may still be spent on each cell."""
         return self.settings.max_periods + self.settings.survival - self.used
 
     def at_rest(self, rows: Rows) -> Mask:
-        """Which of these cells have lost all directions, since their one mass has rested."""
+        """Mask of cells that have lost all directions, since their only mass has rested."""
         lost = np.maximum(self.tallied[rows, LOST], self.batch.motions.tally[rows, LOST])
         return np.asarray(lost >= self.directions)

@@ -1,10 +1,10 @@
 """The adaptive schedule: each cell is followed until its class is certain, and apparent chaos is watched.
 
-A cell goes through stages: it is searching, warming, averaging, watching, and averaging once more. At the end of every
-stretch of periods, warming aside, it looks for a stable orbit.
+The stages of a cell are searching, warming, averaging, watching, and averaging once more. At the end of every stretch
+of periods, except in warming, it looks for a stable orbit.
 
-``max_periods`` bounds what decides the class; a cell that looks chaotic may cost ``survival`` periods more. A tenth of
-max_periods is kept for the proof of an orbit.
+``max_periods`` bounds the periods that decide the class; watching apparent chaos may take ``survival`` periods more. A
+tenth of max_periods is kept for the proof of an orbit.
 """
 
 import math
@@ -25,44 +25,42 @@ from workers.results import LOCKING, NO_REASON, NOT_RELAXED, NOT_STATIONARY, RES
 SEARCHING, WARMING, AVERAGING, WATCHING = range(4)
 
 FIRST_STRETCH = 32
-"""Periods before a cell is first looked at; each further stretch is as long as all before it."""
+"""Periods before the first look at a cell; each further stretch is as long as all before it."""
 
 LEAST_TRANSIENT, RELAXATIONS, LARGEST_SHARE = 256, 3.0, 0.25
-"""The transient: its least periods, its relaxation times, and the largest share of max_periods that it may take."""
+"""The transient: its least periods, its relaxation times, and its largest share of max_periods."""
 
 NEAR_LATER = 1e-3
-"""NEAR after the first stretch: by then motion has had time to come nearer, and chaos often returns within NEAR itself,
-where each try costs."""
+"""NEAR after the first stretch: motion has had time to come nearer, and chaos often returns within NEAR itself, at the
+cost of a trial each time."""
 
 WARM_UP = 64
-"""Periods in which the tangent frame turns into the right directions before its growth counts."""
+"""Periods in which the tangent frame aligns before its growth counts."""
 
 FIRST_AVERAGE = 192
-"""Periods averaged before the average is first looked at."""
+"""Periods averaged before the first look at the average."""
 
 LONG_MEMORY, LEAST_PART = 5.0, 1.0 / 32.0
-"""Chaos is watched for all of ``survival`` if a stable orbit is known or its energy relaxes in LONG_MEMORY periods or
-more; else for the share (memory / LONG_MEMORY)^2, at least LEAST_PART. The share of chaos that settles falls in about
-that way: measured in 16,000 cells over all parameters.
-"""
+"""Chaos is watched for all of ``survival`` if a stable orbit is known or its energy relaxes in at least LONG_MEMORY
+periods; else for the share (memory / LONG_MEMORY)^2, at least LEAST_PART. The share of transient chaos falls about like
+that: measured in 16,000 cells over all parameters."""
 
 LEAST_WATCH = 256
-"""Periods of the shortest stretch of watching; each further one is half as long as what was survived before."""
+"""Periods of the shortest stretch of watching; each further one is half as long as the survival before it."""
 
 TORUS_LIMIT = 1e-5
-"""Largest modulus of the weighted averages of two stretches that counts as an exponent zero."""
+"""Largest modulus of the weighted averages of two stretches that counts as zero."""
 
 TORUS_RETURN = 1e-5
-"""Nearest of the last RETURNS returns, relative to the motion's scale, that may be an orbit closing slowly."""
+"""Nearest of the last RETURNS returns, relative to the motion's scale, of a possible slowly closing orbit."""
 
 
 def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Array:
-    """Forcing periods in which the energy of these motions falls by a factor e, without the force.
+    """Forcing periods in which the energy of these motions falls by a factor e without the force.
 
-    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, take
-    their part of one of the 2n squares that the energy is a sum of. Of machines with modes it is the mean time of all
-    modes with contacts open, friction left out. May be infinite. Where something grows, the rate is the least one at
-    which anything grows or decays.
+    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, reduce
+    one of the 2n squares in the energy. For machines with modes: the mean time of all modes with contacts open, without
+    friction. May be infinite. If a motion grows, the rate is the least rate of growth or decay.
     """
     if oscillators.has_modes:
         return np.asarray(1.0 / (2.0 * oscillators.gap.eta[rows].mean(axis=-1) * oscillators.period[rows]))
@@ -75,28 +73,28 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Arra
 
 
 def part_to_survive(relaxation: Array) -> Array:
-    """The part of ``survival`` for which chaos of these relaxation times is watched, beside no orbit that is known."""
+    """Share of ``survival`` for which chaos of these relaxation times is watched if no stable orbit is known."""
     return np.clip((relaxation / LONG_MEMORY) ** 2, LEAST_PART, 1.0)
 
 
 def none_of(rows: Rows) -> Mask:
-    """None of these cells."""
+    """A mask of none of these cells."""
     return np.zeros(len(rows), dtype=np.bool_)
 
 
 class Course:
-    """N cells on their way through the stages; each stage is a method of those cells that have ended a stretch in it.
+    """N cells on their way through the stages; each stage is a method for cells at the end of a stretch in it.
 
-    stage      of each cell; stretch: periods that it is to go next
-    memory     periods that its transient should take, NaN until known
+    stage      of each cell; stretch: its next periods
+    memory     periods needed for its transient, NaN until known
     watched    periods of watching
-    weighted   the weighted average of its last stretch; middle: of that stretch, in periods flown
-    half       standard error of an average over half of the periods that the tolerance takes
-    recurrence whether it comes back to what it was
+    weighted   weighted average of its last stretch; middle: of that stretch, in periods flown
+    half       standard error of an average over half of the periods needed for the tolerance
+    recurrence record of the recurrence of its amplitude
 
-    is_known   which of some cells, at the end of a stretch, are done since their motion is recognised
-    leaves     which of some cells, whose transients are over, leave the course to be judged elsewhere
-    part       the part of ``survival`` for which chaos is to be watched, by its relaxation in periods
+    is_known   mask of cells, at the end of a stretch, that end since their motion is recognised
+    leaves     mask of cells, after their transients, that leave the course to be judged elsewhere
+    part       share of ``survival`` for which chaos is watched, by its relaxation in periods
     """
 
     def __init__(
@@ -117,7 +115,7 @@ class Course:
         self.recurrence = Recurrence(N)
 
     def take(self) -> None:
-        """Take the cells that have to go on through their stages, to their results."""
+        """Take the cells that have not ended through their stages, to their results."""
         ready = self.cells.ready
         while self.cells.going.any():
             self.begin(ready)
@@ -127,14 +125,14 @@ class Course:
             ready = through[self.cells.going[through]]
 
     def begin(self, ready: Rows) -> None:
-        """Give each cell its next stretch, or its result where it has no more periods."""
+        """Give each cell its next stretch, or its result if no periods are left."""
         ready = outcome.end_impact_free(self.cells, ready)
         length = np.minimum(self.stretch[ready], self._left(ready))
         self._end(ready[length <= 0])
         self.cells.aim(ready[length > 0], length[length > 0])
 
     def look(self, through: Rows) -> None:
-        """See what the stretch has shown of each cell."""
+        """Judge each cell at the end of a stretch."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
         stage, near = self.stage[rows], np.where(cells.flown <= FIRST_STRETCH, NEAR, NEAR_LATER)
@@ -151,30 +149,30 @@ class Course:
         self.watching(rows[stage == WATCHING])
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells that are proved to fall into an orbit; of the others those not known already."""
+        """Write the results of cells proved to converge to an orbit; returns the others that are not known already."""
         known = self.is_known(rows)
         self.cells.going[rows[known]] = False
         return end_on_orbits(self.cells, rows[~known], budget, near)
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
-        """Write the results of cells that are proved to fall into a long orbit; the others."""
+        """Write the results of cells proved to converge to a long orbit; returns the others."""
         return end_on_long_orbits(self.cells, rows)
 
     def _left(self, rows: Rows) -> Rows:
-        """Periods that these cells' motions may still go in the stage they are in."""
+        """Periods left to these cells' motions in their present stage."""
         decide = self.settings.deciding_periods - (self.cells.used[rows] - self.watched[rows])
         return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
 
     def _end(self, rows: Rows) -> None:
-        """Write the results of cells that end."""
+        """Write the results of cells out of periods."""
         unrelaxed = self.cells.first[rows] < self.memory[rows]
         clear = np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON))
         outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
 
     def _end_at_rest(self, rows: Rows) -> None:
-        """Write the results of cells whose one mass has rested: its orbit, or that its period is unknown.
+        """Write the results of cells whose only mass has rested: its orbit, or an unknown period.
 
-        All that follows a release is the same, so that every disturbance is gone with the next rest.
+        Every release starts the same motion, so every disturbance is gone at the next rest.
         """
         cells = self.cells
         rows = self.end_on_long_orbits(rows)
@@ -187,7 +185,7 @@ class Course:
     # Searching
 
     def searching(self, rows: Rows) -> None:
-        """The motion forgets where it began: some relaxation times, LEAST_TRANSIENT periods at least."""
+        """The motion forgets its start: for some relaxation times, at least LEAST_TRANSIENT periods."""
         cells, flown = self.cells, self.cells.flown[rows]
         new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
         hits = impact_count(cells.batch.motions.tally[new]) / cells.flown[new]
@@ -202,7 +200,7 @@ class Course:
         self.observe(over[~leaves])
 
     def observe(self, rows: Rows) -> None:
-        """Warm these cells up, whose transients are over, or watch them where there are no exponents."""
+        """Warm up these cells after their transients, or watch them if no exponents are wanted."""
         cells = self.cells
         if cells.vectors:
             averages.restart(cells, rows)
@@ -215,9 +213,9 @@ class Course:
     # Warming
 
     def warming(self, rows: Rows) -> None:
-        """Tangent vectors have turned into the right directions: average from here on.
+        """Tangent vectors are aligned: average from now on.
 
-        A second average is to be as long as the first should have been.
+        A second average is as long as the first should have been.
         """
         cells = self.cells
         if not len(rows):
@@ -233,15 +231,15 @@ class Course:
     def averaging(self, rows: Rows) -> None:
         """The growth of tangent vectors is averaged.
 
-        Clearly positive, and known to half of the accuracy that is asked for (in periods): chaotic so far. Zero on two
-        stretches: a torus. Clearly negative: a long orbit is sought.
+        Clearly positive, and known to half of the wanted accuracy (in periods): chaotic so far. Zero on two stretches:
+        a torus. Clearly negative: a long orbit is sought.
         """
         second = self.cells.earlier.periods[rows] > 0.0
         self._judge_first(rows[~second])
         self._judge_second(rows[second])
 
     def _judge_first(self, rows: Rows) -> None:
-        """Half of the budget is enough to call a cell chaotic, too."""
+        """Half of the budget also suffices to call a cell chaotic."""
         now = under_way(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
         half_spent = self.cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
@@ -252,9 +250,9 @@ class Course:
         self._close(rows[chaotic])
 
     def _judge_second(self, rows: Rows) -> None:
-        """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived.
+        """Both averages together must reach the wanted accuracy unless they differ, and chaos must have survived.
 
-        What is positive is to be clearly so.
+        A positive exponent must be clearly positive.
         """
         (whole, _), error = averages.whole_average(self.cells, rows), under_way(self.cells, rows).error
         least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
@@ -269,12 +267,12 @@ class Course:
         self._go_on_changed(rows[enough & changed])
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
-        """The next stretch of an average of which periods are ``missing``: at most as long as what there is of it."""
+        """The next stretch of an average that lacks ``missing`` periods: at most as long as the average so far."""
         longest = self.cells.flown[rows] - self.cells.began[rows]
         self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
     def _go_on_changed(self, rows: Rows) -> None:
-        """Where motion has changed the later average counts."""
+        """Keep only the later average of motion that has changed."""
         cells = self.cells
         before, now = cells.earlier.mean[rows], under_way(cells, rows)
         averages.forget(cells, rows)
@@ -288,16 +286,16 @@ class Course:
         self.stretch[rows[~out & ~positive]] = now.periods[~out & ~positive]
 
     def _close(self, rows: Rows) -> None:
-        """Close the average of these cells and watch them, or go on to the next average if there is no need to."""
+        """Close the average of these cells and watch them, or continue with the next average if there is no need to."""
         averages.close(self.cells, rows)
         missing = self._missing(rows)
-        self.warming(rows[missing <= 0])  # the frame is as it was
+        self.warming(rows[missing <= 0])  # the frame is unchanged
         rows, missing = rows[missing > 0], missing[missing > 0]
         self.cells.framed[rows], self.cells.averaging[rows] = False, False
         self._watch(rows, missing)
 
     def _find_order(self, rows: Rows) -> None:
-        """Look for tori and, where the exponent is clearly negative, for long orbits."""
+        """Look for tori and, with a clearly negative exponent, for long orbits."""
         cells, batch = self.cells, self.cells.batch
         previous, now = self.weighted[rows], batch.weighted[rows, 0] / batch.weighted[rows, 1]
         middle = cells.flown[rows] - 0.5 * batch.periods[rows]
@@ -314,7 +312,7 @@ class Course:
         self.end_on_long_orbits(rows[clearly_positive(-mean, error, periods) | late])
 
     def never_closes(self, rows: Rows) -> Mask:
-        """Which of these cells have not come back to where they are in RETURNS periods."""
+        """Mask of cells that have not returned to their present state in RETURNS periods."""
         cells = self.cells
         blocks, h = cells.oscillators.gap.blocks, cells.batch.motions.h
         return np.asarray(far_from_closing(blocks, h, cells.batch.sections, rows, RETURNS, TORUS_RETURN))
@@ -324,8 +322,8 @@ class Course:
     def watching(self, rows: Rows) -> None:
         """Apparent chaos continues without tangent vectors for most of its watch.
 
-        Then it is averaged once more: where the two averages agree they are one, otherwise the motion has changed, and
-        the later one takes the place of the earlier. Without exponents it is aperiodic then.
+        Then it is averaged once more: equal averages are combined; otherwise the motion has changed, and the later
+        average replaces the earlier. Without exponents it is aperiodic then.
         """
         self.watched[rows] += self.cells.batch.done[rows]
         missing = self._missing(rows)
@@ -339,11 +337,11 @@ class Course:
             self._end(rows[~recurs])
 
     def _watchable(self, rows: Rows) -> Rows:
-        """Periods for which these cells may still be watched: what proofs have taken of both budgets is gone."""
+        """Periods for which these cells may still be watched, less the cost of proofs in both budgets."""
         return np.minimum(self.settings.survival - self.watched[rows], self.cells.budget()[rows])
 
     def _to_watch(self, rows: Rows) -> Rows:
-        """Periods for which these cells are still to be watched, so far as ``survival`` allows."""
+        """Periods for which these cells are still to be watched, within ``survival``."""
         part = self.part(self.memory[rows] / RELAXATIONS)
         part[has_coexisting_orbit(self.cells, rows)] = 1.0
         required = (part * self.settings.survival).astype(np.int64)
@@ -354,7 +352,7 @@ class Course:
         return self._to_watch(rows) - self.cells.earlier.periods[rows].astype(np.int64)
 
     def _watch(self, rows: Rows, missing: Rows) -> None:
-        """Watch these cells for a stretch of the ``missing`` periods: long enough for a long orbit to return in it."""
+        """Watch these cells for a stretch of the ``missing`` periods, long enough for a long orbit to return in it."""
         least = max(LEAST_WATCH, self.settings.max_period + 1)
         self.stage[rows] = WATCHING
         self.stretch[rows] = np.maximum(np.minimum(self.cells.survived(rows) // 2, missing), least)

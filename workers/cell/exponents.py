@@ -1,4 +1,4 @@
-"""Exponents without averaging: for motion without impact, and the law of their sum."""
+"""Exponents without averaging: for motion without impact, and by the law of their sum."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from workers.model.oscillator import COLUMN, Array, Oscillator
 
 
 def free_exponents(osc: Oscillator) -> Array:
-    """Exponents (2n,) per period of motion without impact, largest first; of many oscillators (N, 2n).
+    """Exponents (2n,) per period of motion without impact, largest first; (N, 2n) for many oscillators.
 
     -eta_j T twice for an underdamped block, -(eta_j -+ sqrt(eta_j^2 - lam_j)) T for another.
     """
@@ -19,7 +19,7 @@ def free_exponents(osc: Oscillator) -> Array:
 
 
 def sum_of_exponents(osc: Oscillator, impacts_per_period: Array | float) -> Any:
-    """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; of many (N,).
+    """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; (N,) for many.
 
     NaN for impacts with R = 0.
     """
@@ -31,9 +31,9 @@ def sum_of_exponents(osc: Oscillator, impacts_per_period: Array | float) -> Any:
 def kaplan_yorke(spectrum: Array) -> Array:
     """The Kaplan-Yorke dimension j + (lam_1 + ... + lam_j) / |lam_(j+1)| of exponents (..., 2n), largest first.
 
-    j is the largest number of exponents whose sum is not negative: 0 where all are, and all 2n, with nothing added,
-    where volume does not shrink. A direction that is lost, lam_(j+1) = -inf, adds nothing. NaN where an exponent is.
-    It is that of the attractor of the stroboscopic map; that of the motion in time is one more (Kaplan & Yorke 1979).
+    j is the largest number of exponents whose sum is not negative: 0 if all are negative, and 2n, with nothing added,
+    if volume does not shrink. A lost direction, lam_(j+1) = -inf, adds nothing. NaN if an exponent is NaN. The
+    attractor of the stroboscopic map has this dimension; the motion in time has one more (Kaplan & Yorke 1979).
     """
     size = spectrum.shape[-1]
     sums = np.concatenate([np.zeros((*spectrum.shape[:-1], 1)), np.cumsum(spectrum, axis=-1)], axis=-1)
@@ -45,15 +45,15 @@ def kaplan_yorke(spectrum: Array) -> Array:
 
 
 def sum_law_holds(tally: Array) -> Any:
-    """Whether sum_of_exponents holds over what motions have counted (..., TALLIES): no rest, no impact with R = 0."""
+    """Whether sum_of_exponents holds for these counts (..., TALLIES) of motions: no rest, no impact with R = 0."""
     return (tally[..., LOST] == 0.0) & (tally[..., STUCK] == 0.0)
 
 
 def impact_count(tally: Array) -> Any:
-    """Impacts that motions have counted (..., TALLIES), at both stops."""
+    """Impacts in the counts (..., TALLIES) of motions, at both stops."""
     return tally[..., UPPER] + tally[..., LOWER]
 
 
 def rests_on_stop(tally: Array) -> Any:
-    """Whether a rigid stop has held the mass (..., TALLIES): as a rule after a chatter, of which no count is finite."""
+    """Whether a rigid stop has held the mass (..., TALLIES): usually after a chatter of infinitely many impacts."""
     return tally[..., MIN_SPEED] == 0.0

@@ -1,7 +1,7 @@
 """Measures of a machine, contacts one by one, and losses, by another pass over the motion of each cell.
 
-A cell whose class is known is followed once more, over one turn of its orbit or WINDOW periods. Cells without a class
-keep their fill values.
+Cells of known class are followed once more, over one turn of their orbit or WINDOW periods. Cells without a class keep
+their fill values.
 """
 
 from collections.abc import Mapping
@@ -23,25 +23,25 @@ from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
 from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 WINDOW = 256
-"""Periods, from ``state`` on, over which a motion is measured that is no orbit."""
+"""Periods, from ``state`` on, over which motion without an orbit is measured."""
 
 WORK_PER_PERIOD = 2000
-"""Evaluations that each of them may cost besides LEAST_WORK; what costs more is not measured."""
+"""Evaluations allowed per such period besides LEAST_WORK; motion that costs more is not measured."""
 
 AT_ONCE = 512
-"""Machines that are measured together: each has a table of its modes."""
+"""Machines measured together: each has a table of its modes."""
 
 KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
-"""The classes of motion whose results say something of the machine."""
+"""Classes of motion with results for the machine."""
 
 MIRRORED = 1e-6
-"""Distance between a state and the mirror image of that half an orbit later, as a share of both, up to which the orbit
-counts as symmetric."""
+"""Distance between a state and the mirror image of the state half an orbit later, as a share of both, up to which the
+orbit counts as symmetric."""
 
 
 @np.errstate(all="ignore")
 def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
-    """Write what cells of known classes show of their machine's own results, from parameters (N,) each."""
+    """Write the machine's own results of cells of known class, from parameters (N,) each."""
     hybrid = cells.oscillators.has_modes
     if not (hybrid or definition.measures):
         return
@@ -55,21 +55,21 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         meters = _meters(machines, definition, values)
         readings, whole = followed(machines, meters, states, codes, periods, closes & hybrid)
         span = periods * machines.period
-        found = _of_measures(definition, definition.outputs(values)[2], readings, span)
+        variables = _of_measures(definition, definition.outputs(values)[2], readings, span)
         if hybrid:
             own = machines.table.machines
-            found |= _of_machine(own, readings, closes, periods)
-            found |= _of_elements(definition, own, readings, closes, periods)
+            variables |= _of_machine(own, readings, closes, periods)
+            variables |= _of_elements(definition, own, readings, closes, periods)
             counted, lost = cells.found["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
-            found["impact_energy"] = np.where(np.isnan(counted), lost, counted)
-        put(cells, some[whole], **{name: value[whole] for name, value in found.items()})
+            variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
+        put(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
 
 
 def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
-    """Periods (N,) over which these cells are measured, and for which of them that is a turn of an orbit."""
+    """Periods (N,) over which these cells are measured, and a mask of cells for which that is a turn of an orbit."""
     period = cells.found["period"][rows].astype(np.int64)
     closes = period > 0
-    if not cells.oscillators.has_modes:  # without damping, motion without impact need not repeat
+    if not cells.oscillators.has_modes:  # without damping, impact-free motion need not repeat
         gap = cells.oscillators.gap
         closes &= (cells.found["regime"][rows] == PERIODIC) | np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)[rows]
     return np.where(closes, period, WINDOW), closes
@@ -89,7 +89,7 @@ def starts_of(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> Meters:
-    """What is measured of machines: their measures, and the range of the coordinate that pictures show."""
+    """Quantities measured of machines: their measures, and the range of the coordinate in pictures."""
     rows, orders, _ = definition.outputs(values)
     peaks = np.tile([*("peak" in measure.report for _, measure in definition.measures), True], (len(rows), 1))
     own: HybridMachines = machines.table.machines
@@ -108,17 +108,17 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
 def followed(
     machines: Oscillator, meters: Meters, states: Array, codes: Rows, periods: Rows, closes: Mask
 ) -> tuple[Readings, Mask]:
-    """What motions show from physical states (N, 2n), with numbers of modes (N, 1), over ``periods`` (N,).
+    """Readings of motions from physical states (N, 2n), with mode numbers (N, 1), over ``periods`` (N,).
 
-    closes (N,): these are one turn of an orbit. And which of them could be followed.
+    closes (N,): the periods are one turn of an orbit. Also returns a mask of motions that could be followed.
     """
     N, readings = len(states), _nothing_read(meters)
     states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
     allowance, turns = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64), closes.astype(np.int64)
 
     def read(some: Rows) -> None:
-        given = states, codes, done, periods, turns, allowance, some
-        status[some] = read_motions(machines, meters, readings, *given)[some]
+        motion = states, codes, done, periods, turns, allowance, some
+        status[some] = read_motions(machines, meters, readings, *motion)[some]
 
     machines.with_modes(read, np.arange(N))
     return readings, status == RUNNING
@@ -138,7 +138,7 @@ def _nothing_read(meters: Meters) -> Readings:
 
 def _of_measures(definition: Definition, weights: Array, readings: Readings, span: Array) -> dict[str, Array]:
     """The variables of measures."""
-    found: dict[str, Array] = {}
+    variables: dict[str, Array] = {}
     for m, (name, measure) in enumerate(definition.measures):
         square = readings.square[:, m] / span
         values = {
@@ -147,14 +147,14 @@ def _of_measures(definition: Definition, weights: Array, readings: Readings, spa
             "peak": np.maximum(-readings.low[:, m], readings.high[:, m]),
             "power": weights[:, m] * square,
         }
-        found |= {f"{name}_{report}": values[report] for report in measure.report}
-    return found
+        variables |= {f"{name}_{report}": values[report] for report in measure.report}
+    return variables
 
 
 def _of_machine(machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
     """The variables of a whole machine with modes."""
     halves = readings.halves
-    if machines.drifting >= 0:  # where that coordinate is does not matter
+    if machines.drifting >= 0:  # the position of the drifting coordinate has no effect
         halves = np.delete(halves, machines.drifting, axis=2)
     early, late = halves[:, 0], halves[:, 1]
     away = np.linalg.norm(early + late, axis=1)
@@ -169,8 +169,8 @@ def _of_machine(machines: HybridMachines, readings: Readings, closes: Mask, peri
 def _of_elements(
     definition: Definition, machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
-    """The variables of contacts and friction. What a spring takes in it gives back, but for rounding."""
-    found: dict[str, NDArray[Any]] = {}
+    """The variables of contacts and friction. A spring returns all energy, up to rounding."""
+    variables: dict[str, NDArray[Any]] = {}
     span, pad = periods * 2.0 * np.pi / machines.omega, machines.pad
     springs = (machines.soft > 0.0) & (machines.by_force == 0.0) & np.all(pad[..., 1] == 0.0, axis=1)
     springs &= np.all(pad == pad[:, :1], axis=(1, 3))
@@ -178,11 +178,11 @@ def _of_elements(
         name, endless = contact.name, readings.endless[:, c] > 0.0
         for side, key in enumerate(("lower", "upper")):
             if getattr(contact, key) is not None:
-                found[f"{name}_{key}"] = np.where(closes, np.where(endless, -1, readings.hits[:, c, side]), 0)
-        found[f"{name}_fraction"] = np.minimum(readings.touching[:, c] / span, 1.0)
-        found[f"{name}_loss"] = np.where(springs[:, c], 0.0, readings.stop[:, c] / periods)
-        found[f"{name}_penetration"], found[f"{name}_force"] = readings.depth[:, c], readings.force[:, c]
+                variables[f"{name}_{key}"] = np.where(closes, np.where(endless, -1, readings.hits[:, c, side]), 0)
+        variables[f"{name}_fraction"] = np.minimum(readings.touching[:, c] / span, 1.0)
+        variables[f"{name}_loss"] = np.where(springs[:, c], 0.0, readings.stop[:, c] / periods)
+        variables[f"{name}_penetration"], variables[f"{name}_force"] = readings.depth[:, c], readings.force[:, c]
     for f, friction in enumerate(definition.friction):
-        found[f"{friction.name}_stuck"] = np.minimum(readings.stuck[:, f] / span, 1.0)
-        found[f"{friction.name}_loss"] = readings.rubbed[:, f] / periods
-    return found
+        variables[f"{friction.name}_stuck"] = np.minimum(readings.stuck[:, f] / span, 1.0)
+        variables[f"{friction.name}_loss"] = readings.rubbed[:, f] / periods
+    return variables

@@ -1,6 +1,6 @@
 """Values of observables, by another pass over each motion: see model/observables.py.
 
-A cell whose class is known is followed once more, as for its measures: over one turn of its orbit, or WINDOW periods.
+Cells of known class are followed once more, as for their measures: over one turn of their orbit, or WINDOW periods.
 """
 
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ Values = dict[str, Any]
 
 @np.errstate(all="ignore")
 def observe(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
-    """Write what the observables of their settings show of cells of known classes, from parameters (N,) each."""
+    """Write the observables of cells of known class, from parameters (N,) each."""
     observables, hybrid = observables_of(cells.settings.observe, definition), cells.oscillators.has_modes
     rows = np.flatnonzero(np.isin(cells.found["regime"], KNOWN))
     for first in range(0, len(rows) if observables else 0, AT_ONCE):
@@ -37,10 +37,10 @@ def observe(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         periods, closes = turns_of(cells, some)
         motions = *starts_of(cells, some, closes), periods, closes
         outputs = outputs_for(observables, definition, values)
-        found, whole = observed(
+        shown, whole = observed(
             machines, observables, outputs, motions, cells.settings.observe_values, definition.turns
         )
-        put(cells, some[whole], **{name: value[whole] for name, value in found.items()})
+        put(cells, some[whole], **{name: value[whole] for name, value in shown.items()})
 
 
 def observed(
@@ -51,17 +51,17 @@ def observed(
     most: int,
     turns: int,
 ) -> tuple[Values, Mask]:
-    """The first values of each observable of N motions, ``most`` at most; and which of these could be followed.
+    """The first values of each observable of N motions, at most ``most``; and a mask of motions that could be followed.
 
-    outputs: see outputs_for. motions: physical states (N, 2n), with the numbers of their modes (N, 1), the periods (N,)
-    that they go, and for which of them that is a turn of an orbit. turns: see Definition.
+    outputs: see outputs_for. motions: physical states (N, 2n), mode numbers (N, 1), periods (N,), and a mask of motions
+    for which these are one turn of an orbit. turns: see Definition.
     """
     states, codes, periods, closes = motions
     N, M, own = len(states), len(observables), machines.table.machines
     wanted = Sought(
-        np.array([KINDS.index(each.kind) for each in observables]),
-        np.array([each.contact for each in observables]),
-        np.array([each.side for each in observables]),
+        np.array([KINDS.index(observable.kind) for observable in observables]),
+        np.array([observable.contact for observable in observables]),
+        np.array([observable.side for observable in observables]),
     )
     counts, endless = np.zeros((2, N, M), dtype=np.int64)
     seen = Seen(np.full((N, M, most), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
@@ -71,43 +71,43 @@ def observed(
     meters = Meters(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.grip)
 
     def see(some: Rows) -> None:
-        given = states, codes, done, periods, closes.astype(np.int64), allowance, some
-        status[some] = observe_motions(machines, meters, wanted, seen, *given)[some]
+        motion = states, codes, done, periods, closes.astype(np.int64), allowance, some
+        status[some] = observe_motions(machines, meters, wanted, seen, *motion)[some]
 
     machines.with_modes(see, np.arange(N))
-    numbers, found = np.where(endless > 0, -1, counts), Values()
-    for m, each in enumerate(observables):
+    numbers, results = np.where(endless > 0, -1, counts), Values()
+    for m, observable in enumerate(observables):
         shown = seen.values[:, m]
-        if each.kind == IMPACT_PHASE:  # of the machine, whose frequency is omega / turns
-            shown = np.mod(turns * shown, each.turn)
-        found |= {each.variable: shown, each.number: numbers[:, m]}
-    return found, status == RUNNING
+        if observable.kind == IMPACT_PHASE:  # of the machine, with frequency omega / turns
+            shown = np.mod(turns * shown, observable.turn)
+        results |= {observable.variable: shown, observable.number: numbers[:, m]}
+    return results, status == RUNNING
 
 
 def outputs_for(
     observables: tuple[Observable, ...], definition: Definition, values: Mapping[str, Array]
 ) -> tuple[Array, Array]:
-    """The rows (N, M, n) of observables, and the derivatives (N, M) that these are rows on, see Observable.row."""
-    found = [each.row(definition, values) for each in observables]
-    rows = np.stack([row for row, _ in found], axis=1)
-    return rows, np.tile([order for _, order in found], (len(rows), 1))
+    """The rows (N, M, n) of observables, and the derivatives (N, M) that the rows act on, see Observable.row."""
+    rows_of = [observable.row(definition, values) for observable in observables]
+    rows = np.stack([row for row, _ in rows_of], axis=1)
+    return rows, np.tile([order for _, order in rows_of], (len(rows), 1))
 
 
 def observe_orbits(
     definition: Definition, values: Mapping[str, Array], states: Array, periods: Rows, observed_by: str, most: int
 ) -> Values:
-    """What observables, named with commas between, show of orbits from physical section states (N, 2n), over one turn.
+    """Values of observables, named with commas between, on orbits from physical section states (N, 2n), over one turn.
 
-    Parameters and ``periods`` are (N,). Values are NaN, and counts 0, where an orbit cannot be followed.
+    Parameters and ``periods`` are (N,). Values are NaN, and counts 0, if an orbit cannot be followed.
     """
     observables = observables_of(observed_by, definition)
     machines, reasons = build_hybrid(definition.hybrid(values))
     begun, reasons = begin(machines, reasons, states)
     motions = states, begun.contact - FIRST_NUMBER, periods, np.ones(len(states), dtype=bool)
-    found, whole = observed(
+    shown, whole = observed(
         machines, observables, outputs_for(observables, definition, values), motions, most, definition.turns
     )
     there = whole & (reasons == NO_REASON)
-    for each in observables:
-        found[each.variable][~there], found[each.number][~there] = np.nan, 0
-    return found
+    for observable in observables:
+        shown[observable.variable][~there], shown[observable.number][~there] = np.nan, 0
+    return shown

@@ -1,4 +1,4 @@
-"""Stable orbits of cells: orbits proved to attract the motion, and others known beside them."""
+"""Stable orbits of cells: orbits proved to attract the motion, and known coexisting ones."""
 
 from typing import Any
 
@@ -12,16 +12,16 @@ from workers.orbit.newton import settle_each
 from workers.orbit.rest import rest_to_rest
 
 NEAR = 1e-2
-"""Distance of a return, relative to the motion's scale, from which on it may be one to a stable orbit."""
+"""Distance of a return, relative to the motion's scale, up to which it may lead to a stable orbit."""
 
 LONG_PERIOD, LONG_AT_ONCE = 1000, 64
-"""Longest orbit looked for where an average says that there is one; cells whose sections are kept for that together."""
+"""Longest orbit sought if an average indicates one; cells whose sections are kept for that together."""
 
 
 def end_on_orbits(cells: Cells, rows: Rows, budget: Rows, near: Array) -> Rows:
-    """Write the results of cells that are proved to fall into a stable orbit; the others.
+    """Write the results of cells proved to converge to a stable orbit; returns the others.
 
-    One is looked for where the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
+    An orbit is sought if the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
     """
     spent = np.zeros_like(cells.used)
     proved = _settled(
@@ -33,9 +33,9 @@ def end_on_orbits(cells: Cells, rows: Rows, budget: Rows, near: Array) -> Rows:
     return rows[~proved]
 
 
-def _settled(rows: Rows, oscillators: Oscillator, *given: Any) -> Mask:
-    """settle_each of these cells; once more where a mode had to be built for it."""
-    *asked, orbits, spent = given
+def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
+    """settle_each of these cells; repeated for cells that needed a new mode."""
+    *asked, orbits, spent = arguments
     proved = np.zeros(len(oscillators.tau), dtype=np.bool_)
 
     def settle(tried: Rows) -> None:
@@ -47,9 +47,9 @@ def _settled(rows: Rows, oscillators: Oscillator, *given: Any) -> Mask:
 
 
 def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
-    """As ``end_on_orbits``, for orbits of up to LONG_PERIOD periods: the motions go on by as many to see them close.
+    """As ``end_on_orbits``, for orbits of up to LONG_PERIOD periods: motions continue as long to close them.
 
-    Cells whose budget does not allow for that are not tried.
+    Cells without the budget for that are not tried.
     """
     tried = rows[cells.budget()[rows] > LONG_PERIOD + 1]
     for first in range(0, len(tried), LONG_AT_ONCE):
@@ -59,7 +59,7 @@ def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
 
 
 def _prove_long(cells: Cells, rows: Rows) -> Mask:
-    """Motions at rest are looked at after a rest, where rounding has grown least."""
+    """Prove long orbits; motions that rest are compared after a rest, where rounding has grown least."""
     every, length, budget = np.arange(len(rows)), LONG_PERIOD + 1, cells.budget()[rows]
     batch = batch_of(taken(cells.oscillators, rows), taken(cells.bare.motions, rows), length)
     orbits, spent, proved = taken(cells.orbits, rows), 0 * every, np.zeros(len(rows), np.bool_)
@@ -80,11 +80,11 @@ def _prove_long(cells: Cells, rows: Rows) -> Mask:
 
 
 def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
-    """Of which of these cells a stable orbit is known beside the motion.
+    """Mask of cells with a known stable orbit beside their motion.
 
-    Where |Y| stays inside the stops, every mode is damped and no load moves a rigid one, motion without impact is
-    one. Another is an orbit that a near return led to, and that the motion left again. One mass that a stop
-    can hold at some phase of the force has another: what follows a release repeats with the next rest.
+    Motion without impact is one if |Y| stays inside the stops, every mode is damped and no load moves a rigid mode. An
+    orbit that the motion came near and left again is another. A single mass that a stop can hold at some phase of the
+    force has one as well: the motion after a release repeats after the next rest.
     """
     if cells.oscillators.has_modes:
         return np.asarray(cells.orbits.near[rows])

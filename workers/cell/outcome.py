@@ -1,6 +1,6 @@
 """Results of cells as arrays: of orbits, of impact-free motion and of averages.
 
-Each function writes those result variables that are asked for, of some of the cells.
+Each function writes the requested result variables of some cells.
 """
 
 import math
@@ -30,11 +30,11 @@ from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orb
 from workers.orbit.newton import Orbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
-"""By reason."""
+"""Regime of cells by their reason."""
 
 
 def put(cells: Cells, rows: Rows, **values: Any) -> None:
-    """Write the required result variables of these cells. Cells that have a regime do not continue."""
+    """Write the requested result variables of these cells. Cells with a regime have ended."""
     for name, value in values.items():
         if name in cells.found:
             cells.found[name][rows] = value
@@ -43,9 +43,9 @@ def put(cells: Cells, rows: Rows, **values: Any) -> None:
 
 
 def end_stopped(cells: Cells, rows: Rows) -> Rows:
-    """Write the results of those cells whose motion cannot go on, by their reason; the others.
+    """Write the results of cells whose motion cannot continue, by their reason; returns the others.
 
-    A cell whose work is spent is judged by its average, see ``put_by_average``.
+    A cell that has spent its evaluations is judged by its average, see ``put_by_average``.
     """
     reasons = stop_reasons(cells.batch.motions, rows)
     away = cells.run_away(rows) | cells.are_far(rows) & np.isin(reasons, (results.NO_REASON, results.NOT_FINITE))
@@ -59,7 +59,7 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
 
 
 def end_impact_free(cells: Cells, rows: Rows) -> Rows:
-    """Write the results of those cells whose motion cannot impact any more; the others."""
+    """Write the results of cells whose motion cannot impact any more; returns the others."""
     motions = cells.batch.motions
     growing = rows[cells.oscillators.growth[rows] > 0.0]
     if len(growing):
@@ -75,28 +75,28 @@ def end_impact_free(cells: Cells, rows: Rows) -> Rows:
 
 
 def _end_linear(cells: Cells, rows: Rows) -> Rows:
-    """Write the results of cells whose motion changes with phases alone, see ``orbit.linear``; the others.
+    """Write the results of cells whose motion changes with phases alone, see ``orbit.linear``; returns the others.
 
-    What grows does so without bound: nothing holds it.
+    Growing motion is unbounded: nothing holds it.
     """
     _, _, frictions = cells.oscillators.table.machines.sizes
     if frictions or cells.drifts or not len(rows):
         return rows
     motions = cells.batch.motions
     spent = np.zeros_like(cells.used)
-    found = np.full(len(cells.used), UNKNOWN)
+    verdicts = np.full(len(cells.used), UNKNOWN)
 
     def look(some: Rows) -> None:
-        found[some] = linear_orbits(cells.oscillators, motions, some, cells.orbits, spent)
+        verdicts[some] = linear_orbits(cells.oscillators, motions, some, cells.orbits, spent)
 
     free = rows[contact_free(cells.oscillators, motions, rows)]
     if len(free):
         cells.oscillators.with_modes(look, free)
     cells.used[rows] += spent[rows]
-    put_periodic(cells, rows[found[rows] == STAYS])
-    grows = rows[found[rows] == GROWS]
+    put_periodic(cells, rows[verdicts[rows] == STAYS])
+    grows = rows[verdicts[rows] == GROWS]
     put(cells, grows, regime=results.FAILED, periods_used=cells.used[grows], reason=results.RUNS_AWAY)
-    return rows[found[rows] == UNKNOWN]
+    return rows[verdicts[rows] == UNKNOWN]
 
 
 def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
@@ -113,11 +113,11 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:
-    """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet's.
+    """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet exponents.
 
-    The error of the largest is that of rounding, but at least what the sum of all misses of its exact value: where a
-    stiff machine hits a stop slowly under a large load, the rounding error of one more turn is too small. Exponents of
-    minus infinity are exact.
+    The error of the largest exponent is that of rounding, but at least the deviation of the sum of all from its exact
+    value: if a stiff machine hits a stop slowly under a large load, the rounding error of one more turn is too small.
+    Exponents of minus infinity are exact.
     """
     orbits = taken(cells.orbits, rows)
     orbits = orbits._replace(exponents=orbits.exponents[:, : cells.directions - cells.drifts])
@@ -126,10 +126,10 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     free = (impact_count(orbits.tally) == 0.0) & ~sticks
     if cells.oscillators.has_modes:
         machines = cells.oscillators.table.machines
-        springs, contacts = (np.sum(machines.counted[:1] == each) for each in (0.0, 1.0))
+        springs, contacts = (np.sum(machines.counted[:1] == kind) for kind in (0.0, 1.0))
         linear = contacts > 0 or (machines.sizes[2] == 0 and springs == 0)
-        free &= (springs == 0) | (orbits.period == 1)  # springs make orbits of many periods without a contact
-        if cells.unforced:  # without a cycle, all that recurs exactly stands still, on a stop too
+        free &= (springs == 0) | (orbits.period == 1)  # springs make orbits of many periods without contact
+        if cells.unforced:  # without a cycle, exact recurrence is standstill, also on a stop
             free, linear = np.array([r not in cells.cycles for r in rows.tolist()], dtype=np.bool_), True
             orbits.tally[free, motion.MIN_SPEED] = math.inf
         regime = np.where(free & linear, results.NO_IMPACT, results.PERIODIC)
@@ -154,7 +154,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
 
 
 def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbits, **more: Any) -> None:
-    """Write what the orbits of these cells show, and some more; ``oscillators`` are those of the rows."""
+    """Write the results of the orbits of these cells, and some more; ``oscillators`` are those of the rows."""
     exponents, tally, period = orbits.exponents, orbits.tally, orbits.period
     impacts = np.where(rests_on_stop(tally)[:, None], -1.0, tally[:, [motion.UPPER, motion.LOWER]])
     put(
@@ -176,10 +176,10 @@ def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbit
 
 
 def put_averaged(cells: Cells, rows: Rows) -> None:
-    """Write what averages show of these cells, their class left open.
+    """Write the averages of these cells, leaving their class open.
 
-    Impacts are counted over the periods of the averages, as their sum law has it; rests and speeds over all periods
-    since: a rest that only the watch has seen is one of the motion.
+    Impacts are counted over the periods of the averages, for the sum law; rests and speeds over all periods since: a
+    rest during watching belongs to the motion.
     """
     if not len(rows):
         return
@@ -200,10 +200,10 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
 
 
 def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
-    """Write what tallies (N, TALLIES) over some periods (N,) say of rest and impacts; ``hits`` (N,) in a period.
+    """Write rest and impacts from tallies (N, TALLIES) over some periods (N,), with ``hits`` (N,) per period.
 
-    An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; one that completes a chatter to rest loses gap_mass v^2 / 2,
-    as all those that are left of the chatter do together. See Oscillator.gap_mass.
+    An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; the impact that completes a chatter to rest loses gap_mass
+    v^2 / 2, as all remaining impacts of the chatter together. See Oscillator.gap_mass.
     """
     impacts, sticks, rests = impact_count(tally), tally[:, motion.STUCK] > 0.0, rests_on_stop(tally)
     gap_mass = cells.oscillators.gap_mass[rows]
@@ -223,9 +223,9 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
 
 
 def put_growth(cells: Cells, rows: Rows, tally: Array, average: Average) -> None:
-    """Write the exponents that an average shows of these cells.
+    """Write the exponents of these cells from an average.
 
-    Directions that are lost by the ``tally`` of the whole motion are lost, though not in the average.
+    Directions lost in the ``tally`` of the whole motion are lost, even if not in the average.
     """
     spectrum = -np.sort(-average.growth / average.periods[:, None], axis=1)
     spectrum[np.arange(spectrum.shape[1]) >= cells.directions - tally[:, motion.LOST, None]] = -math.inf
@@ -238,7 +238,7 @@ def put_growth(cells: Cells, rows: Rows, tally: Array, average: Average) -> None
 
 
 def put_chaotic(cells: Cells, rows: Rows, reason: NDArray[np.int8] | int = results.NO_REASON) -> None:
-    """Write the results of cells that look chaotic to the end; a reason says why their average is uncertain.
+    """Write the results of cells that look chaotic to the end; a reason explains an uncertain average.
 
     Without exponents they are aperiodic: no stable orbit is known.
     """
@@ -254,7 +254,7 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
     if "spectrum" in cells.found:
         spectrum = cells.found["spectrum"][rows]
         cells.found["spectrum"][rows, 0] = weighted
-        spectrum[:, 0] = 0.0  # rounding must not decide whether a torus has a dimension
+        spectrum[:, 0] = 0.0  # rounding must not decide the dimension of a torus
         put(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
 
 
@@ -265,10 +265,10 @@ def put_by_average(
     clear: NDArray[np.int8] | int = results.NO_REASON,
     recurs: Mask | bool = True,
 ) -> None:
-    """Write the results of cells that end with what their averages show: chaos where it is clear, else undetermined.
+    """Write the results of cells that end with their averages: chaos if it is clear, else undetermined.
 
-    unclear and clear are the reasons that they get then. Chaos that would be clear if the two averages did not differ
-    is not stationary, which is its reason; and what does not recur is no chaos, see ``recurrence``.
+    unclear and clear are the reasons given. If only the difference of two averages makes chaos unclear, the reason is
+    that it is not stationary; motion that does not recur is no chaos, see ``recurrence``.
     """
     if not len(rows):
         return
@@ -285,7 +285,7 @@ def put_by_average(
 def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, contact: Rows, period: Rows) -> None:
     """Write the physical state of these cells, given in blocks, and the sections from it on.
 
-    The next K states; an orbit of known ``period`` repeats its own. NaN from where the motion cannot be followed.
+    The next K states; an orbit of known ``period`` repeats its own. NaN after the motion cannot be followed.
     """
     motions, every = motion.motions_at(h, contact), np.arange(len(rows))
     cells.contact[rows] = contact[:, 0]
@@ -298,5 +298,5 @@ def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, cont
 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
-    """A sum of exponents minus its exact value; NaN where that law does not hold, see exponents.sum_law_holds."""
+    """A sum of exponents minus its exact value; NaN if that law does not hold, see exponents.sum_law_holds."""
     return np.where(sum_law_holds(tally), total - sum_of_exponents(oscillators, hits), math.nan)

@@ -1,4 +1,4 @@
-"""Recurrence of motions: the amplitude of a torus or of chaos recurs, that of growth does not."""
+"""Recurrence of motions: the amplitude of a torus or of chaos recurs, a growing amplitude does not."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ from workers.cell.exponents import impact_count
 from workers.model.oscillator import COLUMN, Array, Mask, Rows
 
 FEWEST_HITS = 0.5
-"""Share of the impacts that are due in a stretch, by their number so far, that it has at least if they go on."""
+"""Least share of the impacts expected in a stretch, from their number so far, if impacts continue."""
 
 
 class Recurrence:
-    """What N motions have gone through: their energies at sections, and their impacts.
+    """History of N motions: their energies at sections, and their impacts.
 
     low, high    the range of the energies seen so far
-    hits, until  impacts and periods up to the last look, of those that averages count
-    same         whether the last look at each has found its energy in the range of all earlier ones
-    recurred     whether any look has that counted, or none counted yet; counted: whether one has
-    strikes      whether it has had impacts since, as many as were due, or never had any
+    hits, until  counted impacts and periods up to the last look
+    same         true if the energies of the last look were in the range of all earlier ones
+    recurred     true if any counted look found that, or none has counted yet; counted: true if one has
+    strikes      true if impacts have continued at the expected rate, or there never were any
     """
 
     def __init__(self, count: int) -> None:
@@ -29,10 +29,10 @@ class Recurrence:
         self.recurred, self.counted = np.ones(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
 
     def look(self, cells: Cells, rows: Rows, settled: Mask) -> None:
-        """Compare the last stretch of these cells with what was before; it counts where the transient is over.
+        """Compare the last stretch of these cells with earlier ones; the look counts once the transient is over.
 
-        The range of a torus at RETURNS sections overlaps with that of others, however it goes about. What dies away
-        strikes ever more seldom: a single flight may last for longer than all of the motion before it.
+        The energy ranges of any torus at RETURNS sections overlap. Decaying motion impacts ever more rarely: a single
+        flight may last longer than all of the motion before it.
         """
         low, high = _energy_ranges(cells, rows)
         tally, periods = counts(cells, rows)
@@ -50,11 +50,11 @@ class Recurrence:
 
 
 def _energy_ranges(cells: Cells, rows: Rows) -> tuple[Array, Array]:
-    """The least and the greatest energy (rows,) at the last sections of these cells; of rigid modes that of motion."""
+    """The least and the greatest energy (rows,) at the last sections of these cells; kinetic energy for rigid modes."""
     blocks, sections = cells.oscillators.gap.blocks[rows], cells.batch.sections[rows, -RETURNS:]
     weight = np.where(blocks[..., COLUMN.lam] != 0.0, blocks[..., COLUMN.metric], 0.0)
     if cells.drifts:
-        weight[:, -1] = 1.0  # this block has the velocity for its first number
+        weight[:, -1] = 1.0  # the first number of this block is the velocity
     energy = np.sum(weight[:, None] * sections[..., 0] ** 2 + sections[..., 1] ** 2, axis=-1)
     known = np.arange(energy.shape[1]) >= energy.shape[1] - cells.kept()[rows, None]
     return np.where(known, energy, np.inf).min(axis=1), np.where(known, energy, -np.inf).max(axis=1)

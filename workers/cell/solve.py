@@ -1,6 +1,6 @@
-"""Cells from their parameters to their results, by one of two schedules: the adaptive one or the paper's fixed one.
+"""Cells from their parameters to their results, by the adaptive schedule or the paper's fixed one.
 
-Schedules are kept in arrays, a row a cell, and each step is done at once for all cells at it. The results of a cell do
+Schedules are arrays with one row per cell, and each step is done for all its cells at once. The results of a cell do
 not depend on the others.
 """
 
@@ -29,8 +29,8 @@ def solve(cells: Cells) -> None:
 def _solve_fixed(cells: Cells) -> None:
     """The paper's schedule: a transient, then plain averages over ``Settings.periods``.
 
-    The averages of a cell whose orbit is proved may span chaos that came before it: they are kept as ``average``, and
-    its exponents are the exact ones.
+    The averages of a cell with a proved orbit may include earlier chaos: they are kept as ``average``, and its
+    exponents are the exact ones.
     """
     settings, recurrence = cells.settings, Recurrence(len(cells.used))
     cells.framed[:] = True

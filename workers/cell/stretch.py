@@ -11,7 +11,7 @@ from workers.kernel.lanes.layout import LANES
 from workers.kernel.lanes.modes import run_through_modes
 from workers.kernel.lanes.run import Batch, run_alone, run_batch
 from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at, slanted
-from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, each, many_of
+from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, many_of, map_fields
 
 REASON_OF = np.array(
     [
@@ -21,7 +21,7 @@ REASON_OF = np.array(
     ],
     dtype=np.int8,
 )  # fmt: skip
-"""Why a motion cannot go on, by its status."""
+"""The reason of a motion that cannot continue, by its status."""
 
 
 def begin(
@@ -32,9 +32,9 @@ def begin(
     vectors: int = 0,
     record: int = 0,
 ) -> tuple[Motion, Reasons]:
-    """N motions from physical section states (N, 2n), and why some of them cannot be: ``reasons`` (N,) and more.
+    """N motions from physical section states (N, 2n), and the reasons (N,) against them, ``reasons`` included.
 
-    contact (N,) is that of motions that go on from these states; without it each state shows its own.
+    contact (N,): of motions that continue from these states; without it the state decides.
     """
     N, size = states.shape
     motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
@@ -42,22 +42,22 @@ def begin(
     scales = start_motions(oscillators, motions, states, np.flatnonzero(reasons == results.NO_REASON))
     if contact is not None:
         motions.contact[:, 0] = contact
-    found = np.where(np.isfinite(scales), reasons, np.int8(results.ENERGY_OUT_OF_DOUBLES))
-    return motions, np.where(motions.contact[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), found)
+    causes = np.where(np.isfinite(scales), reasons, np.int8(results.ENERGY_OUT_OF_DOUBLES))
+    return motions, np.where(motions.contact[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), causes)
 
 
 def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
-    """Why each of these motions cannot go on, NO_REASON where it can."""
+    """The reason why each motion cannot continue, NO_REASON if it can."""
     tally = motions.tally[cells]
-    found = REASON_OF[tally[:, STATUS].astype(np.int64)]
+    stopped = REASON_OF[tally[:, STATUS].astype(np.int64)]
     runs, finite = tally[:, STATUS] == RUNNING, np.isfinite(motions.h[cells]).all(axis=(1, 2))
-    found[runs & (tally[:, WORK] < 0.0)] = results.WORK_SPENT
-    found[runs & ~finite] = results.NOT_FINITE
-    return found
+    stopped[runs & (tally[:, WORK] < 0.0)] = results.WORK_SPENT
+    stopped[runs & ~finite] = results.NOT_FINITE
+    return stopped
 
 
 def batch_of(oscillators: Any, motions: Motion, kept: int = 0) -> Batch:
-    """A batch of many motions that have nowhere to go yet, with room for the last ``kept`` sections of each."""
+    """A batch of many motions without periods to go, with room for the last ``kept`` sections of each."""
     N, n = motions.h.shape[:2]
     return Batch(
         oscillators,
@@ -71,17 +71,17 @@ def batch_of(oscillators: Any, motions: Motion, kept: int = 0) -> Batch:
 
 
 def ended(batch: Batch) -> Mask:
-    """Of which cells nothing is left to do: their periods are complete, or their motion or their work ends."""
+    """Mask of the cells with nothing left to do: their periods, their motion or their work have ended."""
     tally = batch.motions.tally
     return (batch.done >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
 
 
 def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -> None:
-    """Take these cells of a batch on, in place, until each has ended; at most ``lanes`` <= LANES at a time.
+    """Advance these cells of a batch, in place, until each has ended; at most ``lanes`` <= LANES at a time.
 
-    Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
-    place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others. Cells whose free
-    flight may grow go one after the other.
+    With ``to_end`` false it returns once half of the lanes are idle, so that other cells can take their place. Cells
+    with only underdamped modes need less arithmetic and run separately. Cells whose free flight may grow run one after
+    the other.
     """
     if batch.oscillators.has_modes:
         signals, enough = batch.oscillators.table.machines.signals, 0 if to_end else min(lanes, len(cells)) // 2
@@ -99,9 +99,9 @@ def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -
 
 
 def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Array:
-    """Physical section states (N, K, 2n) of motions, taken along in place: the first ``counts`` (N,) <= K of each.
+    """Physical section states (N, K, 2n) of motions, advanced in place: the first ``counts`` (N,) <= K of each.
 
-    NaN beyond these, and from where a motion cannot be followed.
+    NaN beyond these, and after a motion cannot be followed.
     """
     N, n = motions.h.shape[:2]
     batch, every = batch_of(oscillators, motions), np.arange(N)
@@ -115,8 +115,8 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
 
 
 def run_periods(osc: Oscillator, motion: Motion, periods: int) -> int:
-    """Take a motion through some periods, in place; the periods completed, fewer where it or its work ends."""
-    batch = batch_of(many_of(osc), each(motion, lambda field: field[None]))
+    """Advance a motion by some periods, in place; returns the periods completed, fewer if it or its work ends."""
+    batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]))
     batch.periods[0] = periods
     run(batch, np.zeros(1, dtype=np.int64))
     return int(batch.done[0])

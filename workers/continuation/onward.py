@@ -16,7 +16,7 @@ from workers.continuation.equations import motion_of
 from workers.continuation.events import CONTACT_LOST, GRAZING, GRAZING_SLIDING, STICK_END, STICK_ONSET, Event
 from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
-from workers.continuation.orbits import many_of, moved, states_at_sections
+from workers.continuation.orbits import continued_to, many_of, states_at_sections
 from workers.continuation.oscillator import Family
 from workers.continuation.recording import halved, recorded
 from workers.continuation.stability import multipliers, pair_near
@@ -181,7 +181,7 @@ def _recorded(family: Family, beside: _Beside, share: float, bounds: Array) -> O
     if not is_within(values, bounds):
         return None
     try:
-        moved_on = moved(family, many_of([orbit], here[None]), values[None])
+        moved_on = continued_to(family, many_of([orbit], here[None]), values[None])
         known, at = (moved_on.orbits, values) if moved_on.found[0] else (many_orbits([orbit]), here)
         state = states_at_sections(family.model(at[None]), known)[0, 0]
         machine = family.model(values[None])

@@ -50,7 +50,7 @@ def many_of(orbits: list[Orbit], values: Array) -> Many:
     return Many(many_orbits(orbits), values, np.ones(len(orbits), dtype=bool))
 
 
-def moved(family: Family, orbits: Many, values: Array) -> Many:
+def continued_to(family: Family, orbits: Many, values: Array) -> Many:
     """The orbits near these at other parameters (N, free), by Newton's method on each from impacts at the same phases.
 
     It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
@@ -131,7 +131,7 @@ def recorded_each(
 
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
-    found = moved(family, many_of([orbit], values[None]), values[None])
+    found = continued_to(family, many_of([orbit], values[None]), values[None])
     if not found.found[0]:
         raise ValueError("Newton's method finds no orbit there")
     return found.orbit(0)

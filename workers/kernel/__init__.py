@@ -1,1 +1,1 @@
-"""What runs hot: compiled functions of numbers and arrays, without a Python object in them."""
+"""The hot path: compiled functions of numbers and arrays, without Python objects."""

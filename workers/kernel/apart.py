@@ -1,7 +1,7 @@
 """Functions compiled once and called by symbol, instead of recompiled into each caller.
 
-Such a function has one signature and is known to the linker by its name. It must exist before a kernel that calls it:
-a kernel that comes from the cache on disk looks for the name as it is loaded.
+A function has one signature and is linked by its name. It must exist before a kernel that calls it: a cached kernel
+looks the name up while it is loaded.
 """
 
 import inspect
@@ -29,10 +29,10 @@ _loading, _compiles = threading.RLock(), False
 
 
 def load() -> None:
-    """Compile, or load, the functions apart that have not been, in the order in which they stand in the modules."""
+    """Compile or load all functions that are not yet compiled, in the order of their definition."""
     global _compiles
-    with _loading:  # other threads wait until they are all there
-        if _compiles:  # what is compiled calls none but those before it
+    with _loading:  # other threads wait until all are compiled
+        if _compiles:  # a function calls only functions defined before it
             return
         _compiles = True
         try:
@@ -44,16 +44,16 @@ def load() -> None:
 
 
 def apart(*kinds: types.Type, result: types.Type = types.void) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator of a function of arguments of these types that kernels call where it lies.
+    """Decorator of a function of these argument types that kernels call by symbol.
 
-    It gets arrays and records lent, see lend.py: fields of records as they are, arrays with ``whole``. Its result is a
-    number.
+    Arrays and records are passed lent, see lend.py: fields of records are used directly, arrays through ``whole``. The
+    result is a number.
     """
     return lambda function: function if config.DISABLE_JIT else Apart(function, kinds, result)  # type: ignore[attr-defined]
 
 
 class Apart:
-    """See apart. Called from Python it is compiled as a kernel of its own, which only tests do."""
+    """A function that kernels call by symbol, see ``apart``. Python calls compile it as a kernel (tests only)."""
 
     def __init__(self, function: Callable[..., Any], kinds: tuple[types.Type, ...], result: types.Type) -> None:
         self.function, self.result = function, result
@@ -65,10 +65,10 @@ class Apart:
         lower_builtin(self, *(types.Any for _ in kinds))(self._code)
         _waiting.append(self)
 
-    def __call__(self, *given: Any) -> Any:
-        """What the function makes of the arguments."""
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function."""
         load()
-        return self.alone(*given)
+        return self.alone(*arguments)
 
     def compile(self) -> None:
         """Compile the function, or load it, and make it known to the linker."""
@@ -76,15 +76,15 @@ class Apart:
         llvmlite.binding.add_symbol(self.name, self.compiled.address)
 
     def _typed(self, context: Any) -> Callable[..., Any]:
-        def typer(*given: types.Type) -> types.Type | None:
-            return self.result if tuple(map(lent_as, given)) == self.lent else None
+        def typer(*kinds: types.Type) -> types.Type | None:
+            return self.result if tuple(map(lent_as, kinds)) == self.lent else None
 
         typer.__signature__ = inspect.signature(self.function)  # type: ignore[attr-defined]
         return typer
 
     def _code(self, context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        given = [lend_value(context, builder, *each) for each in zip(signature.args, arguments, strict=True)]
-        given = [context.get_value_as_argument(builder, *each) for each in zip(self.lent, given, strict=True)]
-        kind = ir.FunctionType(context.get_argument_type(self.result), [value.type for value in given])
-        found = builder.call(get_or_insert_function(builder.module, kind, self.name), given)
-        return context.get_argument_value(builder, self.result, found)
+        values = [lend_value(context, builder, *typed) for typed in zip(signature.args, arguments, strict=True)]
+        values = [context.get_value_as_argument(builder, *typed) for typed in zip(self.lent, values, strict=True)]
+        kind = ir.FunctionType(context.get_argument_type(self.result), [value.type for value in values])
+        result = builder.call(get_or_insert_function(builder.module, kind, self.name), values)
+        return context.get_argument_value(builder, self.result, result)

@@ -20,7 +20,7 @@ FEWEST_BLOCKS = 32
 
 @inlined
 def add_to_blocks(levels, x):
-    """Add one value to the blocking analysis (Flyvbjerg & Petersen 1989): pairs move up as their mean."""
+    """Add a value to the blocking analysis (Flyvbjerg & Petersen 1989): two blocks move up a level as their mean."""
     for k in range(LEVELS):
         levels[k, COUNT] += 1.0
         deviation = x - levels[k, MEAN]
@@ -35,12 +35,12 @@ def add_to_blocks(levels, x):
 
 @kernel
 def standard_error(levels):
-    """Standard error of the mean with correlations: the largest from blocks that are long enough.
+    """Standard error of the mean of correlated values: the largest from blocks that are long enough.
 
-    Blocks of B = 2^k values give e_k, going from sigma / sqrt(N) to sqrt(sigma^2 tau / N). They are long enough from
-    the first with B^3 > 2 N (e_k / e_0)^4 on (Lee et al. 2011). Longer ones show correlations that are weak beside the
-    noise of single periods, such as those of motion that now and then misses its stops for long. NaN with fewer than
-    FEWEST_BLOCKS values; with no such k, the largest e_k of the levels that have as many blocks.
+    Blocks of B = 2^k values give e_k, going from sigma / sqrt(N) to sqrt(sigma^2 tau / N). Blocks are long enough from
+    the first k with B^3 > 2 N (e_k / e_0)^4 (Lee et al. 2011). Longer blocks show weak correlations, such as long
+    flights that miss the stops now and then. NaN below FEWEST_BLOCKS values; if no k qualifies, the largest e_k of the
+    levels with FEWEST_BLOCKS blocks.
     """
     error, first, count, enough = np.nan, np.nan, levels[0, COUNT], False
     for k in range(LEVELS):
@@ -58,10 +58,10 @@ def standard_error(levels):
 
 @inlined
 def add_growth(levels, weighted, growth, k, periods):
-    """Count the growth g of the first vector in period k of a stretch of ``periods``.
+    """Add the growth g of the first vector in period k of a stretch of ``periods``.
 
-    Besides the plain mean, weighted (2,) takes the sums of w g and of w over the stretch, for the weighted Birkhoff
-    average, w = exp(-1 / (u (1 - u))). It converges faster than any power of ``periods`` on a torus (Das et al. 2017).
+    Besides the plain mean, weighted (2,) sums w g and w over the stretch for the weighted Birkhoff average, w = exp(-1
+    / (u (1 - u))), which converges faster than any power of ``periods`` on a torus (Das et al. 2017).
     """
     u = (k + 0.5) / periods
     weight = exp_minus(1.0 / (u * (1.0 - u)))

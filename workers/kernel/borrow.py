@@ -1,8 +1,8 @@
-"""Arrays that count no references, for as long as someone else keeps their memory; rows of records of many.
+"""Borrowed arrays, which the compiler does not reference-count, and rows of records of many.
 
-A kernel counts every array that it is given, or takes out of a record, up and down again, in several nanoseconds each:
-for the dozens that make one cell as long as its flights take. Who calls it keeps them all the while. The compiler sees
-that nothing is to be counted only in the kernel that borrows: so each of the hot ones does, even what is lent already.
+Reference counting takes several nanoseconds for every array that a kernel receives or reads from a record; the dozens
+of arrays of one cell would cost as much time as its flights. The caller keeps all arrays alive, so counting is not
+needed. The compiler sees this only in the kernel that borrows: each hot kernel borrows, even arrays that are lent.
 """
 
 from typing import Any, TypeVar
@@ -12,7 +12,7 @@ from numba.core.cgutils import alloca_once, create_struct_proxy, get_null_value,
 from numba.extending import lower_builtin, type_callable
 from numba.np.arrayobj import make_array, populate_array
 
-from workers.model.oscillator import each
+from workers.model.oscillator import map_fields
 
 __all__ = ["borrowed", "many_type", "many_value", "row_of", "row_type", "row_value", "without_counts"]
 
@@ -20,7 +20,7 @@ Given = TypeVar("Given")
 
 
 def borrowed(given: Given) -> Given:
-    """The same array, or record of arrays; in kernels one that must not outlive those that keep its memory."""
+    """The same array or record, uncounted in kernels: it must not outlive the owner of its memory."""
     return given
 
 
@@ -35,7 +35,7 @@ def _compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any
 
 
 def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """A value of this type whose arrays are known to no reference count."""
+    """A value of this type whose arrays are not reference-counted."""
     if isinstance(kind, types.BaseTuple):
         parts: Any = enumerate(kind)  # type: ignore[arg-type]
         fields = [without_counts(context, builder, part, builder.extract_value(value, i)) for i, part in parts]
@@ -48,9 +48,9 @@ def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 
 def row_of(record: Given, r: int) -> Given:
-    """Row r of a record of many; in kernels lent, see lend.py, and borrowed from it."""
-    found: Given = each(record, lambda field: field[r])
-    return found
+    """Row r of a record of many; in kernels lent (see lend.py) and borrowed from the record."""
+    row: Given = map_fields(record, lambda field: field[r])
+    return row
 
 
 def row_type(kind: Any) -> Any:
@@ -80,7 +80,7 @@ def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
 
 
 def many_type(kind: Any) -> Any:
-    """The type of a record of many of which rows have this type, see row_type."""
+    """The type of a record of many whose rows have this type, see row_type."""
     if isinstance(kind, types.NamedTuple):
         return types.NamedTuple([many_type(field) for field in kind], kind.instance_class)
     if isinstance(kind, types.Array):
@@ -89,7 +89,7 @@ def many_type(kind: Any) -> Any:
 
 
 def many_value(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """A record of many that has a row of this type alone, where that lies; numbers in this frame."""
+    """A record of many with one row, at the address of that row; its numbers lie in the caller's frame."""
     if isinstance(kind, types.NamedTuple):
         fields = [many_value(context, builder, part, builder.extract_value(value, i)) for i, part in enumerate(kind)]
         return context.make_tuple(builder, many_type(kind), fields)

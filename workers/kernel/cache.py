@@ -1,7 +1,7 @@
-"""Where compiled kernels are kept on disk.
+"""The folder of compiled kernels on disk.
 
-Numba's cache does not notice an edit in another module, so its folder carries a hash of all sources of
-this package. NUMBA_CACHE_DIR is respected where set; a folder that cannot be written means no cache.
+Numba's cache does not notice an edit in another module, so the folder's name has a hash of all sources of this package.
+NUMBA_CACHE_DIR is used if set; without a writable folder there is no cache.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ __all__ = ["CACHE"]
 
 
 def _source_hash() -> str:
-    """Of where the sources lie, too: Numba looks for a kernel by that, and would not find what a copy compiled."""
+    """Hash of the sources and their folder: Numba looks kernels up by path and would miss those of a copy."""
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256(os.fsencode(package) + b"\0")
     for source in sorted(package.rglob("*.py")):
@@ -34,7 +34,7 @@ def _cache_root() -> Path:
 
 
 def _prepare_cache() -> Path | None:
-    """Point numba at a folder of these sources alone; None, said in one line, where it cannot be written."""
+    """Point numba at a folder for these sources; None, with a one-line warning, if it cannot be written."""
     folder = _cache_root() / f"workers-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -50,4 +50,4 @@ def _prepare_cache() -> Path | None:
 
 
 CACHE = _prepare_cache()
-"""The folder of the compiled kernels of these sources; None where there is none."""
+"""The folder of the compiled kernels of these sources; None if there is none."""

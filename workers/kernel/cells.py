@@ -1,6 +1,6 @@
-"""What is asked of many cells between their stretches: loops over cells of what the other kernels say of one.
+"""Loops over cells between their stretches, each applying the kernels of one cell.
 
-``cells`` are the rows that are meant, of records of many.
+``cells`` are the rows to process, of records of many.
 """
 
 import math
@@ -30,7 +30,7 @@ def energy_norm(blocks, h):
 
 @kernel
 def scale_of(blocks, h):
-    """Energy norm that deviations of a motion at block state h (n, 2) are measured against: its own and that of Y."""
+    """Energy norm that scales deviations of a motion at block state h (n, 2): that of h plus that of Y."""
     swing = 0.0
     for j in range(len(blocks)):
         swing += blocks[j, COLUMN.metric] * blocks[j, COLUMN.swing0] ** 2 + blocks[j, COLUMN.swing1] ** 2
@@ -39,7 +39,7 @@ def scale_of(blocks, h):
 
 @kernel
 def start_motions(oscillators, motions, states, cells):
-    """Start motions at physical section states (N, 2n), with the contact that each shows; the scale of each (N,)."""
+    """Start motions at physical section states (N, 2n) with the contact of each state; their scales (N,)."""
     oscillators, motions = lend(oscillators), lend(motions)
     scales = np.zeros(len(states))
     for r in cells:
@@ -51,7 +51,7 @@ def start_motions(oscillators, motions, states, cells):
 
 @kernel
 def put_inside(row, upper, lower, states):
-    """Move physical states (N, 2n) that lie beyond a stop onto it, along the gap row (N, n), in place."""
+    """Move physical states (N, 2n) beyond a stop onto it, along the gap row (N, n), in place."""
     n = row.shape[1]
     for r in range(len(states)):
         y, square = 0.0, 0.0
@@ -67,15 +67,15 @@ def put_inside(row, upper, lower, states):
 
 @kernel
 def impact_free(oscillators, motions, cells):
-    """Of which of these cells no impact is possible from this section on: the bound of |y| stays inside both stops."""
+    """Mask of the cells that cannot impact from this section on: the bound of |y| stays inside both stops."""
     gap, head, motions = lend(oscillators).gap, oscillators.head, lend(motions)
-    found = np.empty(len(cells), dtype=np.bool_)
+    free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
         reach = derivative_bounds(gap.blocks[r], gap.numbers[r], motions.h[r], np.inf)[0] * (1.0 + 1e-12)
         inside = reach < head[r, HEAD.top] and -reach > head[r, HEAD.bottom]
-        found[e] = motions.contact[r, 0] == FREE and inside
-    return found
+        free[e] = motions.contact[r, 0] == FREE and inside
+    return free
 
 
 @kernel
@@ -108,12 +108,12 @@ def standard_errors(levels, cells):
 
 @kernel
 def excursions(oscillators, h, contact, periods, allowance, cells):
-    """The least and the greatest y - y0 (N, 2) of motions from block states h (N, n, 2) with contacts (N, 1).
+    """The least and greatest y - y0 (N, 2) of motions from block states h (N, n, 2) with contacts (N, 1).
 
-    Of these cells, over ``periods`` (N,); NaN of the others, and of those that cannot be followed, or not with
+    Computed for ``cells`` over ``periods`` (N,). NaN for other cells, and for motions that cannot be followed within
     ``allowance`` (N,) evaluations.
     """
-    found = np.full((len(periods), 2), np.nan)
+    ranges = np.full((len(periods), 2), np.nan)
     oscillators, n = lend(oscillators), h.shape[1]
     for r in cells:
         osc = row_of(oscillators, r)
@@ -123,17 +123,17 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
             if motion.tally[STATUS] == RUNNING:
                 advance(osc, borrowed(motion))
         if motion.tally[STATUS] == RUNNING:
-            found[r, 0], found[r, 1] = motion.extremes[0], motion.extremes[1]
-    return found
+            ranges[r, 0], ranges[r, 1] = motion.extremes[0], motion.extremes[1]
+    return ranges
 
 
 @kernel
 def states_within(oscillators, r, states, times):
     """Physical states (S, K, 2n) of cell r at times (K,) within the period after each section state (S, 2n).
 
-    NaN where a motion cannot be followed.
+    NaN if a motion cannot be followed.
     """
-    found = np.full((len(states), len(times), states.shape[1]), np.nan)
+    reached = np.full((len(states), len(times), states.shape[1]), np.nan)
     osc = row_of(lend(oscillators), r)
     for i in range(len(states)):
         h = np.zeros((states.shape[1] // 2, 2))
@@ -142,6 +142,6 @@ def states_within(oscillators, r, states, times):
             motion = motion_alone(h, contact)
             propagate(osc, borrowed(motion), times[k])
             if motion.tally[STATUS] == RUNNING:
-                found[i, k] = 0.0
-                leave_blocks(osc, motion.h, motion.contact[0], found[i, k])
-    return found
+                reached[i, k] = 0.0
+                leave_blocks(osc, motion.h, motion.contact[0], reached[i, k])
+    return reached

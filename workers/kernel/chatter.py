@@ -1,7 +1,7 @@
-"""Chatter: hops off a stop and back, each known to rounding of its own size, and when the sequence of them ends.
+"""Chatter: hops off a stop, each known to rounding of its own height, and the time when their sequence ends.
 
-y, as a sum of terms of the machine's size, hides how low a hop is. The speed that a hop begins with is known, and so
-are the derivatives of y from the second on: the hop is their Taylor series.
+y is a sum of terms of the machine's size, whose rounding hides low hops. The speed at which a hop begins is known, and
+so are the second and higher derivatives of y: the hop is their Taylor series.
 """
 
 import numpy as np
@@ -11,33 +11,33 @@ from workers.kernel.signal import forced, loaded_output
 from workers.model.oscillator import COLUMN
 
 ORDER = 17
-"""Of the series of a hop."""
+"""Order of the Taylor series of a hop."""
 
 SHORT = 1.0
-"""Radians of the fastest oscillation in a hop up to which its series is exact to rounding, SHORT^17 / 18!."""
+"""Largest phase, in radians of the fastest oscillation, for which the series is exact to rounding: SHORT^17 / 18!."""
 
 NEWTON_STEPS, NEAR = 4, 1e-2
-"""Newton's method for the end of a hop; share of the hop by which the search may differ, since it sees y alone."""
+"""Newton steps for the end of a hop, and tolerated difference to the search (share of the hop), which sees y alone."""
 
 AGREES = 0.1
-"""Share of what is left of a chatter by which better estimates of its end may differ from the last one."""
+"""Largest difference of two estimates of a chatter's end, as a share of the time left, for the better one to count."""
 
 UNKNOWN = (np.nan, np.nan, np.nan)
-"""In place of estimates of a chatter's end where none begins."""
+"""Marks that there are no estimates of a chatter's end."""
 
 
 @inlined
 def chatter_time(load, w, R):
-    """The time that chatter takes under this load on the stop after a rebound at speed w, to leading order."""
+    """Duration of chatter under this load on the stop after a rebound at speed w, to leading order."""
     return 2.0 * w / (load * (1.0 - R)) if w > 0.0 else 0.0
 
 
 @inlined
 def chatter_left(load, jerk, cA2k, w, R):
-    """chatter_time to second order, of a velocity that decays at -cA^2k and a third derivative toward the stop, jerk.
+    """chatter_time to second order, for a velocity that decays at -cA^2k and third derivative ``jerk`` toward the stop.
 
-    t (1 - t (jerk / load - 3 cA^2k / 2) / 3), t the time to leading order; at a velocity of 0 the load rises at the
-    rate jerk - cA^2k load. Half of t or twice t at most, where R is so near to 1 that chatter is slower than all else.
+    t (1 - t (jerk / load - 3 cA^2k / 2) / 3), t the time to leading order; at zero velocity the load rises at the rate
+    jerk - cA^2k load. The result is limited to [t/2, 2t] for R near 1, where chatter is the slowest process.
     """
     t = chatter_time(load, w, R)
     return t * min(max(1.0 - t * (jerk / load - 1.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
@@ -45,27 +45,27 @@ def chatter_left(load, jerk, cA2k, w, R):
 
 @inlined
 def with_estimate(ends, end):
-    """The last three estimates of when a chatter ends."""
+    """The last three estimates of a chatter's end."""
     return ends[1], ends[2], end
 
 
 @inlined
 def chatter_end(ends, left, R):
-    """When a chatter ends that takes ``left``, of estimates at its last three impacts, to fourth order.
+    """End of a chatter with ``left`` to go, from estimates at its last three impacts, to fourth order.
 
-    What an estimate of chatter_left misses is a w^3 + b w^4 + ..., and R^3 and R^4 times as much at the next impact:
-    Richardson's extrapolation takes off both, or one where there are two estimates.
+    The error of chatter_left is a w^3 + b w^4 + ...; at the next impact these terms are multiplied by R^3 and R^4.
+    Richardson's extrapolation removes both, or the first if there are only two estimates.
     """
     cube, fourth = R**3 / (1.0 - R**3), R**4 / (1.0 - R**4)
     before, after = ends[1] + cube * (ends[1] - ends[0]), ends[2] + cube * (ends[2] - ends[1])
     best = after + fourth * (after - before)
-    best = best if abs(best - ends[2]) <= AGREES * left else after  # false where it is not a number
+    best = best if abs(best - ends[2]) <= AGREES * left else after  # false for NaN
     return best if abs(best - ends[2]) <= AGREES * left else ends[2]
 
 
 @inlined
 def fastest_rate(blocks, waves, omega):
-    """How fast the fastest block or harmonic oscillates, decays or grows, per time."""
+    """Largest rate, per time, of oscillation, decay or growth of any block or harmonic."""
     rate = omega * len(waves)
     for j in range(len(blocks)):
         rate = max(rate, blocks[j, COLUMN.fast], -blocks[j, COLUMN.slow], np.sqrt(abs(blocks[j, COLUMN.lam])))
@@ -74,14 +74,14 @@ def fastest_rate(blocks, waves, omega):
 
 @kernel
 def hop(blocks, waves, omega, h, phase, side, w, s, rate):
-    """(time, speed) of the impact that ends a hop off stop ``side`` at speed w > 0, which a search has found after s.
+    """(time, speed) of the impact that ends a hop off stop ``side`` at speed w > 0, near the time s of a search.
 
-    h (n, 2) and phase: where it begins; rate: see fastest_rate. (s, 0) where the hop is not SHORT or no such series.
+    h (n, 2) and phase: the start; rate: see fastest_rate. Returns (s, 0) if the hop is not SHORT or the series fails.
     The distance from the stop is t p(t), p = w + sum_k u_k t^(k-1) / k!, and at its zero the speed is -t p'(t).
     """
     if not s * rate <= SHORT:
         return s, 0.0
-    u = np.zeros(ORDER + 2)  # by the order of the derivative
+    u = np.zeros(ORDER + 2)  # indexed by the order of the derivative
     for k in range(len(waves)):
         square = ((k + 1.0) * omega) ** 2
         _, _, even, odd = forced((k + 1.0) * phase, (k + 1.0) * omega, waves[k, 0], waves[k, 1])

@@ -12,21 +12,21 @@ from workers.kernel.tangent import graded_flow
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 REBOUND, REST, LEAVE = range(3)
-"""What an impact leads to: a rebound; rest on the stop; v = 0 with the load pulling away (R = 0)."""
+"""Outcomes of an impact: rebound; rest on the stop; v = 0 while the load pulls away (R = 0)."""
 
 EPS = float(np.finfo(np.float64).eps)
 
 ENDING, BRIEF = 1e-4, 1.0 / 64.0
-"""Change of the load in the rest of a chatter, as a share of it, or length of that rest, as a share of the period, from
-which on lanes leave it to another kernel, which follows hops more exactly: see chatter.hop."""
+"""Lanes leave the rest of a chatter to another kernel, which follows hops more exactly (chatter.hop), once the load
+changes in that rest by this share of it, or the rest lasts this share of the period."""
 
 SHORTEST_HOP = 1e-11
-"""Share of a forcing period below which a hop is too short to be seen."""
+"""Share of a forcing period below which a hop counts as rounding."""
 
 
 @inlined
 def load_at_rest(side, v, a, cA2k):
-    """side * (a - cA^2k v): the acceleration that would press the mass on the stop with v taken off."""
+    """side * (a - cA^2k v): the acceleration that presses the mass on the stop once v is removed."""
     return side * (a - cA2k * v)
 
 
@@ -34,19 +34,19 @@ def load_at_rest(side, v, a, cA2k):
 def hop_is_rounding(load, w, scale, period):
     """Whether a hop at speed w under this load is too low, w^2 / (2 load) < 1e4 eps scale, or too short to be seen.
 
-    Motion that dies away at an equilibrium on a stop hops under no load but rounding's: it never rests, and where its
-    squares underflow, zero is not below zero.
+    Motion that decays to an equilibrium on a stop hops under a load of rounding size: it never rests, and its squares
+    may underflow, where a comparison with zero fails.
     """
     return w * w < 2e4 * load * EPS * scale or 2.0 * w < SHORTEST_HOP * period * load
 
 
 @inlined
 def outcome(load, v, R, scale, period):
-    """What an impact at velocity v leads to under a load on the stop: see load_at_rest.
+    """Outcome of an impact at velocity v under a load on the stop, see load_at_rest.
 
-    R = 0 rests where the load presses, load > 0, and leaves else. For 0 < R < 1 chatter is followed, hop by hop, until
-    hops are below rounding, ``scale`` being the sum of the moduli that add up to y; what is left of it ends at
-    chatter.chatter_end, and what that neglects of the state is of third order. R = 1 never completes.
+    R = 0: rest if the load presses, load > 0, else release. 0 < R < 1: chatter is followed hop by hop until hops are
+    below rounding, where ``scale`` is the sum of moduli that add up to y; the remainder ends at chatter.chatter_end,
+    with a third-order error of the state. R = 1 never completes.
     """
     if R == 0.0:
         return REST if load > 0.0 else LEAVE
@@ -55,7 +55,7 @@ def outcome(load, v, R, scale, period):
 
 @inlined
 def is_rebound(load, v, R, cA2k, scale, remaining, period):
-    """Whether an impact at velocity v rebounds and no chatter that it is part of is about to end."""
+    """Whether an impact at velocity v rebounds and ends no chatter."""
     w = R * abs(v)
     change, pressing = 2.0 * abs(cA2k * v), load * (1.0 - R)
     slow = (change > ENDING * load and 2.0 * w > BRIEF * period * pressing) or 2.0 * w > remaining * pressing
@@ -72,7 +72,7 @@ def kick(blocks, h, dv):
 
 @inlined
 def shift(blocks, h, dy):
-    """Move the gap coordinate by dy, a rounding error: z + dy A k, in place; c.A k = 1."""
+    """Move the gap coordinate by a rounding error dy: z + dy A k, in place; c.A k = 1."""
     for j in range(len(blocks)):
         h[j, 0] += dy * blocks[j, COLUMN.Ak0]
         h[j, 1] += dy * blocks[j, COLUMN.Ak1]
@@ -111,7 +111,7 @@ def rest_projection(blocks, cA2k, V):
 
 @inline_always
 def stop_position(osc, side):
-    """Where the stop is: +b_upper or -b_lower."""
+    """Position of a stop: +b_upper or -b_lower."""
     return osc.head[HEAD.top] if side > 0 else osc.head[HEAD.bottom]
 
 
@@ -127,28 +127,28 @@ def wave(parts, phase):
 
 
 @inlined
-def which(side):
-    """Where the numbers of a stop are in the arrays of both."""
+def stop_index(side):
+    """Index of a stop in arrays of both stops: 0 upper, 1 lower."""
     return 0 if side > 0 else 1
 
 
 @kernel
-def changed_blocks(matrix, side, given, given_response, phase, found, found_response):
-    """Write other block coordinates of a state, both without their forced responses; see oscillator.Held.
+def changed_blocks(matrix, side, source, source_response, phase, target, target_response):
+    """Write the block coordinates of a state in other blocks, both without forced responses; see oscillator.Held.
 
-    found + its response = shift + matrix (given + its response), given (n, 2) and found (m, 2), matrix (2m, 2n) with
-    the shift at either stop in two columns more.
+    target + its response = shift + matrix (source + its response), for source (n, 2) and target (m, 2); the matrix (2m,
+    2n + 2) has the shift of each stop in its last two columns.
     """
-    shift = 2 * given.shape[0] + which(side)
-    for i in range(found.shape[0]):
+    shift = 2 * source.shape[0] + stop_index(side)
+    for i in range(target.shape[0]):
         for k in range(2):
-            found[i, k] = matrix[2 * i + k, shift] - wave(found_response[i, k], phase)[0]
-    for j in range(given.shape[0]):
+            target[i, k] = matrix[2 * i + k, shift] - wave(target_response[i, k], phase)[0]
+    for j in range(source.shape[0]):
         for c in range(2):
-            full = given[j, c] + wave(given_response[j, c], phase)[0]
-            for i in range(found.shape[0]):
+            full = source[j, c] + wave(source_response[j, c], phase)[0]
+            for i in range(target.shape[0]):
                 for k in range(2):
-                    found[i, k] += matrix[2 * i + k, 2 * j + c] * full
+                    target[i, k] += matrix[2 * i + k, 2 * j + c] * full
 
 
 @inline_always
@@ -159,13 +159,13 @@ def to_held(osc, h, phase, side, u):
 
 @inline_always
 def from_held(osc, u, phase, side, h):
-    """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
+    """Write the free block coordinates h (n, 2) of held coordinates u: y on the stop and v = 0."""
     changed_blocks(osc.held.up, side, u, osc.held.mode.forced, phase, h, osc.gap.forced)
 
 
 @kernel
 def transformed(matrix, V, U):
-    """Write the tangent vectors U (m, ., 2) that a matrix makes of V (m, ., 2), one after the other."""
+    """Write U = matrix V, for tangent vectors V (m, ., 2) and U (m, ., 2), one vector after the other."""
     for m in range(V.shape[0]):
         for i in range(U.shape[1]):
             for k in range(2):
@@ -177,17 +177,17 @@ def transformed(matrix, V, U):
 
 @inline_always
 def load_on_stop(osc, u, phase, side):
-    """side * a: the free acceleration that presses the mass on the stop while it rests there."""
+    """side * a: the free acceleration that presses the resting mass on the stop."""
     held = osc.held.mode
     load = all_forced(held.waves, held.numbers[NUMBER.omega], phase)[0]
-    return side * (guard_of(held.blocks, u) + load + osc.held.push[which(side)])
+    return side * (guard_of(held.blocks, u) + load + osc.held.push[stop_index(side)])
 
 
 @inline_always
 def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
-    """Rest on a stop until the load on it falls to zero, or for H; moves h and V there, in place.
+    """Rest on a stop until the load on it falls to zero, or for H; moves h and V in place.
 
-    Returns (time, released, evaluations); released is 2 where the march gave up.
+    Returns (time, released, evaluations); released is 2 if the march gave up.
     """
     h, V = borrowed(h), borrowed(V)
     held = osc.held.mode
@@ -197,8 +197,8 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     to_held(osc, h, phase, side, u)
     transformed(osc.held.down, V, U)
     upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
-    offset = osc.held.push[which(side)]
-    inside = np.int64(0)  # no literal, or Numba compiles for it what is called with it
+    offset = osc.held.push[stop_index(side)]
+    inside = np.int64(0)  # typed: a literal would compile the callees once more
     s, crossed, evaluations = next_crossing(held, u, phase, offset, upper, lower, inside, H, scratch)
     if growth.shape[0] > 0:
         flow(held.blocks, s, u)

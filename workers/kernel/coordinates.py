@@ -1,6 +1,6 @@
-"""Physical section states and block coordinates, the one made of the other, with the contact of a motion there.
+"""Conversion between physical section states and block coordinates, with the contact of a motion.
 
-A motion carries its contact. Where there is a physical state alone, ``placed`` says by one rule what its contact is.
+A motion carries its contact. A physical state alone gets its contact from ``placed``.
 """
 
 import numpy as np
@@ -18,8 +18,7 @@ from workers.results import BEYOND_STOP, InvalidError
 def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at physical section state (x..., v...).
 
-    Its contact is the one that the state shows: on a stop with v = 0 held or about to leave, else free. InvalidError
-    beyond a stop.
+    The state decides the contact: held or about to leave on a stop with v = 0, else free. InvalidError beyond a stop.
     """
     h = np.zeros((len(osc.gap_row), 2))
     contact = start_at(osc, np.asarray(state, dtype=np.float64), h)
@@ -30,7 +29,7 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
 
 @kernel
 def start_hybrid(osc, state, h):
-    """start_at of a machine with modes: the contact is the number of its mode."""
+    """start_at for a machine with modes: the contact is the number of its mode."""
     enter_frame(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
     number = shown_number(osc.table.elements, state)
     return BEYOND if number < 0 else number + FIRST_NUMBER
@@ -38,7 +37,7 @@ def start_hybrid(osc, state, h):
 
 @for_modes(start_hybrid)
 def start_at(osc, state, h):
-    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
+    """Write the block coordinates h (n, 2), less forced response, of a physical section state; its contact."""
     row, blocks, tau = osc.gap_row, osc.gap.blocks, osc.tau
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
@@ -49,7 +48,7 @@ def start_at(osc, state, h):
             h[j, k] = full - wave(osc.gap.forced[j, k], tau)[0] - blocks[j, COLUMN.rest0 + k]
         coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
         if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
-            h[j, 1] = 0.0  # or what rounding leaves of it would drift for ever
+            h[j, 1] = 0.0  # else rounding of h would drift forever
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
@@ -60,7 +59,7 @@ def start_at(osc, state, h):
 
 @inline_always
 def contact_at_rest(osc, side, h):
-    """The contact of a state that lies on this stop with v = 0: held where the load presses, else about to leave."""
+    """The contact of a state at rest on this stop: held if the load presses, else about to leave."""
     u = np.zeros((h.shape[0] - 1, 2))
     to_held(osc, h, osc.tau, side, u)
     return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
@@ -68,9 +67,9 @@ def contact_at_rest(osc, side, h):
 
 @inline_always
 def placed(y, v, y_error, v_error, upper, lower):
-    """The contact that y and y' show but for the load: on a stop with v = 0 +-AT_REST, further out BEYOND, else FREE.
+    """The contact of y and y' apart from the load: +-AT_REST on a stop with v = 0, BEYOND outside, else FREE.
 
-    What is within rounding of a stop is on it, on either side of it.
+    A state within rounding of a stop is on it, on either side.
     """
     on_upper = abs(y - upper) <= y_error
     on_lower = abs(y - lower) <= y_error
@@ -85,9 +84,9 @@ def placed(y, v, y_error, v_error, upper, lower):
 
 @kernel
 def put_on_stop(row, stop, x):
-    """Set the coordinate that weighs most in g . x, the first numbers of x (n or more,), so that g . x = stop.
+    """Set the coordinate with the largest weight in g . x, the first numbers of x (n or more,), so that g . x = stop.
 
-    g . x is the stop to rounding then, see ROUNDING, and exactly where it is one coordinate with weight +-1.
+    g . x then equals the stop to rounding, see ROUNDING, and exactly if it is one coordinate with weight +-1.
     """
     k, others = 0, 0.0
     for i in range(len(row)):
@@ -101,15 +100,15 @@ def put_on_stop(row, stop, x):
 
 @kernel
 def leave_hybrid(osc, h, contact, state):
-    """leave_blocks of a machine with modes."""
+    """leave_blocks for a machine with modes."""
     leave_frame(osc.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
-    if contact >= FIRST_NUMBER:  # or the mode is not known
+    if contact >= FIRST_NUMBER:  # else the mode is not known
         show(osc.table.elements, contact - FIRST_NUMBER, state)
 
 
 @for_modes(leave_hybrid)
 def leave_blocks(osc, h, contact, state):
-    """Add to a state (2n,) of zeros what ``blocks_to_physical`` makes of block coordinates h (n, 2) at a contact."""
+    """Add ``blocks_to_physical`` of block coordinates h (n, 2) at a contact to a state (2n,) of zeros."""
     row, blocks, upper, lower = osc.gap_row, osc.gap.blocks, osc.head[HEAD.upper], osc.head[HEAD.lower]
     n = h.shape[0]
     terms = np.zeros(n)
@@ -135,9 +134,9 @@ def leave_blocks(osc, h, contact, state):
 
 @kernel
 def blocks_to_physical(osc, motion):
-    """Physical section state (2n,) of a motion; on the stop with v = 0 where it rests there: ``placed`` so.
+    """Physical section state (2n,) of a motion; at rest it is exactly on the stop with v = 0, as in ``placed``.
 
-    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
+    A motion is never beyond a stop: overshoot by rounding is removed.
     """
     state = np.zeros(2 * motion.h.shape[0])
     leave_blocks(osc, motion.h, motion.contact[0], state)

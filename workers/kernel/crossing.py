@@ -1,9 +1,9 @@
 """The certified next crossing of a stop by a free flight: no sampling in time.
 
-The step rule: with a bound K on the curvature toward a stop, a point at gap g that approaches at v cannot
-arrive before g = v s + K s^2 / 2. Bounds on the second and third derivative of the signal hold for all
-later times, so a march of such steps cannot jump over an impact, however short it would be. Where the
-motion grows they hold until it may have doubled, and are made anew there.
+The step rule: with a bound K on the curvature toward a stop, a point at gap g that approaches at v cannot arrive before
+g = v s + K s^2 / 2. The bounds on the second and third derivative of the signal hold for all later times, so a march of
+such steps cannot jump over an impact, however short. Bounds of a growing motion hold until its size may have doubled
+and are then computed anew.
 """
 
 import math
@@ -18,30 +18,30 @@ from workers.kernel.signal import derivative_bounds, evaluate, growth_rate
 from workers.model.oscillator import NUMBER
 
 GAP_ROUNDING = 4e-16
-"""Gap below which the mass is at the stop, in units of the terms that add up to y."""
+"""Gap below which the mass is at the stop, in units of the sum of moduli that add up to y."""
 
 MAX_EVALUATIONS = 1_000_000
-"""Evaluations of one flight after which it is given up; the certified march needs about five between impacts."""
+"""Evaluations after which a flight is given up; the certified march needs about five between impacts."""
 
 LEAST_STEP = 4e-16
-"""Least step of a flight, as a share of the time it may take: rounding of time."""
+"""Least step of a flight, as a share of its longest duration: rounding of time."""
 
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""
 
 DOUBLED = math.log(2.0)
-"""Growth, as a logarithm, after which the derivative bounds of a motion that grows are renewed."""
+"""Log-growth after which the derivative bounds of a growing motion are renewed."""
 
 TRIALS = 4
 """Trial lengths at the end of a safe step."""
 
 TINY = 1e-300
-"""Keeps a quotient finite where there is no motion at all."""
+"""Keeps a quotient finite for a state at rest."""
 
 
 @inlined
 def arrival(g, v, K):
-    """First s > 0 with g = v s + K s^2 / 2, infinity if there is none: no arrival before it (g >= 0)."""
+    """First s > 0 with g = v s + K s^2 / 2, infinity if none: no arrival before s (g >= 0)."""
     D = fma(v, v, 2.0 * K * g)
     r = math.sqrt(max(D, 0.0))
     closing = v > 0.0
@@ -53,16 +53,16 @@ def arrival(g, v, K):
 
 @inlined
 def curvature(a, j3, M2, M3, M4, h):
-    """K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h: from the bounds M2, M3, M4.
+    """K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h, from the bounds M2, M3, M4.
 
-    M2 itself; from the third derivative a + M3 h / 3; from the fourth a + max(0, j3 + M4 h / 4) h / 3.
+    The least of M2, of a + M3 h / 3 by the third derivative, and of a + max(0, j3 + M4 h / 4) h / 3 by the fourth.
     """
     return min(M2, fma(min(M3, max(0.0, fma(0.25 * M4, h, j3))), h * (1.0 / 3.0), a))
 
 
 @inlined
 def stays_open(g, v, K, h):
-    """Whether v s + K s^2 / 2 stays below g >= 0 for all s <= h: at its end and, if it has one before, at its peak."""
+    """Whether v s + K s^2 / 2 stays below g >= 0 for all s <= h: checked at h and at an earlier peak."""
     end = fma(0.5 * K, h, v) * h < g
     peaks = K < 0.0 and fma(K, h, v) < 0.0
     return (v <= 0.0 or v * v < -2.0 * K * g) if peaks else end
@@ -82,7 +82,7 @@ def bracket(g, v, a, j3, M2, M3, M4, H):
 
 @inlined
 def close_in(L, U, g, v, a, j3, M2, M3, M4, trials):
-    """The longest time of some trials between L and U, besides L, for which the gap certainly does not close."""
+    """The longest of several trial times between L and U before which the gap certainly does not close, at least L."""
     h = math.sqrt(L * U)  # at a graze L and U can differ by orders of magnitude
     for _ in range(trials):
         free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
@@ -100,7 +100,7 @@ def safe_step(g, v, a, j3, M2, M3, M4, H):
 
 @inlined
 def safe_retreat(g, v, a, j3, M2, M3, M4, H):
-    """As safe_step for a gap that is opening, v <= 0, and seldom what ends a step: found with less effort."""
+    """safe_step of an opening gap, v <= 0, which seldom limits a step: computed with less effort."""
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
     return close_in(L, H, g, v, a, j3, M2, M3, M4, TRIALS) if L < H else H
 
@@ -110,7 +110,7 @@ def landing(g, v, a, j3, M3, M4, tol):
     """The time at which a gap g closes if its cubic is exact to tol until then and v stays positive; else infinity.
 
     Root of g = v s + a s^2 / 2 + j3 s^3 / 6 from its series in g / v by a step of Halley's method, which is exact to
-    rounding where v changes by less than a 64th until then; what the cubic leaves out is below M4 s^4 / 24.
+    rounding where v changes by less than a 64th until then; the remainder of the cubic is below M4 s^4 / 24.
     """
     inv_v = 1.0 / v
     first = g * inv_v
@@ -127,7 +127,7 @@ def landing(g, v, a, j3, M3, M4, tol):
 
 @inlined
 def meets(g, v, a, j3, M3, M4, tol, H):
-    """The time <= H after which a gap g, closing at v, is certain to have just closed; infinity where none is."""
+    """The time <= H after which a gap g, closing at v, has certainly just closed; infinity if none is known."""
     s = landing(max(g, 0.0), v, a, j3, M3, M4, tol)
     s = 0.0 if g <= tol and v > 0.0 else s
     return s if s <= H else np.inf
@@ -135,9 +135,9 @@ def meets(g, v, a, j3, M3, M4, tol, H):
 
 @inline_always
 def _first_step(order, side, a, j3, M3, M4):
-    """A time for which a start on stop ``side`` with v = 0 certainly leaves it: 3|a|/M3, or 4|j|/M4 where a = 0 too.
+    """A time in which a start on stop ``side`` with v = 0 certainly leaves it: 3|a|/M3, or 4|j|/M4 if a = 0 too.
 
-    The longer of both where it is about to leave and the jerk points inward too: a may be zero but for rounding.
+    The longer of both if the jerk points inward too: a may be zero up to rounding.
     """
     by_jerk = 4.0 * abs(j3) / max(M4, TINY)
     if order == 3:
@@ -148,19 +148,19 @@ def _first_step(order, side, a, j3, M3, M4):
 
 @kernel
 def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
-    """The first time in [0, H] at which a guard, offset added, reaches ``upper`` from below or ``lower`` from above.
+    """The first time in [0, H] at which the guard plus offset reaches ``upper`` from below or ``lower`` from above.
 
-    h (n, 2) and phase: where it starts. start: 0 inside; +-k at ``upper`` or ``lower``, the guard's k-th derivative
-    being the first that is not zero: 1 after a rebound, 2 with v = 0, 3 after a release. scratch: (n, 2) to overwrite.
-    Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H;
-    2 where the march needed more than MAX_EVALUATIONS.
+    h (n, 2) and phase: the start. start: 0 inside; +-k at ``upper`` or ``lower``, where the k-th derivative of the
+    guard is the first nonzero one: 1 after a rebound, 2 with v = 0, 3 after a release. scratch: (n, 2), overwritten.
+    Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H; 2 if the march needed more than
+    MAX_EVALUATIONS.
     """
     h, scratch = borrowed(h), borrowed(scratch)
     blocks, waves, numbers = mode.blocks, mode.waves, mode.numbers
     omega = numbers[NUMBER.omega]
     growth = growth_rate(blocks)
     horizon = DOUBLED / growth if growth > 0.0 else np.inf
-    end = min(H, horizon)  # until when the bounds hold
+    end = min(H, horizon)  # the bounds hold until then
     M0, M2, M3, M4 = derivative_bounds(blocks, numbers, h, end)
     s = 0.0
     for count in range(1, MAX_EVALUATIONS + 1):
@@ -190,7 +190,7 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
                 step = min(step, safe_retreat(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
         if s + step >= H:
             return H, 0, count
-        s = max(s + step, s + LEAST_STEP * H)  # at rest but for rounding a flight would need any number of steps
+        s = max(s + step, s + LEAST_STEP * H)  # bounds the steps of a flight at rest
         if count % REFRESH == 0 or s >= end:
             for j in range(h.shape[0]):
                 scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]

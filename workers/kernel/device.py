@@ -1,7 +1,7 @@
-"""The text of a kernel for another device: the same function, and all kernels that it calls, by another decorator.
+"""Kernels for another device: the same function and all kernels that it calls, decorated anew from their text.
 
-``numba.cuda.jit(device=True)`` makes device functions of them. Where a round of lanes is meant, give each thread a lane
-and an array of its own: all loops over lanes are of one turn then.
+``numba.cuda.jit(device=True)`` makes device functions of them. For a round of lanes, give each thread one lane and its
+own array: all loops over lanes then run once.
 """
 
 from collections.abc import Callable
@@ -15,9 +15,9 @@ __all__ = ["translated"]
 
 
 def translated(decorate: Callable[[Any], Any]) -> Callable[[Kernel], Any]:
-    """What makes a function for another device of a kernel: its text decorated so, calling others made alike.
+    """A function that translates a kernel for another device, with all kernels that it calls.
 
-    Of kernels that choose by the types of what they are given, ``for_modes``, there is none.
+    Kernels that dispatch on argument types, ``for_modes``, cannot be translated.
     """
 
     @cache
@@ -25,7 +25,7 @@ def translated(decorate: Callable[[Any], Any]) -> Callable[[Kernel], Any]:
         text = kernel.py_func
         names = {name: text.__globals__[name] for name in text.__code__.co_names if name in text.__globals__}
         scope = {name: translate(value) if isinstance(value, Kernel) else value for name, value in names.items()}
-        made = FunctionType(text.__code__, {"__builtins__": __builtins__} | scope, text.__name__, text.__defaults__)
-        return decorate(made)
+        copy = FunctionType(text.__code__, {"__builtins__": __builtins__} | scope, text.__name__, text.__defaults__)
+        return decorate(copy)
 
     return translate

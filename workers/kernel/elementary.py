@@ -1,6 +1,6 @@
 """exp, log, sin and cos without a branch or a call, so that loops over cells compile to vector instructions.
 
-Each reduces its argument and sums a Taylor series, with an error of about one unit in the last place.
+Each function reduces its argument and sums a Taylor series, with an error of about one unit in the last place.
 """
 
 import math
@@ -11,10 +11,10 @@ from workers.kernel.fma import fma, horner
 from workers.kernel.jit import inlined
 
 _TO_INTEGER = 1.5 * 2.0**52
-"""Added and subtracted, it rounds to the nearest integer."""
+"""Adding and subtracting it rounds to the nearest integer."""
 
 _LARGEST_EXPONENT = 708.0
-"""exp(-708) is next to the smallest number of full precision; what is below counts as zero."""
+"""exp(-708) is about the smallest number of full precision; smaller values count as zero."""
 
 _EXPONENT_BITS = 52
 _EXPONENT_OF_ONE = 1023 << _EXPONENT_BITS
@@ -40,14 +40,14 @@ SIN = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(17, 1, -2))
 COS = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(18, 3, -2))
 COSC = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(12, 1, -2))
 SINC = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(13, 1, -2))
-"""The series that are summed, from their highest power down to the first that is not added by itself."""
+"""Coefficients of the series from the highest power down; the lowest terms are added separately."""
 
 
 @inlined
 def exp_minus(x):
-    """exp(-x) for x >= 0: 2^-k e^r with k the integer nearest to x / ln 2; 0 from x = 708 on."""
+    """exp(-x) for x >= 0: 2^-k e^r, k the integer nearest to x / ln 2; 0 for x >= 708."""
     reduced = min(x, _LARGEST_EXPONENT)
-    shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # k is in its last bits, and below in the exponent's
+    shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # its last bits hold k, those below the exponent
     k = shifted - _TO_INTEGER
     power = np.int64(_EXPONENT_OF_ONE - (np.float64(shifted).view(np.int64) << _EXPONENT_BITS)).view(np.float64)
     r = fma(k, _LN2_LOW, fma(k, _LN2_HIGH, -reduced))
@@ -57,7 +57,7 @@ def exp_minus(x):
 
 @inlined
 def exp(x):
-    """exp(x) of either sign, by exp_minus; infinity from 708 on."""
+    """exp(x) of either sign, by exp_minus; infinity for x >= 708."""
     power = exp_minus(abs(x))
     return 1.0 / power if x > 0.0 else power
 
@@ -72,14 +72,14 @@ def log(x):
     z = s * s
     p = horner(LOG, z)
     half = 0.5 * f * f
-    found = fma(k, _LN2_HIGH, f - (half - fma(s, fma(z, p, half), k * _LN2_LOW)))
-    found = found if x < np.inf else x
-    return -np.inf if x == 0.0 else found
+    value = fma(k, _LN2_HIGH, f - (half - fma(s, fma(z, p, half), k * _LN2_LOW)))
+    value = value if x < np.inf else x
+    return -np.inf if x == 0.0 else value
 
 
 @inlined
 def sin_cos(x):
-    """(sin x, cos x) for |x| <= 3e7 (oscillator.LARGEST_ANGLE): from those of r = x - k pi / 2, |r| <= pi / 4."""
+    """(sin x, cos x) for |x| <= 3e7 (oscillator.LARGEST_ANGLE), from r = x - k pi / 2, |r| <= pi / 4."""
     k = fma(x, _TWO_OVER_PI, _TO_INTEGER) - _TO_INTEGER
     r = fma(-k, _PI2_LOW, fma(-k, _PI2_MIDDLE, fma(-k, _PI2_HIGH, x)))
     z = r * r

@@ -1,6 +1,6 @@
-"""Where the gap coordinate turns in a free flight: its least and greatest value there.
+"""Turning points of the gap coordinate in a free flight: its least and greatest value.
 
-y' is a guard like y, so that the certified search for the next crossing finds its zeros: no turning point is missed.
+y' is a guard like y, so the certified search for crossings finds its zeros: no turning point is missed.
 """
 
 import math
@@ -17,10 +17,10 @@ from workers.model.oscillator import COLUMN, NUMBER, Mode
 
 @inline_always
 def velocity_of(gap):
-    """The free flight with y' for a guard, and what a constant load adds to that.
+    """The free flight with guard y', and the offset that a constant load adds to it.
 
-    Its rows are cA and cA^2, and a load adds c1 load. Y' has the sine parts -k omega cos_part and the cosine parts
-    k omega sin_part.
+    Its rows are cA and cA^2; a load adds c1 load. Y' has sine parts -k omega cos_part and cosine parts k omega
+    sin_part.
     """
     blocks, waves, numbers = gap.blocks.copy(), np.empty(gap.waves.shape), np.zeros(len(gap.numbers))
     offset = 0.0
@@ -43,10 +43,10 @@ def velocity_of(gap):
 
 @inline_always
 def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
-    """(time, side, evaluations) of the next turning point within ``left``, as next_crossing finds it.
+    """(time, side, evaluations) of the next turning point within ``left``, as of next_crossing.
 
-    Of a motion that falls, or rises, from block state h (n, 2) on, which it is moved to, or to the end. The zero of y'
-    is a stop of that signal: the upper one where y falls, the lower one where it rises.
+    The motion starts at block state h (n, 2), falling or rising; h is moved to the turning point or to the end. The
+    zero of y' is a stop of that signal: the upper stop if y falls, the lower if it rises.
     """
     upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
     signal = lend(velocity)
@@ -59,14 +59,14 @@ def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
 def turning_points(gap, state, phase, duration, start, low, high):
     """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state (n, 2).
 
-    start: as in next_crossing, for y. Returns also the evaluations; high is NaN where the search gave up.
+    start: as in next_crossing, for y. Also returns the evaluations; high is NaN if the search gave up.
     """
     velocity, offset = velocity_of(gap)
     h, scratch = state.copy(), np.empty(state.shape)
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
     _, v, a, _, _ = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)
     falls = start > 0 or (start == 0 and (v < 0.0 or (v == 0.0 and a < 0.0)))
-    begun = start - np.sign(start)  # its derivatives are one order on
+    begun = start - np.sign(start)  # the order of the first nonzero derivative of y' is one less
     t, spent = 0.0, 0
     while True:
         s, side, evaluations = next_turn(velocity, offset, h, phase, falls, begun, duration - t, scratch)

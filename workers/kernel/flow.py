@@ -27,8 +27,8 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
     """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
 
     f = e^(-eta s) (C + eta S, S, -lam S, C - eta S). With d = lam - eta^2 and w = sqrt|d|: C, S = cos(w s),
-    sin(w s) / w where d > 0; for d <= 0 their series in d s^2 where that is small; and else, with the decay rates
-    slow = lam / (eta + w) and fast = eta + w, the exponentials themselves, which do not cancel.
+    sin(w s) / w for d > 0; for d <= 0 their series in d s^2 if that is small, else exponentials of the decay rates slow
+    = lam / (eta + w) and fast = eta + w, which do not cancel.
     """
     o11, o12, o21, o22 = oscillating_flow(s, eta, lam, w, inv_w)
     oscillates = d > 0.0
@@ -54,7 +54,7 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
 
 @kernel
 def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
-    """flow_entries of a block that grows, slow < 0: eta or lam is negative."""
+    """flow_entries of a growing block, slow < 0: eta or lam is negative."""
     x = d * s * s
     if x > -0.1:
         growth = exp(-eta * s)
@@ -73,7 +73,7 @@ def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
 
 @inlined
 def block_flow(block, s):
-    """flow_entries of the constants of a block, a row of Mode.blocks."""
+    """flow_entries of a block, a row of Mode.blocks."""
     eta, lam, w, inv_w = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.w], block[COLUMN.inv_w]
     if block[COLUMN.slow] < 0.0:
         return growing_flow(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
@@ -84,7 +84,7 @@ def block_flow(block, s):
 
 @inlined
 def fall(s, eta):
-    """How far a rigid mode moves from rest in s under a unit load: s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s."""
+    """Displacement of a rigid mode from rest in s under a unit load: s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s."""
     x = 2.0 * eta * s
     p = horner(FALL, -x)
     far = ((x - 1.0) + exp_minus(x)) / (x * x)
@@ -100,7 +100,7 @@ def rise(s, eta):
 
 @inlined
 def moved_by_load(s, eta):
-    """How far a rigid mode moves from rest in s under a unit load, for either sign of eta."""
+    """Displacement of a rigid mode from rest in s under a unit load, for either sign of eta."""
     if eta < 0.0:
         return rise(s, eta)
     return fall(s, eta)
@@ -108,7 +108,7 @@ def moved_by_load(s, eta):
 
 @kernel
 def flow(block, s, h):
-    """Move the block state h (n, 2) on by s, in place."""
+    """Advance the block state h (n, 2) by s, in place."""
     block, h = borrowed(block), borrowed(h)
     for j in range(len(block)):
         flow_block(block[j], s, h[j])
@@ -116,7 +116,7 @@ def flow(block, s, h):
 
 @inlined
 def flow_block(block, s, h):
-    """Move the state h (2,) of one block on by s, in place; its flow."""
+    """Advance the state h (2,) of one block by s, in place; returns its flow."""
     f11, f12, f21, f22 = block_flow(block, s)
     h0, h1, load = h[0], h[1], block[COLUMN.load]
     h[0], h[1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
@@ -127,7 +127,7 @@ def flow_block(block, s, h):
 
 @inlined
 def flow_vectors(V, j, f11, f12, f21, f22):
-    """Move block j of tangent vectors V (m, n, 2) on by a flow, see flow_entries, in place."""
+    """Advance block j of tangent vectors V (m, n, 2) by a flow, see flow_entries, in place."""
     for i in range(V.shape[0]):
         v0, v1 = V[i, j, 0], V[i, j, 1]
         V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
@@ -135,7 +135,7 @@ def flow_vectors(V, j, f11, f12, f21, f22):
 
 @kernel
 def flow_with_tangent(block, s, h, V):
-    """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
+    """Advance the block state h (n, 2) and the tangent vectors V (m, n, 2) by s, in place."""
     block, h, V = borrowed(block), borrowed(h), borrowed(V)
     for j in range(len(block)):
         f11, f12, f21, f22 = flow_block(block[j], s, h[j])

@@ -1,7 +1,7 @@
-"""a b + c rounded once, and polynomials made of it.
+"""a b + c with one rounding, and polynomials made of it.
 
-Written out where the solver's time goes. Left to the compiler (``contract``), which product is fused with which sum
-depends on what else a function is inlined into, and the last bits of a result with it.
+Written explicitly where the solver spends its time. With ``contract`` the compiler would choose which product to fuse
+with which sum by the function it inlines into, and the last bits of a result would depend on that.
 """
 
 from fractions import Fraction
@@ -18,15 +18,15 @@ FLOAT = types.float64
 
 
 def fma(a: float, b: float, c: float) -> float:
-    """a b + c of float64 numbers, with one rounding: in kernels one instruction where the processor has it."""
+    """a b + c of float64 numbers with one rounding: in kernels one instruction where the processor has it."""
     if not (isfinite(a) and isfinite(b) and isfinite(c)):
         return a * b + c
     exact = Fraction(a) * Fraction(b) + Fraction(c)
-    return float(exact) if exact else a * b + c  # which is zero, too, and has its sign
+    return float(exact) if exact else a * b + c  # keeps the sign of zero
 
 
 def horner(coefficients: tuple[float, ...], x: float) -> float:
-    """The polynomial in x with these coefficients, that of the highest power first."""
+    """The polynomial in x with these coefficients, highest power first."""
     total = coefficients[0]
     for coefficient in coefficients[1:]:
         total = fma(total, x, coefficient)

@@ -1,10 +1,10 @@
-"""The one way a kernel is compiled: no GIL, IEEE arithmetic, cached on disk.
+"""The one way to compile a kernel: no GIL, IEEE arithmetic, cached on disk.
 
-The compiler neither reorders nor fuses: what is rounded once is written so, see fma.py. So the bits of a result do not
-depend on what was compiled or loaded before it, nor on the processor.
+The compiler neither reorders nor fuses; products to be fused are written so, see fma.py. The bits of a result therefore
+depend neither on the compilation or loading order nor on the processor.
 
-Loops of unknown length stay as they are. Most of them run over a few coordinates, blocks or harmonics; unrolled, they
-took 155 s of processor time to compile in place of 109 and cost machines with modes 11 to 17 % of their periods.
+Loops of unknown length are not unrolled. Most run over a few coordinates, blocks or harmonics; unrolled, they took
+155 s of processor time to compile in place of 109 and made periods of machines with modes 11 to 17 % slower.
 """
 
 import inspect
@@ -29,16 +29,17 @@ llvmlite.binding.set_option("impact-atlas", "-unroll-runtime=false")
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 _PART: Any = _HOW | {"no_cpython_wrapper": True}
-"""How parts are compiled, all alike: what they call of Numba's own, such as ``np.zeros``, is compiled for each way."""
+"""Compilation options of all parts: Numba's own functions, such as ``np.zeros``, are compiled once per set of
+options."""
 
 _WITHIN: dict[bool, dict[str, Any]] = {False: {}, True: {"inline": "always"}}
 
 
 class Kernel:
-    """A function that Python calls as a kernel of its own, and other kernels as a part of them.
+    """A function that Python calls as a separate kernel, and other kernels as a part of them.
 
-    A part has neither an entry for Python, which unpacks records of arrays and takes as long to compile as what the
-    function does, nor a file in the cache. ``within``: its part is no function of its own but compiled with its caller.
+    A part has no file in the cache and no entry for Python, which unpacks records of arrays and takes as long to
+    compile as the function itself. ``within``: the part is compiled into its caller.
     """
 
     def __init__(self, function: Callable[..., Any], *, within: bool = False, **how: Any) -> None:
@@ -47,36 +48,36 @@ class Kernel:
 
     @cached_property
     def alone(self) -> Any:
-        """What Python calls. Made at first use: most of the kernels that a process imports it never calls."""
+        """The kernel for Python, made at first use: a process never calls most kernels that it imports."""
         return njit(cache=CACHE is not None, **self._how)(self.py_func)
 
     @cached_property
     def part(self) -> Any:
-        """What other kernels call; made at first use, which compiles one of them."""
+        """The part for other kernels, made at first use while one of them is compiled."""
         return njit(**(_PART | self._how), **_WITHIN[self._within])(self.py_func)
 
     @property
     def targetoptions(self) -> Any:
-        """Where Numba looks whether to inline the kernel."""
+        """Numba looks here whether to inline the kernel."""
         return getattr(self.part, "targetoptions", {})
 
-    def __call__(self, *given: Any) -> Any:
-        """What the function makes of the arguments, compiled."""
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function."""
         load()
-        return self.alone(*given)
+        return self.alone(*arguments)
 
 
 @typeof_impl.register(Kernel)
 def _(kernel: Kernel, context: Any) -> types.Dispatcher:
-    """What a kernel is in another one."""
+    """The type of a kernel within another kernel."""
     load()
     return types.Dispatcher(kernel.part)
 
 
 def named_constants(*kinds: Any) -> None:
-    """Make records of these kinds to kernels what a module is: names of constants.
+    """Make records of these kinds look like modules of named constants to kernels.
 
-    As a tuple a record would be compiled with all its numbers wherever one of them is used.
+    As a tuple, all numbers of a record would be compiled in wherever one of them is used.
     """
 
     def module_of(record: Any, context: Any) -> types.Module:
@@ -94,28 +95,28 @@ kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""
 
 inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
-"""Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
+"""Decorator of small branch-free functions called in loops over cells: a call would stop vectorisation."""
 
 inline_always: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
-"""Decorator of kernels that are parts of one other or of few, compiled with their caller: a kernel compiles all that it
-calls once more, and so would each of those on the way from it to the kernels below."""
+"""Decorator of kernels that are parts of one or a few others, compiled into their caller: a kernel compiles all its
+callees once more, as would every kernel in between."""
 
 
 def for_modes(act: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator of a kernel that is ``act`` where the oscillator, its first argument, has modes.
+    """Decorator of a kernel that becomes ``act`` if its first argument, the oscillator, has modes.
 
-    Which of both it is is decided where another kernel is compiled, by the types of what it is given.
+    The choice is made when another kernel is compiled, by the types of the arguments.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         own = kernel(function)
 
         @wraps(function)
-        def chosen(*given: Any) -> Any:
-            return (act if given[0].has_modes else own)(*given)
+        def chosen(*arguments: Any) -> Any:
+            return (act if arguments[0].has_modes else own)(*arguments)
 
-        def pick(*given: types.Type) -> Callable[..., Any]:
-            record: Any = given[0].kind if isinstance(given[0], Lent) else given[0]
+        def pick(*arguments: types.Type) -> Callable[..., Any]:
+            record: Any = arguments[0].kind if isinstance(arguments[0], Lent) else arguments[0]
             modes = record[record.fields.index("table")]
             meant: Callable[..., Any] = (own if isinstance(modes, types.NoneType) else act).py_func
             return meant

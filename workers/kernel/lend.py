@@ -1,7 +1,7 @@
-"""Records and arrays that a kernel passes on by where they lie: one word, where an oscillator's arrays take 200.
+"""Records and arrays passed between kernels by address: one word, where an oscillator's arrays take 200.
 
-Who lends keeps the memory of the arrays. What is lent counts no references, see borrow.py, and ends with the function
-that lent it: no function returns it.
+The lender keeps the memory of the arrays. Lent arrays are not reference-counted, see borrow.py, and live as long as the
+function that lent them: no function returns them.
 """
 
 from typing import Any, TypeVar
@@ -20,22 +20,22 @@ Given = TypeVar("Given")
 
 
 def lend(given: Given) -> Given:
-    """The same record; in kernels by where it lies, with the same fields."""
+    """The same record; in kernels passed by address, with the same fields."""
     return given
 
 
 def row_in(record: Given, r: int) -> Given:
-    """As row_of, of a record that is lent: its fields are looked up where they are used, which suits large records."""
+    """row_of for a lent record: fields are looked up when used, which suits large records."""
     return row_of(record, r)
 
 
 def only_row(record: Given) -> Given:
-    """The same record; in kernels as row_in of a record that has it alone, so that what takes rows of many takes it."""
+    """The same record; in kernels row_in of its single row, so that functions of rows of many accept it."""
     return record
 
 
 def whole(given: Given) -> Given:
-    """The same record or array; in kernels by value, where it was lent."""
+    """The same record or array; in kernels passed by value if it was lent."""
     return given
 
 
@@ -45,7 +45,7 @@ def with_phase(osc: Any, tau: Any) -> Any:
 
 
 class Lent(types.Type):
-    """The type of a record or array of this kind that is known by where it lies."""
+    """The type of a record or array of this kind that is known by its address."""
 
     def __init__(self, kind: types.Type) -> None:
         self.kind: Any = kind
@@ -53,12 +53,12 @@ class Lent(types.Type):
 
 
 def lent_as(kind: Any) -> Any:
-    """How a value of this type is lent: records and arrays by where they lie, numbers as they are."""
+    """The lent form of a type: records and arrays by address, numbers as they are."""
     return Lent(kind) if isinstance(kind, types.BaseTuple | types.Array) else kind
 
 
 class LentRow(types.Type):
-    """The type of a row of a lent record of many, of this kind, that is known by where that lies and by its number."""
+    """The type of a row of a lent record of many of this kind, known by the record's address and the row number."""
 
     def __init__(self, kind: types.Type) -> None:
         self.kind: Any = kind
@@ -120,7 +120,7 @@ def _row_attribute(context: Any, builder: Any, row: LentRow, value: Any, name: s
 
 
 def _row_at(context: Any, builder: Any, row: LentRow, record: Any, number: Any) -> Any:
-    """The value of a row of the lent record that lies there."""
+    """The value of a row of the lent record at this address."""
     own = create_struct_proxy(row)(context, builder)
     own.record, own.number = record, number
     return own._getvalue()
@@ -144,16 +144,16 @@ def _only_row_typed(context: Any) -> Any:
 
 @lower_builtin(only_row, types.Any)
 def _only_row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    given, row = signature.args[0], signature.return_type
-    if given == row:
+    record, row = signature.args[0], signature.return_type
+    if record == row:
         return arguments[0]
-    many = many_value(context, builder, lent_as(given).kind, given_value(builder, given, arguments[0]))
+    many = many_value(context, builder, lent_as(record).kind, given_value(builder, record, arguments[0]))
     return _row_at(context, builder, row, alloca_once_value(builder, many), context.get_constant(types.intp, 0))
 
 
 @type_callable(lend)
 def _lend_typed(context: Any) -> Any:
-    return lambda given: lent_as(given)
+    return lambda kind: lent_as(kind)
 
 
 @lower_builtin(lend, types.Any)
@@ -162,12 +162,12 @@ def _lend_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -
 
 
 def given_value(builder: Any, kind: types.Type, value: Any) -> Any:
-    """The value of a record or array of this type, which may be lent."""
+    """The value of a record or array of this type, lent or not."""
     return builder.load(value) if isinstance(kind, Lent) else value
 
 
 def lend_value(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
-    """The value of this type as ``lent_as`` has it."""
+    """A value of this type in the form of ``lent_as``."""
     return alloca_once_value(builder, value) if lent_as(kind) != kind else value
 
 
@@ -197,7 +197,7 @@ def _phase_compiled(context: Any, builder: Any, signature: Any, arguments: Any) 
 
 @type_callable(whole)
 def _whole_typed(context: Any) -> Any:
-    return lambda given: given.kind if isinstance(given, Lent) else given
+    return lambda kind: kind.kind if isinstance(kind, Lent) else kind
 
 
 @lower_builtin(whole, types.Any)

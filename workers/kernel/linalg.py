@@ -12,24 +12,24 @@ from workers.kernel.lend import whole
 EPS = float(np.finfo(np.float64).eps)
 
 NOTHING = 1e-290
-"""What the largest entry next to one leaves of a matrix entry that counts for nothing: products with it underflow."""
+"""Entries below it count as zero in a matrix whose largest entry is about one: products with them underflow."""
 
 MOST_SWEEPS = 60
-"""Steps of the QR method for one eigenvalue; it needs two or three."""
+"""QR steps for one eigenvalue; two or three suffice as a rule."""
 
 
 @kernel
 def identity(size):
     """The unit matrix of this size."""
-    found = np.zeros((size, size))
+    unit = np.zeros((size, size))
     for k in range(size):
-        found[k, k] = 1.0
-    return found
+        unit[k, k] = 1.0
+    return unit
 
 
 @kernel
 def solution(matrix, right):
-    """x with matrix x = right, by elimination with pivots; both are overwritten. Not finite where there is none."""
+    """x with matrix x = right, by elimination with pivots; overwrites both. Not finite for a singular matrix."""
     size = len(right)
     for k in range(size):
         pivot = k
@@ -98,7 +98,7 @@ def to_hessenberg(A):
 
 @inline_always
 def near_eigenvalue(a, b, c, d):
-    """The eigenvalue of [[a, b], [c, d]] that is nearer to d."""
+    """The eigenvalue of [[a, b], [c, d]] nearest to d."""
     half = times(0.5, a - d)
     root = np.sqrt(half * half + b * c)
     if abs(half + root) < abs(half - root):
@@ -115,17 +115,17 @@ def times(real, z):
 
 @inlined
 def over(z, real):
-    """A complex number by a real one."""
+    """A complex number divided by a real one."""
     return complex(z.real / real, z.imag / real)
 
 
 @inlined
 def couples(below, before, here):
-    """Whether an entry below the diagonal is more than rounding of its two neighbours there."""
+    """Whether an entry below the diagonal exceeds the rounding of its two diagonal neighbours."""
     if max(abs(below.real), abs(below.imag)) < NOTHING:
         return False
     sides = abs(before.real) + abs(before.imag) + abs(here.real) + abs(here.imag)
-    if max(abs(below.real), abs(below.imag)) > 2.0 * EPS * sides:  # mostly: spares the roots
+    if max(abs(below.real), abs(below.imag)) > 2.0 * EPS * sides:  # mostly true, which saves the roots
         return True
     return abs(below) > EPS * (abs(before) + abs(here))
 
@@ -161,7 +161,7 @@ def rotate_once(H, cosines, sines, start, end, shift):
 
 @inline_always
 def exponent_of(matrix):
-    """The power of two that the largest entry of a matrix is next to; 0 of a matrix of zeros."""
+    """The power of two next to the largest entry of a matrix; 0 for a matrix of zeros."""
     largest = 0.0
     for row in matrix:
         for entry in row:
@@ -170,17 +170,17 @@ def exponent_of(matrix):
 
 
 @apart(FLOATS[2], FLOATS[1])
-def fill_moduli(matrix, found):
-    """Write the |eigenvalues| of a real matrix, by the QR method with shifts; infinity where it is not finite.
+def fill_moduli(matrix, sizes):
+    """Write the |eigenvalues| of a real matrix, by the QR method with shifts; infinity if it is not finite.
 
-    Of the matrix with its entries brought to the range of one, where no product of two that count underflows.
+    Entries are scaled to about one, where no product of two significant entries underflows.
     """
-    matrix, found = whole(matrix), whole(found)
+    matrix, sizes = whole(matrix), whole(sizes)
     size = len(matrix)
     A, H = np.empty((size, size)), np.empty((size, size), dtype=np.complex128)
     cosines, sines = np.empty(size), np.empty(size, dtype=np.complex128)
     for i in range(size):
-        found[i] = np.inf
+        sizes[i] = np.inf
         for k in range(size):
             A[i, k] = matrix[i, k]
     for i in range(size):
@@ -203,37 +203,37 @@ def fill_moduli(matrix, found):
             start -= 1
         if start == end - 1:
             end, sweeps = end - 1, 0
-            found[end] = math.ldexp(abs(H[end, end]), exponent)
+            sizes[end] = math.ldexp(abs(H[end, end]), exponent)
         elif sweeps == MOST_SWEEPS:
             for i in range(size):
-                found[i] = np.inf
+                sizes[i] = np.inf
             return
         else:
             sweeps += 1
             shift = near_eigenvalue(H[end - 2, end - 2], H[end - 2, end - 1], H[end - 1, end - 2], H[end - 1, end - 1])
-            if sweeps % 10 == 0:  # out of a cycle
+            if sweeps % 10 == 0:  # breaks cycles
                 shift = H[end - 1, end - 1] + abs(H[end - 1, end - 2])
             rotate_once(H, cosines, sines, start, end, shift)
 
 
 @inline_always
 def moduli(matrix):
-    """|eigenvalues| of a real matrix, in any order; infinity where it is not finite."""
-    found = np.empty(len(matrix))
-    fill_moduli(matrix, found)
-    return found
+    """|eigenvalues| of a real matrix, in any order; infinity if it is not finite."""
+    sizes = np.empty(len(matrix))
+    fill_moduli(matrix, sizes)
+    return sizes
 
 
 @apart(FLOATS[2], result=types.float64)
 def spectral_radius(matrix):
-    """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
+    """The largest |eigenvalue| of a real matrix; infinity if it is not finite."""
     matrix = whole(matrix)
     return highest(moduli(matrix), 0, len(matrix))
 
 
 @inline_always
 def highest(values, start, end):
-    """The largest of values[start:end], NaN if one of them is NaN."""
+    """The largest of values[start:end], NaN if any of them is NaN."""
     top = values[start]
     for i in range(start + 1, end):
         if values[i] > top or math.isnan(values[i]):
@@ -254,7 +254,7 @@ def sort_down(values):
 
 @inline_always
 def copy_into(target, source):
-    """Write the entries of an array into another one of its shape; both are contiguous."""
+    """Copy the entries of an array into another of the same shape; both are contiguous."""
     to, values = target.ravel(), source.ravel()
     for k in range(values.size):
         to[k] = values[k]

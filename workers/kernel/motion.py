@@ -1,4 +1,4 @@
-"""A motion as the kernels see it: its record, and what is counted on its way."""
+"""The record of a motion in kernels, and its counts."""
 
 from typing import Any, NamedTuple
 
@@ -11,48 +11,49 @@ from workers.kernel.apart import FLOATS
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
 from workers.model.hybrid_machines import HybridMachines
-from workers.model.oscillator import Held, Mode, Oscillator, each
+from workers.model.oscillator import Held, Mode, Oscillator, map_fields
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
-"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it: no motion."""
+"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it: no valid
+motion."""
 
 (
     UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
     EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, CONTRACTION, PROGRESS, SLID, NEUTRAL, TALLIES,
 ) = range(18)  # fmt: skip
-"""What is counted on the way: impacts per stop, slowest and fastest impact, the sum of their speeds, what they take off
-the square of y', time at rest; evaluations, evaluations still allowed, directions lost, spread of the frame since it
-was last orthonormal, impacts recorded, status; of machines with modes the log of how volume has changed, where no
-direction is lost; how far a coordinate has drifted, which is reset at each section, so that this direction is lost;
-which frictions have slid, a binary digit each; of turns of an orbit neutral directions, see hybrid.neutral.freeze. An
-impact that completes a chatter to rest is the fastest and takes speed off like any other, but is neither counted at its
-stop nor summed: their number is infinite. The slowest impact has speed 0 where a rigid stop has held the mass."""
+"""Counts of a motion: impacts per stop, slowest and fastest impact, sum of their speeds, loss of the square of y'; time
+at rest; evaluations used and still allowed, directions lost, spread of the frame since it was last orthonormal, impacts
+recorded, status. Of machines with modes: log of the change of volume, if no direction is lost; drift of a coordinate,
+which is reset at each section, so that this direction is lost; frictions that have slid, a binary digit each; neutral
+directions of turns of an orbit, see hybrid.neutral.freeze. An impact that completes a chatter counts as the fastest and
+in the loss like any other, but neither at its stop nor in the sum: infinitely many end a chatter. The slowest impact
+has speed 0 if a rigid stop has held the mass."""
 
 NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
-"""The tally (TALLIES,) of a motion that has gone nowhere, and may cost nothing."""
+"""The tally (TALLIES,) of a motion before its start, with no evaluations allowed."""
 
 (
     RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND,
     MODE_MISSING, NO_MODE, ENDLESS_EVENTS, SIMULTANEOUS, RESONANT_MODE,
 ) = range(10)  # fmt: skip
-"""Status: fine, or why a cell cannot go on. Of machines with modes: one is not built, or cannot be; events follow each
-other without end at one time; two rigid contacts are reached at once; a mode resonates undamped."""
+"""Status: running, or why a cell cannot continue. Of machines with modes: a mode is not built, or has no valid flow; an
+endless chain of events at one time; two rigid contacts reached at once; a mode that resonates undamped."""
 
 OVERDRAFT = 1_000_000
-"""Evaluations by which a period may exceed what is left, so that motions can end at a section."""
+"""Evaluations by which a period may exceed the allowance, so that motions can end at a section."""
 
 WORK_OF_A_TRIAL = 1_000_000
-"""Evaluations allowed to a motion that tries something out: a turn of an orbit, a Newton step."""
+"""Evaluations allowed to a trial: a turn of an orbit, a Newton step."""
 
 
 class Motion(NamedTuple):
-    """One cell on its way, everything that ``advance`` changes; of many cells each field has one more axis in front.
+    """State of one cell, everything that ``advance`` changes; records of many have one more leading axis per field.
 
     h        (n, 2)     block coordinates, forced response taken off
     contact  (1,)       FREE, or +-HELD, +-AT_REST with the side's sign
     V        (m, n, 2)  tangent vectors, m = 0 for none
-    growth   (m,)       log of the growth taken out of each so far
-    triangle (m, m)     what orthonormalisation took out, see there; (0, 0) if not wanted
+    growth   (m,)       log of the growth removed from each vector so far
+    triangle (m, m)     factors of tangent.orthonormalise; (0, 0) if not wanted
     tally    (TALLIES,) counts, see UPPER...
     impacts  (K, 3)     the first K impacts: time after the section, side, speed before it, which is 0 where a rest
                         begins, see write_down_rest; K = 0 for none
@@ -72,7 +73,7 @@ class Motion(NamedTuple):
 
 
 def _record(kind: type, *fields: int | types.Type) -> types.NamedTuple:
-    """The type of a record in kernels; a number stands for a float64 array with that many axes."""
+    """The type of a record in kernels; an integer stands for a float64 array with that many axes."""
     return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
 
 
@@ -85,13 +86,13 @@ MOTION = _record(Motion, 2, types.Array(types.int64, 1, "C"), 3, 1, 2, 1, 2, 1, 
 
 @typeof_impl.register(HybridMachines)
 def _(machines: HybridMachines, context: Any) -> types.Type:
-    """What Python alone builds modes from is nothing to kernels."""
+    """Hide from kernels the machines from which Python builds modes."""
     return types.none
 
 
 @inline_always
 def spend(tally, evaluations):
-    """Count evaluations; every piece of motion costs one at least, so that no chain of them is endless."""
+    """Count evaluations; every piece of motion costs at least one, so that no chain of pieces is endless."""
     tally[EVALUATIONS] += evaluations
     tally[WORK] -= max(1, evaluations)
     if tally[WORK] < -OVERDRAFT:
@@ -99,28 +100,28 @@ def spend(tally, evaluations):
 
 
 @inline_always
-def count_contact(tally, contacts, t, which, speed):
-    """Count that a stop is reached, an upper one for which > 0, and write it down."""
-    tally[UPPER if which > 0 else LOWER] += 1.0
+def count_contact(tally, contacts, t, stop, speed):
+    """Count and record contact with a stop, the upper one for stop > 0."""
+    tally[UPPER if stop > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
     tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
     tally[SPEEDS] += speed
-    write_down(tally, contacts, t, which, speed)
+    write_down(tally, contacts, t, stop, speed)
 
 
 @inline_always
-def write_down_rest(tally, contacts, t, which, speed, chatter):
-    """Write down the last impact before a rest and, with speed 0, when the rest begins: after what is left to hop."""
-    write_down(tally, contacts, t, which, speed)
-    write_down(tally, contacts, t + max(chatter, 0.0), which, 0.0)
+def write_down_rest(tally, contacts, t, stop, speed, chatter):
+    """Record the last impact before a rest and, with speed 0, the start of the rest after the remaining hops."""
+    write_down(tally, contacts, t, stop, speed)
+    write_down(tally, contacts, t + max(chatter, 0.0), stop, 0.0)
 
 
 @inline_always
-def write_down(tally, contacts, t, which, speed):
-    """Write down that a stop is reached while contacts (K, 3) have room."""
+def write_down(tally, contacts, t, stop, speed):
+    """Record contact with a stop while contacts (K, 3) has room."""
     row = int(tally[RECORDED])
     if row < contacts.shape[0]:
-        contacts[row, 0], contacts[row, 1], contacts[row, 2] = t, which, speed
+        contacts[row, 0], contacts[row, 1], contacts[row, 2] = t, stop, speed
         tally[RECORDED] += 1.0
 
 
@@ -171,11 +172,12 @@ def motions_at(
     """Motions that start at block states h (N, n, 2) with contacts (N, 1); tangent vectors are the block axes."""
     N, n = h.shape[:2]
     one = motion_at(np.zeros((n, 2)), FREE, vectors, record)
-    many: Motion = each(one, lambda field: field[None].repeat(N, axis=0))
+    many: Motion = map_fields(one, lambda field: field[None].repeat(N, axis=0))
     return many._replace(h=h.copy(), contact=many.contact if contact is None else contact.copy())
 
 
 def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
-    found: Motion = motion_with.py_func(h, contact, axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0)), record)
-    return found
+    V, growth, triangle = axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0))
+    motion: Motion = motion_with.py_func(h, contact, V, growth, triangle, record)
+    return motion

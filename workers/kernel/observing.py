@@ -1,7 +1,7 @@
-"""Motions of machines with modes as observables see them: impacts, turning points, sections and losses, one by one.
+"""Observables of motions of machines with modes: impacts, turning points, section values and losses, one by one.
 
-Nothing is sampled: impacts are events of the one loop of hybrid/motion.py, and an output turns where the certified
-search finds a zero of its rate, or where an impact turns it.
+Nothing is sampled: impacts are events of the one loop of hybrid/motion.py. Turning points of an output are zeros of its
+rate, which the certified search finds, or impacts that reverse it.
 """
 
 import math
@@ -29,11 +29,11 @@ AT_SECTION, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
 """Kinds of observables as numbers."""
 
 ROUNDING = 1e-12
-"""Share of an output's terms by which it has to rise or fall between two turning points for them to count."""
+"""Share of an output's terms by which it must rise or fall between two turning points for them to count."""
 
 
 class Sought(NamedTuple):
-    """What is observed of machines: the kind (M,) of each observable, its contact (M,), -1 for all, and side (M,)."""
+    """Observables of machines: kind (M,), contact (M,), -1 for all, and side (M,)."""
 
     kinds: Rows
     contacts: Rows
@@ -41,11 +41,11 @@ class Sought(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What N motions have shown so far.
+    """Values observed of N motions so far.
 
     values (N, M, K)  the first K of each observable, in the order of time
-    counts (N, M)     how many there are; endless (N, M) 1 where a chatter has brought infinitely many
-    course (N, M, 5)  of each output how it goes, see OutputCourse
+    counts (N, M)     number of values; endless (N, M) 1 if a chatter has added infinitely many
+    course (N, M, 5)  recent course of each output, see OutputCourse
     """
 
     values: Array
@@ -55,12 +55,12 @@ class Seen(NamedTuple):
 
 
 class OutputCourse(NamedTuple):
-    """How an output goes, as places in a row.
+    """The recent course of an output, as columns.
 
-    heading   whether it rises, 1, or falls, -1; value: where it was last
-    size      the greatest sum of terms that it has been, and of how far it may have gone on a leg
-    turn, at  the turning point that the next one confirms, 1 for a maximum, -1 for a minimum, 0 for none or one before
-              the time that counts; and its value
+    heading   1 while rising, -1 while falling; value: the last value
+    size      the greatest sum of its terms, and of its possible change on a leg
+    turn, at  the last turning point, confirmed by the next one: 1 for a maximum, -1 for a minimum, 0 for none or one
+              too early to count; and its value
     """
 
     heading: int
@@ -84,7 +84,7 @@ def put(seen, m, value):
 
 @kernel
 def put_turn(seen, m, highest):
-    """Add the turning point that is confirmed, if it is of the kind that observable m wants."""
+    """Add the confirmed turning point if observable m wants this kind."""
     course = seen.course[m]
     if course[COURSE.turn] == (1.0 if highest else -1.0):
         put(seen, m, course[COURSE.at])
@@ -93,7 +93,7 @@ def put_turn(seen, m, highest):
 
 @kernel
 def head(seen, m, highest, direction, y, counts):
-    """An output goes on in this direction from y. A turn that rounding may have made is none."""
+    """Continue an output in this direction from y. A turn of rounding size does not count."""
     course = seen.course[m]
     if course[COURSE.heading] * direction < 0.0:
         near = abs(y - course[COURSE.at]) <= ROUNDING * course[COURSE.size]
@@ -108,9 +108,9 @@ def head(seen, m, highest, direction, y, counts):
 
 @kernel
 def see_output(pieces, k, row, order, seen, m, highest, h, start, phase, s, begins, tally):
-    """See where an output turns in a flight of s in mode k from block state h (n, 2), which begins at time ``start``.
+    """Record the turns of an output in a flight of s in mode k from h (n, 2), which begins at time ``start``.
 
-    What happens up to the time ``begins`` does not count.
+    Turns up to the time ``begins`` do not count.
     """
     full, direct = output_row(pieces, k, row, order)
     mode, offset = mode_with(pieces, k, full, direct)
@@ -118,7 +118,7 @@ def see_output(pieces, k, row, order, seen, m, highest, h, start, phase, s, begi
     blocks, waves, omega, course = mode.blocks, mode.waves, mode.numbers[NUMBER.omega], seen.course[m]
     y, v, a, jerk, size = evaluate(blocks, waves, omega, h, 0.0, phase, offset)
     before, rate = course[COURSE.value], abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
-    reach = min(rate, abs(v) + abs(a) * s) * s  # of what a load alone moves there is no bound
+    reach = min(rate, abs(v) + abs(a) * s) * s  # a load alone has no bound
     course[COURSE.size] = max(course[COURSE.size], size + reach)
     if abs(y - before) > ROUNDING * course[COURSE.size]:  # an impact makes velocities jump
         head(seen, m, highest, np.sign(y - before), before, start > begins)
@@ -141,7 +141,7 @@ def see_output(pieces, k, row, order, seen, m, highest, h, start, phase, s, begi
 
 @kernel
 def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
-    """See where outputs turn on a leg of a period that begins at the time ``since``, and what they are at a section."""
+    """Record the turns of outputs on a leg of a period that begins at the time ``since``, and their section values."""
     pieces, size, s, k = table.pieces, 2 * meter.rows.shape[1], leg[LEG.duration], int(leg[LEG.mode])
     t, harmonics = leg[LEG.start], table.pieces.waves.shape[2]
     h, nothing, flat = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty((0, size))
@@ -159,9 +159,9 @@ def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
 
 @kernel
 def see_impact(table, wanted, seen, hit, since, begins):
-    """See an impact (3,) of a period that begins at the time ``since``, see motion.through_modes.
+    """Record an impact (3,) of a period that begins at the time ``since``, see motion.through_modes.
 
-    Of speed 0 where a rest begins: where something bounces, infinitely many come before it.
+    Speed 0 marks the start of a rest, with infinitely many impacts before it if the contact bounces.
     """
     t, which, speed = hit[0], hit[1], hit[2]
     c, side = int(abs(which)) - 1, np.sign(which)
@@ -179,7 +179,7 @@ def see_impact(table, wanted, seen, hit, since, begins):
 
 @kernel
 def stored(table, meter, z, number):
-    """The energy in soft contacts that push, in a physical state at a section in the mode of this number."""
+    """Energy in pushing soft contacts at a physical section state in the mode of this number."""
     elements, total = table.elements, 0.0
     states = np.zeros(len(elements.row), dtype=np.int64)
     read_number(elements, number, states, np.zeros(len(elements.slide), dtype=np.int64))
@@ -197,7 +197,7 @@ def stored(table, meter, z, number):
 
 @kernel
 def loss_in(table, meter, legs, end, tally):
-    """What contacts, friction and dampers take on all legs (K, columns) up to the state ``end``."""
+    """Energy taken by contacts, friction and dampers on all legs (K, columns) up to the state ``end``."""
     n, C, F, M = len(end) // 2, meter.pad.shape[1], meter.rub.shape[1], len(meter.orders)
     reading = Readings(
         np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M), np.zeros((C, 2)), np.zeros(C), np.zeros(C), np.zeros(C),
@@ -209,9 +209,9 @@ def loss_in(table, meter, legs, end, tally):
 
 @kernel
 def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begins, flies):
-    """Take a motion from state z (2n,) and its mode in code (1,) through a period, or a part of it, and see it.
+    """Take a motion from state z (2n,) and its mode in code (1,) through a period or a part of it, and observe it.
 
-    In place; see see_outputs. Where a mode is missing it stays where it was, and nothing is seen.
+    In place; see see_outputs. If a mode is missing, the motion stays put and nothing is recorded.
     """
     there, number, legs, hits = noted_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
@@ -232,11 +232,11 @@ def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begi
 
 @kernel
 def observe_motions(oscillators, meters, wanted, seen, states, codes, done, periods, closes, allowance, cells):
-    """Take motions on through the periods that they have to go, and see what they show; how each ends.
+    """Advance motions by their remaining periods and record observables; returns the status of each.
 
     In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
-    (N,): 1 where these are a turn of an orbit, of which what happens at the section counts once. allowance (N,): the
-    evaluations that they may take. Of these machines with modes; a motion that misses a mode goes on when called again.
+    (N,): 1 if these are one turn of an orbit, where events at the section count once. allowance (N,): evaluations
+    allowed. Only for ``cells``, of machines with modes; a motion that misses a mode continues at the next call.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:

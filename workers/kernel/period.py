@@ -59,16 +59,16 @@ from workers.kernel.tangent import (
 from workers.model.oscillator import HEAD, NUMBER
 
 AT_THE_END = 1e-9
-"""Share of its duration before which a motion that is released from a stop ends at rest on it: in so short a time the
-cube of it, which the mass would move by, is far below rounding."""
+"""Share of its duration before which a motion released from a stop counts as still at rest at its end: the
+displacement, of third order in that time, is far below rounding."""
 
 NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0)
-"""In place of an arrival where a flight ends at no stop."""
+"""In place of an arrival, for a flight that ends at no stop."""
 
 
 @inline_always
 def come_to_rest(blocks, cA2k, motion, v):
-    """The end of chatter that an impact at velocity v begins."""
+    """The end of chatter, begun by an impact at velocity v."""
     tally = motion.tally
     tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(v))
     tally[LOSS] += v * v
@@ -78,9 +78,9 @@ def come_to_rest(blocks, cA2k, motion, v):
 
 @inline_always
 def leave_stop(osc, motion, phase, contact, remaining, chatter):
-    """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there.
+    """Rest on a stop until release or for ``remaining``: the time spent, and whether the motion continues.
 
-    The first part of it, ``chatter``, the mass spends hopping.
+    The mass spends the first part of it, ``chatter``, hopping.
     """
     h, V, tally = motion.h, motion.V, motion.tally
     s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, remaining)
@@ -98,21 +98,21 @@ def leave_stop(osc, motion, phase, contact, remaining, chatter):
 
 @inlined
 def widen(extremes, y):
-    """Take a position of the gap coordinate into the least and greatest one (2,)."""
+    """Widen the least and greatest position (2,) of the gap coordinate to include y."""
     extremes[0], extremes[1] = min(extremes[0], y), max(extremes[1], y)
 
 
 @inline_always
 def watch_flight(gap, motion, phase, s, start, top, bottom):
-    """Take the turning points of a free flight of duration s into the motion's extremes.
+    """Add the turning points of a free flight of duration s to the motion's extremes.
 
-    They are looked for where the flight leaves the range known so far: as certainly as it would meet two stops there.
+    Only turning points beyond the range known so far are sought, with the ends of that range as stops.
     """
     extremes, tally = motion.extremes, motion.tally
     low, high = extremes[0], extremes[1]
     if low <= bottom and high >= top:
         return
-    upper, lower = high if high < top else np.inf, low if low > bottom else -np.inf  # no flight goes beyond a stop
+    upper, lower = high if high < top else np.inf, low if low > bottom else -np.inf  # no flight passes a stop
     _, side, evaluations = next_crossing(gap, motion.h, phase, 0.0, upper, lower, start, s, motion.scratch)
     if abs(side) == 1:
         extremes[0], extremes[1], more = turning_points(gap, motion.h, phase, s, start, low, high)
@@ -164,7 +164,7 @@ def through_impacts(osc, motion, duration):
             s = min(s, duration - t)
         if hit:
             y, v, a, jerk, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
-            v = side * max(side * v, TINY)  # seen to approach; evaluated anew, the last digit may differ
+            v = side * max(side * v, TINY)  # it approaches; the last digit may differ in the new evaluation
         if watched:
             watch_flight(gap, motion, phase, s, start, top, bottom)
         spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
@@ -189,7 +189,7 @@ def through_impacts(osc, motion, duration):
             widen(motion.extremes, stop)
         scale += abs(y)
         if speed > 0.0:
-            kick(blocks, h, side * speed - v)  # rounding, which hides how fast so low a hop ends
+            kick(blocks, h, side * speed - v)  # rounding hides the end speed of so low a hop
             v = side * speed
         load = load_at_rest(side, v, a, cA2k)
         following = outcome(load, v, R, scale, period)
@@ -208,7 +208,7 @@ def through_impacts(osc, motion, duration):
         count_contact(tally, impacts, t, side, abs(v))
         tally[LOSS] += (1.0 - R * R) * (v * v)
         kick(blocks, h, -(1.0 + R) * v)
-        shift(blocks, h, stop - y)  # or rounding would add up over many impacts
+        shift(blocks, h, stop - y)  # else rounding would add up over many impacts
         saltation(blocks, R, V, a / v)
         tally[SPREAD] += spread
         if following == LEAVE:
@@ -219,7 +219,7 @@ def through_impacts(osc, motion, duration):
 
 @for_modes(propagate_hybrid)
 def propagate(osc, motion, duration):
-    """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
+    """Advance a motion from a section by ``duration`` <= one period, in place, through all its impacts.
 
     Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
     """

@@ -1,4 +1,4 @@
-"""The guard of a mode at any time: its value, its derivatives, and bounds of these."""
+"""The guard of a mode over time: value, derivatives, and their bounds."""
 
 import math
 
@@ -21,9 +21,9 @@ def forced(phase, w, sin_part, cos_part):
 
 @inlined
 def all_forced(waves, omega, phase):
-    """The forced part at a phase, its first three derivatives, and the sum of the moduli that add up to it.
+    """The forced part at a phase, its first three derivatives, and the sum of the moduli of its terms.
 
-    An order that a force does not have costs no sine.
+    Orders absent from the force cost no sine.
     """
     y, v, a, j3, scale = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(waves)):
@@ -55,9 +55,9 @@ def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
 
 @kernel
 def evaluate(blocks, waves, omega, h, s, phase, offset):
-    """A guard and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding.
+    """A guard plus offset and its first three derivatives, a time s after block state h (n, 2); scale of its rounding.
 
-    Of a mode of these blocks and waves; offset is added to the guard.
+    blocks and waves: of the mode; phase: at the start.
     """
     y, v, a, j3, scale = all_forced(waves, omega, fma(omega, s, phase))
     y, scale = y + offset, scale + abs(offset)
@@ -94,12 +94,12 @@ def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
 
 @inlined
 def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
-    """amplitude_bounds where the block oscillates, d > 0; else the smaller of two.
+    """amplitude_bounds for an oscillating block, d > 0; else the smaller of two bounds.
 
     sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows; and where well overdamped the moduli of
-    the two exponentials, |alpha| slow^k + |beta| fast^k. A rigid mode, lam = 0, goes anywhere if under a load or
-    undamped, unless it stands still, else straight from q to q + q' / (2 eta) = +-alpha; its second and later
-    derivatives never grow. pull is what a load adds to q'': see loaded_output.
+    the two exponentials, |alpha| slow^k + |beta| fast^k. A rigid mode, lam = 0, is unbounded under a load or undamped,
+    unless it stands still; else it goes straight from q to q + q' / (2 eta) = +-alpha, and its second and later
+    derivatives never grow. pull: share of the load in q'', see loaded_output.
     """
     a0, a2, a3, a4 = amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4)
     q2 = pull - 2.0 * eta * q1 - lam * q0
@@ -127,26 +127,26 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
 
 
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
-"""Share of its terms by which a derivative of a signal may be wrong: on a direction that a block seems not to move in,
-what is lost grows by its rate in each derivative."""
+"""Relative error of a derivative of a signal, as a share of its terms: along a direction in which a block seems not to
+move, the lost digits grow by its rate in each derivative."""
 
 FINEST = 1e6
-"""Ratio of the frequency of a norm to those of its block that is of use: any frequency makes a bound."""
+"""Useful ratio of the frequency of a norm to those of its block; any frequency makes a bound."""
 
 
 @kernel
 def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H):
-    """Bounds of one block's share q of the signal and of its second to fourth derivative, for times up to H after.
+    """Bounds of one block's share q of the signal and of its second to fourth derivative, for times up to H.
 
-    Of a block that grows, slow < 0. q' is its rate, size0 and size1 the sums of moduli that add up to both, and pull
-    what a load adds to q''. The k-th derivative is at most each of
+    For a growing block, slow < 0. q' is its rate, size0 and size1 the sums of moduli of the terms of q and q', pull the
+    share of the load in q''. The k-th derivative is at most each of
 
         d > 0:   sqrt(q^2 + (q' + eta q)^2 / d) lam^(k/2) e^(-eta H)
         d < 0:   |a| |r+|^k e^(max(0, r+) H) + |b| |r-|^k e^(max(0, r-) H),  q = a e^(r+ s) + b e^(r- s)
         any nu:  sqrt(q(k)^2 + (q(k+1) / nu)^2) e^(max(0, m) H),  m = -eta + sqrt(eta^2 + (nu - lam / nu)^2 / 4)
         d >= 0:  (|q(k)| + |q(k+1) + eta q(k)| H) e^(-eta H)
 
-    with what rounding may have lost in each.
+    each widened by rounding.
     """
     if size0 + size1 == 0.0 and pull == 0.0:
         return 0.0, 0.0, 0.0, 0.0
@@ -197,7 +197,7 @@ def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H
 
 @inlined
 def growth_rate(blocks):
-    """The largest rate at which any of the blocks grows, 0 where none does."""
+    """The largest growth rate of any of the blocks, 0 if none grows."""
     rate = 0.0
     for j in range(len(blocks)):
         rate = max(rate, -blocks[j, COLUMN.slow])
@@ -206,7 +206,7 @@ def growth_rate(blocks):
 
 @kernel
 def bounds_while_growing(blocks, numbers, h, H):
-    """derivative_bounds where some block grows."""
+    """derivative_bounds with a growing block."""
     M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
     for j in range(len(blocks)):
         block = blocks[j]
@@ -228,7 +228,7 @@ def bounds_while_growing(blocks, numbers, h, H):
 
 @inlined
 def bounds_of(block, h0, h1):
-    """block_bounds of a block, a row of Mode.blocks, that does not grow, in the state (h0, h1)."""
+    """block_bounds of a block that does not grow, a row of Mode.blocks, in the state (h0, h1)."""
     load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
     q0 = c0 * h0 + c1 * h1
     q1 = block[COLUMN.cA0] * h0 + block[COLUMN.cA1] * h1 + c1 * load
@@ -241,9 +241,9 @@ def bounds_of(block, h0, h1):
 
 @kernel
 def derivative_bounds(blocks, numbers, h, H):
-    """Bounds M0, M2, M3, M4 of a guard's modulus and of its second to fourth derivative, for times up to H after h.
+    """Bounds M0, M2, M3, M4 of the modulus of a guard and of its second to fourth derivative, for times up to H.
 
-    Of a mode of these blocks and numbers, h (n, 2); where no block grows, for all later times.
+    For a mode of these blocks and numbers from block state h (n, 2); for all later times if no block grows.
     """
     if growth_rate(blocks) > 0.0:
         return bounds_while_growing(blocks, numbers, h, H)

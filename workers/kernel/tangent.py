@@ -1,4 +1,4 @@
-"""The tangent frame: Gram-Schmidt with the logarithms of what it takes out (Li & Tan 2011), and when it is due."""
+"""The tangent frame: Gram-Schmidt with the logarithms of its factors (Li & Tan 2011), and when it is due."""
 
 import math
 
@@ -15,17 +15,17 @@ from workers.kernel.motion import LOST, SPREAD
 from workers.model.oscillator import COLUMN
 
 MAX_SPREAD = 8.0
-"""|log| of how far flights and impacts may stretch or contract the frame before it is made orthonormal again: keeps 12
-digits of the most contracted direction. One flight with its impact may go further."""
+"""Largest |log| of the stretch of a frame by flights and impacts before it is made orthonormal again: keeps 12 digits
+of the most contracted direction. One flight with its impact may exceed it."""
 
 
 DEPENDENT = 1e-12
-"""Share of a vector that may be what rounding leaves of a sum of others, after an event that takes directions away."""
+"""Share of a vector that may be rounding of a sum of others, after an event that removes directions."""
 
 
 @inlined
 def inner(blocks, V, i, W, k):
-    """The product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k], which undamped flight keeps."""
+    """The product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k], which undamped flight conserves."""
     total = 0.0
     for j in range(len(blocks)):
         total += blocks[j, COLUMN.metric] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
@@ -36,9 +36,9 @@ def inner(blocks, V, i, W, k):
 def orthonormalise(blocks, V, growth, triangle, rank):
     """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
-    V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others, and vectors of no length,
-    are structurally lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far
-    with its rows divided by exp(growth): it stays in range where the product itself would not.
+    V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others, and zero vectors, are
+    structurally lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with
+    rows divided by exp(growth), which keeps it in range.
     """
     blocks, V, growth, triangle = whole(blocks), whole(V), whole(growth), whole(triangle)
     m = V.shape[0]
@@ -67,9 +67,9 @@ def orthonormalise(blocks, V, growth, triangle, rank):
 
 @kernel
 def drop_dependent(blocks, V, rank):
-    """Set to zero what of the first ``rank`` vectors of V (m, n, 2) is a sum of those before it, to rounding.
+    """Zero the part of the first ``rank`` vectors of V (m, n, 2) that is a sum of earlier ones, to rounding.
 
-    An event that takes directions away may leave fewer vectors than directions, where masses do not couple.
+    If masses do not couple, an event that removes directions may leave fewer vectors than directions.
     """
     U, m = V.copy(), min(rank, V.shape[0])
     lengths = np.empty(m)
@@ -90,15 +90,15 @@ def drop_dependent(blocks, V, rank):
 
 @inlined
 def log_length(blocks, V, growth):
-    """Log of the length of the first vector, with what was taken out of it so far."""
-    first = np.int64(0)  # no literal, as in run_batch
+    """Log of the length of the first vector, including the growth removed so far."""
+    first = np.int64(0)  # typed, as in run_batch
     return growth[0] + 0.5 * log(inner(blocks, V, first, V, first))
 
 
 @kernel
 def add_row(triangle, growth, i, k, factor):
-    """Take into the triangle that vector k had this multiple of vector i taken off, of which exp(growth) was in it."""
-    if factor != 0.0:  # exp(...) may be infinite between blocks that never couple
+    """Record in the triangle that this multiple of vector i, with growth exp(growth), was subtracted from vector k."""
+    if factor != 0.0:  # exp(...) may be infinite between uncoupled blocks
         factor *= exp(growth[k] - growth[i])
         for c in range(k, triangle.shape[1]):
             triangle[i, c] += factor * triangle[k, c]
@@ -106,11 +106,11 @@ def add_row(triangle, growth, i, k, factor):
 
 @apart(FLOATS[2], types.float64, FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def graded_flow(blocks, s, V, growth, triangle, rank):
-    """Move the tangent vectors V (m, n, 2) on by s, however far, as V exp(growth) triangle; rows of blocks: eta, lam...
+    """Advance the tangent vectors V (m, n, 2) by any s, as V exp(growth) triangle; rows of blocks: eta, lam...
 
     In coordinates of one decay rate each a flight is X -> D X, D = diag(exp(-rate s)) times a rotation. Gaussian
-    elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame, U goes into
-    growth and triangle (see orthonormalise, which comes after). No entry of D is multiplied out.
+    elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame; U goes into
+    growth and triangle (see orthonormalise, which follows). No entry of D is multiplied out.
     """
     blocks, V, growth, triangle = whole(blocks), whole(V), whole(growth), whole(triangle)
     n, m = len(blocks), V.shape[0]
@@ -185,7 +185,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
 
 @kernel
 def spread_rate(blocks):
-    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks and that of growth.
+    """Rate at which a flight spreads the frame: the largest contraction rate of the blocks plus that of growth.
 
     The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time;
     that of a block that grows is one in the norm of metric = nu^2, by at most |nu - lam / nu| / 2 besides eta.
@@ -203,7 +203,7 @@ def spread_rate(blocks):
 
 @inline_always
 def fly_far(osc, motion, s):
-    """Move the state and the frame on by s in free flight, however far that spreads the frame."""
+    """Advance the state and the frame by s in free flight, for any spread of the frame."""
     blocks = osc.gap.blocks
     rank = 2 * len(blocks) - int(motion.tally[LOST])
     flow(blocks, s, motion.h)
@@ -222,15 +222,15 @@ def reset_frame(blocks, motion):
 
 @inlined
 def needs_reset(spread, more, limit):
-    """Whether the frame has to be made orthonormal before the next flight and impact spread it that much further."""
+    """Whether the frame must be made orthonormal before the next flight and impact spread it by ``more``."""
     return spread > 0.0 and spread + more > limit
 
 
 @inlined
 def impact_spread(ratio, unit, loss):
-    """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
+    """Largest spread of the frame, as a logarithm, by an impact with ratio = a / v.
 
-    2 ln(1 + u) - ln R, u = |ratio| unit, where unit is the oscillator's time_unit; ln x < (x - 1) / sqrt(x) spares the
+    2 ln(1 + u) - ln R, u = |ratio| unit, where unit is the oscillator's time_unit; ln x < (x - 1) / sqrt(x) avoids the
     logarithms.
     """
     u = abs(ratio) * unit
@@ -239,5 +239,5 @@ def impact_spread(ratio, unit, loss):
 
 @inlined
 def loss_spread(R):
-    """The part of impact_spread that the restitution makes: at least -ln R."""
+    """The share of the restitution in impact_spread: at least -ln R."""
     return (1.0 - R) / math.sqrt(max(R, TINY))

@@ -1,6 +1,6 @@
 """Matrices of machines converted to the oscillators of the kernels.
 
-What one oscillator is made of does not depend on the others, to the bit.
+An oscillator does not depend on the others, to the bit.
 """
 
 from collections.abc import Collection
@@ -31,25 +31,37 @@ from workers.model.free import (
     times,
 )
 from workers.model.modes import FREE, stacked, symmetric
-from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Mask, Oscillator, Rows, each, growth_of, taken
+from workers.model.oscillator import (
+    HEAD,
+    Array,
+    Head,
+    Held,
+    Machines,
+    Mask,
+    Oscillator,
+    Rows,
+    growth_of,
+    map_fields,
+    taken,
+)  # fmt: skip
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = (*OF_STRUCTURE, "upper", "lower")
-"""The fields that machines of a kind have in common."""
+"""The fields that are equal in machines of a kind."""
 
 Kinds = Rows | EllipsisType
-"""Of which kind each machine is; an ellipsis for a machine by itself."""
+"""The kind of each machine; an ellipsis for a machine by itself."""
 
 STRUCTURES_KEPT = 64
-"""Structures that are kept for the next cells that are solved alone."""
+"""Structures kept for further cells solved one by one."""
 
 
 class HeldStructure(NamedTuple):
-    """What the structure of N machines alone decides of their motion at a stop, where x = d y + null q.
+    """Motion of N machines at a stop, x = d y + null q, as far as matrices, gap row and force decide it.
 
-    flow of q, its loading by the force, and direct (N, H): what the force adds to the acceleration of y itself;
-    null (N, n, n - 1), d (N, n); down, up: see Held, without what rest positions add; pulls (N, n), the acceleration of
-    y that each displacement makes, pushes (N, n) that each force makes, g M^-1.
+    flow of q, its loading by the force, and direct (N, H): share of the force in the acceleration of y itself; null (N,
+    n, n - 1), d (N, n); down, up: see Held, without the rest positions; pulls (N, n), the acceleration of y per
+    displacement, pushes (N, n) per force, g M^-1.
     """
 
     flow: Flow
@@ -65,13 +77,12 @@ class HeldStructure(NamedTuple):
 
 @np.errstate(all="ignore")
 def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
-    """The oscillators of many machines, and the reason why there is none, or NO_REASON, of each.
+    """The oscillators of many machines, and the reason against each, NO_REASON if there is none.
 
-    Reasons are a rigid mode that the gap does not see, or more than one; motion that grows and that the gap does not
-    see; planes that cannot be told apart in double precision; undamped resonance, where no periodic forced response
-    exists; a forcing period of more free oscillations than double precision keeps the phase of; a gap that a push at
-    the stop does not open, g.M^-1 g <= 0; and numbers beyond the range of doubles. Those of ``faults`` are reported
-    there alone.
+    Reasons: a rigid mode invisible in the gap, or more than one; growing motion invisible in the gap; planes
+    inseparable in double precision; undamped resonance, without a periodic forced response; a forcing period of more
+    free oscillations than double precision can follow in phase; a gap that a push at the stop does not open, g.M^-1 g
+    <= 0; numbers beyond the range of doubles. ``faults`` alone reports its own reasons.
     """
     few, kind = _kinds(machines)
     structure, held_structure = _structures_of(few)
@@ -105,34 +116,34 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         held=held,
     )
     near = oscillators.head.copy()
-    near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
+    near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # an infinitely distant stop is valid
     reasons = np.where(finite(oscillators._replace(head=near)), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
     reasons[structure.inverse_gap_mass <= 0.0] = NO_OSCILLATOR
     for reason, holds in against_free.items():
         reasons[holds | against_held.get(reason, False)] = reason
-    return each(oscillators, np.ascontiguousarray), reasons
+    return map_fields(oscillators, np.ascontiguousarray), reasons
 
 
 def faults(machines: Machines, fields: Collection[str] = Machines._fields) -> NDArray[np.int8]:
-    """The reason against each of N machines, or NO_REASON, as far as the numbers of these fields alone tell.
+    """The reason against each of N machines, or NO_REASON, as far as these fields show it.
 
-    The lower stop has to be below the upper one, and 0 <= R <= 1.
+    The lower stop must be below the upper one, and 0 <= R <= 1.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
     if not {"upper", "lower", "R"}.isdisjoint(fields):
         reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
     others = [getattr(machines, name) for name in fields if name not in NO_STOP]
-    reasons[np.isnan(machines.upper) | np.isnan(machines.lower)] = OUT_OF_DOUBLES  # they may be infinitely far away
+    reasons[np.isnan(machines.upper) | np.isnan(machines.lower)] = OUT_OF_DOUBLES  # infinite stops are valid
     if others:
         reasons[~finite(others)] = OUT_OF_DOUBLES
     return reasons
 
 
 def _kinds(machines: Machines) -> tuple[Machines, Kinds]:
-    """The first machine of each kind, and of which kind each machine is.
+    """The first machine of each kind, and the kind of each machine.
 
-    Machines of a kind differ at most in forcing frequency, phase and restitution: a plane has few kinds as a rule, and
-    what is made of matrices is made once for each of them.
+    Machines of a kind differ at most in forcing frequency, phase and restitution. A plane has few kinds as a rule, and
+    everything made of matrices is made once per kind.
     """
     if len(machines.omega) == 1:
         return machines, ...
@@ -143,20 +154,20 @@ def _kinds(machines: Machines) -> tuple[Machines, Kinds]:
 
 
 def _of_kind(record: Any, kind: Kinds) -> Any:
-    """What the records of kinds are for each machine."""
+    """The record of each machine, from the records of kinds."""
     return record if isinstance(kind, EllipsisType) else taken(record, kind)
 
 
 def _seen_along(matrix: Array, null: Array) -> Array:
-    """N' A N of matrices A (N, n, n), zero where it is so to rounding: a dashpot along y does not move the rest."""
+    """N' A N of matrices A (N, n, n), zero if it is zero to rounding: a dashpot along y does not move the rest."""
     across = np.ascontiguousarray(null.swapaxes(1, 2))
-    found = across @ matrix @ null
+    seen = across @ matrix @ null
     terms = np.abs(across) @ np.abs(matrix) @ np.abs(null)
-    return np.where(np.abs(found) <= FREE * matrix.shape[1] * terms, 0.0, found)
+    return np.where(np.abs(seen) <= FREE * matrix.shape[1] * terms, 0.0, seen)
 
 
 def _structures_of(machines: Machines) -> tuple[Structure, HeldStructure]:
-    """The structure of machines in free flight and at a stop. That of one alone is kept for the next one like it."""
+    """The structure of machines in free flight and at a stop; that of a single machine is kept for the next."""
     if len(machines.omega) > 1:
         return _made(machines)
     fields = [getattr(machines, name) for name in OF_STRUCTURE]
@@ -167,7 +178,7 @@ def _structures_of(machines: Machines) -> tuple[Structure, HeldStructure]:
 def _kept(shapes: tuple[tuple[int, ...], ...], bits: tuple[bytes, ...]) -> tuple[Structure, HeldStructure]:
     """The structure of the machine whose fields OF_STRUCTURE have these shapes and bits."""
     fields = {
-        name: np.frombuffer(given).reshape(shape) for name, given, shape in zip(OF_STRUCTURE, bits, shapes, strict=True)
+        name: np.frombuffer(raw).reshape(shape) for name, raw, shape in zip(OF_STRUCTURE, bits, shapes, strict=True)
     }
     none = np.zeros(1)
     return _made(Machines(**fields, omega=none, tau=none, upper=none, lower=none, R=none))
@@ -179,7 +190,7 @@ def _made(machines: Machines) -> tuple[Structure, HeldStructure]:
 
 
 def _held_structure(machines: Machines, structure: Structure) -> HeldStructure:
-    """The null space of the gap row, the flow in it, and the ways there and back."""
+    """The null space of the gap row, the flow in it, and the transformations to and from it."""
     mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
     N, n = gap_row.shape
     accelerance, free = structure.accelerance, structure.flow.modes
@@ -210,7 +221,7 @@ def _held_structure(machines: Machines, structure: Structure) -> HeldStructure:
 
 
 def _left(mass: Array, row: Array, accelerance: Array) -> Array:
-    """row M^-1 (N, n) of rows of which M^-1 row is the accelerance: the same where M is symmetric."""
+    """row M^-1 (N, n) for rows whose M^-1 row is the accelerance: the same for symmetric M."""
     if np.all(symmetric(mass)):
         return accelerance
     return np.asarray(stacked(np.linalg.solve, (*row.shape, 1), _turned(mass), row[..., None])[..., 0])
@@ -229,20 +240,20 @@ def _held(
     kind: Kinds,
     omega: Array,
 ) -> tuple[Held, dict[int, Mask]]:
-    """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons against it.
+    """Motion at the stops of machines of these kinds (N,) at forcing frequencies (N,), and the reasons against it.
 
-    y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so that
-    what holds y at either stop is opposite where the stops are equally far.
+    y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so the
+    forces that hold y at two equally distant stops are opposite.
     """
     mass, damping, stiffness = machines.mass, machines.damping, machines.stiffness
     N, n = machines.gap_row.shape
     free = structure.flow.modes
     flow, loading, direct, null, d, down, up, pulls, pushed = held
     across = np.ascontiguousarray(null.swapaxes(1, 2))
-    drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]  # what no rest position balances
+    drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]  # unbalanced by any rest
     load = times(drift[:, n:], _turned(mass)) + times(drift[:, :n], _turned(damping))
     coasts = free.to_blocks[:, :, n:] @ drift[:, :n, None]
-    position = np.array([at_rest.b_upper, -at_rest.b_lower])  # of either stop; so all that follows
+    position = np.array([at_rest.b_upper, -at_rest.b_lower])  # of the two stops; likewise all that follows
     y = np.where(np.isfinite(position), position, 0.0)[..., None]
     pull = load - times(d, _turned(stiffness)) * y
     held_by = np.array([across @ stiffness @ null] * 2).reshape(2 * N, n - 1, n - 1)
@@ -255,12 +266,12 @@ def _held(
     flow = _of_kind(flow, kind)
     mode, resonant = mode_of(flow, _of_kind(loading, kind), omega, direct[kind])
     ways = np.concatenate([down, *into], axis=2), np.concatenate([up, *out], axis=2)
-    found = Held(mode, *(field[kind] for field in (*ways, pushes.T)))
-    return found, against(flow.modes, resonant, flow.modes.rigid > 0)
+    held_motion = Held(mode, *(field[kind] for field in (*ways, pushes.T)))
+    return held_motion, against(flow.modes, resonant, flow.modes.rigid > 0)
 
 
 def _null_space(row: Array) -> Array:
-    """Orthonormal bases (N, n, n - 1) of the vectors that the rows send to zero, from reflections of e_1 to them."""
+    """Orthonormal bases (N, n, n - 1) of the null spaces of the rows, from reflections of e_1 to them."""
     length = np.sqrt(np.vecdot(row, row))
     v = row.copy()
     v[:, 0] += np.copysign(length, row[:, 0])

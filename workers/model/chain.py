@@ -1,4 +1,4 @@
-"""Chains of 3 to 8 equal masses: the parts of their definition that depend on the number."""
+"""Chains of 3 to 8 equal masses: the parts of their definition that depend on the number of masses."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 CHAINS = {f"chain-{n}": n for n in range(3, 9)}
-"""How many masses each has, by its name."""
+"""Number of masses by system name."""
 
 
 def chain(common: Mapping[str, Any], n: int) -> dict[str, Any]:
-    """The definition of n masses on springs in a row, the first tied to the ground, from what all have in common.
+    """The definition of n masses on springs in a row, the first tied to the ground, from the common entries.
 
     M = I, K = [[2, -1], [-1, 2, -1], ..., [-1, 1]], C = 2 zeta K; the force on the first mass, the stop at the last.
     """

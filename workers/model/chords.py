@@ -1,12 +1,12 @@
 """The fewest segments of a piecewise linear law within a bound of a smooth one.
 
-A law f may be off by eps to both sides. Of a law that bends one way the longest segment begins at one side of that
-band, touches the other one and ends where it began: chords of a sag of 2 eps, moved by eps, so that
+The error may be eps to both sides. For a law f of one curvature the longest segment begins on one side of that band,
+touches the other and ends on the first: chords of a sag of 2 eps, moved by eps, so that
 
     n = integral of sqrt|f''| / (4 sqrt(eps)),
 
 half as many as with vertices on the law, to leading order. The first vertex is on the law: nothing jumps there.
-Source: Imai & Iri, J. Inf. Process. 9 (1986) 159, with the slopes that are left open in place of a visible window.
+Source: Imai & Iri, J. Inf. Process. 9 (1986) 159, with a window of slopes in place of a visible window.
 """
 
 from collections.abc import Callable
@@ -16,22 +16,22 @@ import numpy as np
 from workers.model.oscillator import Array
 
 POINTS = 2**15
-"""Intervals of the range between which the law is taken for straight."""
+"""Intervals of the range within which the law counts as straight."""
 
 SPARE = 1e-3
-"""Share of the bound that is left for that."""
+"""Share of the error bound left for that."""
 
 FIRST_LOOK = 64
-"""Points ahead among which the end of a segment is sought first; four times as many each time that it is not there."""
+"""Points ahead among which the end of a segment is sought first; the number grows fourfold until it is found."""
 
 
 def fewest(
     law: Callable[[Array], Array], end: float, bound: float, least: float = -np.inf, reach: float = 0.0
 ) -> Array:
-    """Vertices (V, 2) from 0 to ``end``, of either sign, of the law that is within ``bound`` there.
+    """Vertices (V, 2) from 0 to ``end``, of either sign, of a law within ``bound`` of the given one.
 
-    No slope, with the sign of ``end``, is below ``least``. The law is looked at every POINTS-th part of ``reach``, of
-    |end| where that is larger: the sides of an odd law are alike as far as both go. Not finite where the law is not.
+    No slope, with the sign of ``end``, is below ``least``. The law is sampled at every POINTS-th part of ``reach``, or
+    of |end| if larger, so that both sides of an odd law agree where both exist. Not finite if the law is not.
     """
     run: Array = max(abs(end), reach) / POINTS * np.arange(POINTS, dtype=np.float64)
     run = np.append(run[run < abs(end)], abs(end))
@@ -39,16 +39,16 @@ def fewest(
     if not (np.all(np.isfinite(f)) and bound > 0.0 and end != 0.0):
         return np.full((2, 2), np.nan)
     i, at, y = 0, 0.0, float(f[0])
-    found = [(at, y)]
+    vertices = [(at, y)]
     while i < len(run) - 1:
         j, at, y = _segment(run, f, (1.0 - SPARE) * bound, i, at, y, least)
-        found.append((float(np.copysign(at, end)), y))
+        vertices.append((float(np.copysign(at, end)), y))
         i = j
-    return np.array(found)
+    return np.array(vertices)
 
 
 def _segment(run: Array, f: Array, bound: float, i: int, at: float, y: float, least: float) -> tuple[int, float, float]:
-    """The end of the longest segment from (at, y), at point i or next after it: the last point up to it, and itself."""
+    """End of the longest segment from (at, y), at or after point i: the last point before it, and the end itself."""
     look = FIRST_LOOK
     while True:
         ahead = slice(i + 1, min(i + 1 + look, len(run)))
@@ -63,9 +63,9 @@ def _segment(run: Array, f: Array, bound: float, i: int, at: float, y: float, le
             slope = float(np.clip((f[-1] - y) / steps[-1], low[-1], high[-1]))
             return len(run) - 1, float(run[-1]), y + slope * float(steps[-1])
         look *= 4
-    if k == 0:  # a law that jumps further than the band is wide
+    if k == 0:  # the law jumps further than the band is wide
         return i + 1, float(run[i + 1]), float(f[i + 1])
-    fell = low[k] > low[k - 1]  # the line along the upper side of the band leaves it through the lower one
+    fell = low[k] > low[k - 1]  # the line along the upper side leaves the band through the lower side
     slope, side = (float(high[k - 1]), -bound) if fell else (float(low[k - 1]), bound)
     inner, outer = (f[i + k + of] + side - (y + slope * (run[i + k + of] - at)) for of in (0, 1))
     share = float(np.clip(inner / (inner - outer), 0.0, 1.0))

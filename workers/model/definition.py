@@ -1,4 +1,4 @@
-"""The definition of a system as expressions of its parameters, and the machines of given values."""
+"""The definition of a system as expressions of its parameters, and its machines at given values."""
 
 import dataclasses
 import math
@@ -33,9 +33,9 @@ class Definition:
 
     The force repeats after ``turns`` periods 2 pi / omega: its machines have the frequency omega / turns. A machine
     without a force and phases has neither omega nor tau, see ``clock``.
-    ``let`` are names for expressions that others may use, each after those it uses itself. ``phases`` are parts of the
-    forcing period in which entries differ, ``drift`` is a coordinate that may drift, ``measures`` what is reported by
-    name. Tables have the order of these fields, which digests of curves depend on.
+    ``let`` names expressions for use in others, in the order of their use. ``phases`` are parts of the forcing period
+    with entries of their own, ``drift`` is a coordinate that may drift, ``measures`` are reported by name. Tables have
+    the order of these fields, and digests of curves depend on it.
     """
 
     coordinates: tuple[str, ...]
@@ -55,49 +55,49 @@ class Definition:
 
     @property
     def stop(self) -> Contact:
-        """The contact of a definition that has one: what ``machines`` are made of."""
+        """The only contact of a definition with one contact, from which ``machines`` are made."""
         (contact,) = self.contacts
         return contact
 
     @property
     def unforced(self) -> bool:
-        """Whether it declares neither a force nor phases: its motions begin at any time alike."""
+        """Whether it declares neither a force nor phases: its motions do not depend on their starting time."""
         return not self.harmonics and not self.phases
 
     @property
     def short(self) -> bool:
-        """Whether its contact is written as entries of the machine itself: one, rigid, named STOP."""
+        """Whether its contact is written as entries of the machine itself: a single rigid contact named STOP."""
         return len(self.contacts) == 1 and self.stop.rigid and self.stop.name == STOP
 
     @property
     def shown(self) -> Row:
-        """The row of the coordinate that pictures show: that of the first contact, else the first coordinate."""
+        """The row of the coordinate in pictures: the gap of the first contact, else the first coordinate."""
         if self.contacts:
             return self.contacts[0].gap
         return tuple(Expression(repr(float(i == 0))) for i in range(len(self.coordinates)))
 
     @np.errstate(all="ignore")
     def shown_rows(self, values: Mapping[str, Array]) -> Array:
-        """``shown`` (N, n) of many values (N,) of each parameter."""
+        """``shown`` (N, n) at values (N,) of each parameter."""
         return np.ascontiguousarray(evaluated(self.shown, self._named(values))[: _count(values)])
 
     def machines(self, values: Mapping[str, Array]) -> Machines:
-        """The machines of many values (N,) of each parameter."""
+        """The machines at values (N,) of each parameter."""
         return Machines(**self.fields(values, Machines._fields))
 
     @np.errstate(all="ignore")
     def fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
-        """These fields of the machines of many values (N,) of each parameter, by name."""
+        """These fields of the machines at values (N,) of each parameter, by name."""
         named, count = self._named(values), _count(values)
-        found = {name: evaluated(entries, named) for name, entries in self._entries.items() if name in wanted}
-        found |= {name: symmetrised(found[name]) for name in MATRICES if name in wanted}
+        fields = {name: evaluated(entries, named) for name, entries in self._entries.items() if name in wanted}
+        fields |= {name: symmetrised(fields[name]) for name in MATRICES if name in wanted}
         if not set(OF_FORCE).isdisjoint(wanted):
-            found |= zip(OF_FORCE, self._force(named, self.harmonics), strict=True)
-        return {name: np.ascontiguousarray(field[:count]) for name, field in found.items()}
+            fields |= zip(OF_FORCE, self._force(named, self.harmonics), strict=True)
+        return {name: np.ascontiguousarray(field[:count]) for name, field in fields.items()}
 
     @np.errstate(all="ignore")
     def hybrid(self, values: Mapping[str, Array]) -> HybridMachines:
-        """The machines of many values (N,) of each parameter with all contacts, friction and phases."""
+        """The machines at values (N,) of each parameter with all contacts, friction and phases."""
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         contacts, friction, phases = self.contacts, self.friction, self.phases or ALWAYS
         forces = [self._force(named, changed(self.harmonics, phase.force, phase.cosine)) for phase in phases]
@@ -109,36 +109,36 @@ class Definition:
             return evaluated(entries, named).reshape(named[OMEGA].size, *shape)
 
         C, F, P, N = len(contacts), len(friction), len(phases), named[OMEGA].size
-        pads = table([[pad(each, phase.contacts) for each in contacts] for phase in phases], P, C, 3)
-        rubs = table([[rub(each, phase.friction) for each in friction] for phase in phases], P, F, 3)
+        pads = table([[pad(contact, phase.contacts) for contact in contacts] for phase in phases], P, C, 3)
+        rubs = table([[rub(element, phase.friction) for element in friction] for phase in phases], P, F, 3)
         law, grip = [laws.none(N, 2)] * C, [laws.none(N)] * F
         for c, contact in enumerate(contacts):
             if contact.law is not None:
-                first, found = laws.one_sided(laws.vertices(contact, named), falls=False)
-                pads[:, :, c, 2], law[c] = first[:, None], np.stack([found, found], axis=1)
-        for f, each in enumerate(friction):
-            if each.law is not None:
-                first, grip[f] = laws.one_sided(laws.vertices(each, named), falls=True)
+                first, segments = laws.one_sided(laws.vertices(contact, named), falls=False)
+                pads[:, :, c, 2], law[c] = first[:, None], np.stack([segments, segments], axis=1)
+        for f, element in enumerate(friction):
+            if element.law is not None:
+                first, grip[f] = laws.one_sided(laws.vertices(element, named), falls=True)
                 rubs[:, :, f, 0] = first[:, None]
                 rubs[:, :, f, 1] = np.where(np.isnan(rubs[:, :, f, 1]), first[:, None], rubs[:, :, f, 1])
         machines = HybridMachines(
             mass=symmetrised(evaluated(self.mass, named)),
-            damping=np.stack([symmetrised(each) for each in of_phases("damping")], axis=1),
-            stiffness=np.stack([symmetrised(each) for each in of_phases("stiffness")], axis=1),
+            damping=np.stack([symmetrised(matrix) for matrix in of_phases("damping")], axis=1),
+            stiffness=np.stack([symmetrised(matrix) for matrix in of_phases("stiffness")], axis=1),
             load=np.stack(of_phases("load"), axis=1),
             force_sin=np.stack([sines for sines, _ in forces], axis=1),
             force_cos=np.stack([cosines for _, cosines in forces], axis=1),
             omega=named[OMEGA] / self.turns,
             tau=named[TAU] / self.turns,
-            starts=table([*(each.start for each in phases), 1.0], P + 1),
-            row=table([each.gap for each in contacts], C, n),
-            stops=table([stops(each) for each in contacts], C, 2),
-            R=table([each.restitution or 1.0 for each in contacts], C),
-            soft=table([float(not each.rigid) for each in contacts], C),
-            by_force=table([float(each.release == "force") for each in contacts], C),
+            starts=table([*(phase.start for phase in phases), 1.0], P + 1),
+            row=table([contact.gap for contact in contacts], C, n),
+            stops=table([stops(contact) for contact in contacts], C, 2),
+            R=table([contact.restitution or 1.0 for contact in contacts], C),
+            soft=table([float(not contact.rigid) for contact in contacts], C),
+            by_force=table([float(contact.release == "force") for contact in contacts], C),
             pad=pads,
-            slide=table([each.row for each in friction], F, n),
-            belt=table([each.belt for each in friction], F),
+            slide=table([element.row for element in friction], F, n),
+            belt=table([element.belt for element in friction], F),
             rub=rubs,
             law=laws.widened(law, (N, 2)),
             grip=laws.widened(grip, (N,)),
@@ -151,7 +151,7 @@ class Definition:
         return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in machines))
 
     def laws(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Contact | Friction | Spring, Array]]:
-        """The entry of each law, whose it is, and its vertices (N, V, 2) of values (N,) of each parameter."""
+        """For each law its entry, its element, and its vertices (N, V, 2) at values (N,) of each parameter."""
         named, count = self._named(values), _count(values)
         for kind in ("contacts", "friction", "springs"):
             for i, element in enumerate(getattr(self, kind)):
@@ -164,15 +164,15 @@ class Definition:
         rows on, by their place in ORDERS, and weights (N, M), NaN where there are none."""
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         every = [measure for _, measure in self.measures]
-        orders = np.tile([float(ORDERS.index(each.kind)) for each in every], (count, 1))
-        rows = evaluated([each.row for each in every], named).reshape(named[OMEGA].size, len(every), n)
-        weights = evaluated([each.weight or np.nan for each in every], named).reshape(named[OMEGA].size, len(every))
-        return rows[:count], orders, weights[:count]
+        orders = np.tile([float(ORDERS.index(measure.kind)) for measure in every], (count, 1))
+        rows = evaluated([measure.row for measure in every], named).reshape(named[OMEGA].size, len(every), n)
+        weights = evaluated([measure.weight or np.nan for measure in every], named)
+        return rows[:count], orders, weights.reshape(named[OMEGA].size, len(every))[:count]
 
     def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
-        """These values (N,) and those of each name in ``let``; two alike in the place of a lone one.
+        """These values (N,) and the values of all names in ``let``; a single value is doubled.
 
-        Of a lone number numpy computes a power by other means: its last bits would depend on the others' absence.
+        numpy computes powers of a single number differently: its last bits would depend on the number of cells.
         """
         alone = _count(values) == 1
         named = {name: value.repeat(2) if alone else value for name, value in values.items()}
@@ -187,13 +187,13 @@ class Definition:
 
     @property
     def used(self) -> set[str]:
-        """The names that its motion, or a measure, takes; those of ``let`` whose own name is among them included."""
-        found = set().union(
-            *(_names(getattr(self, each.name)) for each in dataclasses.fields(self) if each.name != "let")
+        """The names used by its motion or by a measure; names in ``let`` included if they are used."""
+        names = set().union(
+            *(_names(getattr(self, field.name)) for field in dataclasses.fields(self) if field.name != "let")
         )
         for name, expression in reversed(self.let):
-            found |= expression.names if name in found else set()
-        return found
+            names |= expression.names if name in names else set()
+        return names
 
     def depending(self, names: Collection[str]) -> frozenset[str]:
         """The fields of machines that depend on parameters of these names."""
@@ -206,7 +206,7 @@ class Definition:
 
     @property
     def _entries(self) -> dict[str, Any]:
-        """The expressions, or numbers, of each field of machines except the force."""
+        """The expressions or numbers of each field of machines, except the force."""
         lower, upper = stops(self.stop)
         return {
             **{name: getattr(self, name) for name in (*MATRICES, "load")},
@@ -216,32 +216,32 @@ class Definition:
 
     @cached_property
     def turns(self) -> int:
-        """Periods 2 pi / omega of one period of the machine."""
-        return turns_of(each.order for each in self.harmonics)
+        """Periods 2 pi / omega in one period of the machine."""
+        return turns_of(harmonic.order for harmonic in self.harmonics)
 
     @cached_property
     def highest(self) -> int:
         """The highest order of the force, as a multiple of the frequency omega / turns of the machine."""
         first = not self.harmonics or any(phase.force or phase.cosine for phase in self.phases)
-        return int(self.turns * max([Fraction(first), *(each.order for each in self.harmonics)]))
+        return int(self.turns * max([Fraction(first), *(harmonic.order for harmonic in self.harmonics)]))
 
     def _force(self, named: Mapping[str, Array], harmonics: Collection[Harmonic]) -> tuple[Array, Array]:
         """The force (N, H, n) of harmonics as amplitudes of the sines and of the cosines."""
         return amplitudes(harmonics, self.turns, self.highest, named, len(self.coordinates))
 
     def table(self) -> dict[str, Any]:
-        """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
-        found: dict[str, Any] = {}
+        """The definition as in a TOML file, in one normal form: equal definitions make equal tables."""
+        table: dict[str, Any] = {}
         for name, entries in _written(self).items():
             short = name == "contacts" and self.short
-            found |= {key: entry for key, entry in entries[0].items() if key != "name"} if short else {name: entries}
-        return found
+            table |= {key: entry for key, entry in entries[0].items() if key != "name"} if short else {name: entries}
+        return table
 
 
 def symmetrised(matrices: Array) -> Array:
-    """Matrices (N, n, n) with each pair of entries [i][k] and [k][i] made equal that differs by rounding alone.
+    """Matrices (N, n, n) in which entries [i][k] and [k][i] that differ only by rounding are made equal.
 
-    That is by at most ULPS of the larger one, or of sqrt([i][i] [k][k]), which bounds it in a matrix that is positive.
+    The difference may be ULPS of the larger one, or of sqrt([i][i] [k][k]), a bound in positive matrices.
     """
     other = matrices.swapaxes(1, 2)
     if np.array_equal(matrices, other):
@@ -253,23 +253,23 @@ def symmetrised(matrices: Array) -> Array:
 
 
 def _count(values: Mapping[str, Array]) -> int:
-    """How many machines values (N,) of each parameter are of."""
+    """Number of machines at values (N,) of each parameter."""
     return next(iter(values.values())).size
 
 
 def _names(entries: Any) -> set[str]:
-    """The names that these expressions use."""
+    """The names used by these expressions."""
     if isinstance(entries, Expression):
         return entries.names
     if isinstance(entries, Mapping):
         entries = tuple(entries.values())
     elif dataclasses.is_dataclass(entries):
-        entries = tuple(getattr(entries, each.name) for each in dataclasses.fields(entries))
+        entries = tuple(getattr(entries, field.name) for field in dataclasses.fields(entries))
     return set().union(*map(_names, entries)) if isinstance(entries, tuple) else set()
 
 
 def _written(entries: Any) -> Any:
-    """Entries as a TOML file has them: records, and pairs of a name and an entry, are tables without what is empty."""
+    """Entries as in a TOML file: records, and pairs of a name and an entry, become tables without empty entries."""
     if isinstance(entries, Expression):
         return entries.text if entries.constant is None else entries.constant
     if isinstance(entries, Fraction):
@@ -281,6 +281,6 @@ def _written(entries: Any) -> Any:
         return {key: entry for key, entry in pairs if entry not in (None, "", [])}
     if not isinstance(entries, tuple):
         return entries
-    if entries and all(isinstance(each, tuple) and isinstance(each[0], str) for each in entries):
+    if entries and all(isinstance(entry, tuple) and isinstance(entry[0], str) for entry in entries):
         return {name: _written(of) for name, of in entries}
     return [_written(entry) for entry in entries]

@@ -6,37 +6,37 @@ from dataclasses import dataclass
 from workers.model.expression import Expression, Matrix, Row
 
 STOP = "stop"
-"""The name of the contact that entries of the machine itself make."""
+"""The name of the contact written as entries of the machine itself."""
 
 NO_STOP = {"upper": math.inf, "lower": -math.inf}
 
 RELEASES = ("displacement", "force")
-"""When a soft contact lets go: where its stop is left, or where its force would begin to pull."""
+"""Release of a soft contact: at its stop, or where its force would begin to pull."""
 
 PAD = ("stiffness", "damping", "preload")
-"""The constants of a soft contact that phases may change."""
+"""Constants of a soft contact that phases may change."""
 
 RUB = ("kinetic", "static", "slope")
-"""The constants of friction that phases may change."""
+"""Constants of friction that phases may change."""
 
 LAW = ("law", "within", "range")
-"""The keys of a law: a table, or an expression of its variable with a bound, and where that counts."""
+"""Keys of a law: a table, or an expression of its variable with a bound and a range."""
 
 SegmentsOf = tuple[Row, ...] | Expression
-"""A law as its table [[argument, force], ...], or as an expression of its argument."""
+"""A law as a table [[argument, force], ...] or as an expression of its argument."""
 
 Changes = tuple[tuple[str, tuple[tuple[str, Expression], ...]], ...]
-"""Constants that a phase changes, by the name of the element and by their own."""
+"""Constants changed by a phase, by the names of the element and of the constant."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A stop, or two, on y = gap . x, lower <= y <= upper. A stop that is None does not exist.
+    """A contact with one or two stops on y = gap . x, lower <= y <= upper. A stop that is None does not exist.
 
     A rigid one has a restitution R and turns y' into -R y'. A soft one has none: at depth delta >= 0 beyond its stop it
-    pushes back along the gap row with the force preload + stiffness delta + damping delta', as long as delta > 0 where
-    it is released by "displacement", and no longer than that force is positive where by "force". One with a law has
-    law(delta) in the place of preload + stiffness delta: see laws.py.
+    pushes back along the gap row with the force preload + stiffness delta + damping delta': while delta > 0 if released
+    by "displacement", and only while that force is positive if released by "force". A law replaces preload + stiffness
+    delta by law(delta): see laws.py.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Contact:
 
     @property
     def stops(self) -> int:
-        """How many sides have a stop."""
+        """Number of stops."""
         return (self.upper is not None) + (self.lower is not None)
 
 
@@ -67,8 +67,8 @@ class Contact:
 class Friction:
     """Dry friction on the sliding velocity v = row . x' - belt.
 
-    While it slides it resists with the force kinetic + slope |v| along the row, or with law(|v|): see laws.py. It holds
-    v = 0 as long as the force that this takes is at most ``static``, which is kinetic, or law(0), where it is None.
+    While sliding it resists with the force kinetic + slope |v| along the row, or with law(|v|): see laws.py. It holds v
+    = 0 while the force needed is at most ``static``, by default kinetic or law(0).
     """
 
     name: str
@@ -84,7 +84,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring on y = row . x, which pulls back along its row with the force law(y), wherever y is: see laws.py."""
+    """A spring on y = row . x that pulls back along its row with the force law(y) at any y: see laws.py."""
 
     name: str
     row: Row
@@ -95,10 +95,10 @@ class Spring:
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of each forcing period: from ``start``, a share of 2 pi / omega after the section, to that of the next.
+    """A part of each forcing period: from ``start``, a share of 2 pi / omega after the section, to the next phase.
 
-    What it names takes the place of the entry of the whole machine while it lasts: force and cosine those of the first
-    harmonic of order 1, with the same phase angles.
+    Its entries replace those of the machine meanwhile; force and cosine replace those of the first harmonic of order 1,
+    with the same phase angles.
     """
 
     start: Expression
@@ -112,27 +112,27 @@ class Phase:
 
 
 ALWAYS = (Phase(Expression("0.0")),)
-"""The only phase of a machine that has none."""
+"""The only phase of a machine without phases."""
 
 
 def in_phase(element: Contact | Friction, changes: Changes, key: str) -> Expression | None:
-    """A constant of an element where a phase makes these changes."""
+    """A constant of an element in a phase with these changes."""
     changed = dict(dict(changes).get(element.name, ()))
     return changed[key] if key in changed else getattr(element, key)
 
 
 def pad(contact: Contact, changes: Changes) -> tuple[Expression | float, ...]:
-    """Stiffness, damping and preload of a contact in a phase; zeros of a rigid one."""
+    """Stiffness, damping and preload of a contact in a phase; zeros for a rigid contact."""
     return tuple(in_phase(contact, changes, key) or 0.0 for key in PAD)
 
 
 def rub(friction: Friction, changes: Changes) -> tuple[Expression | float, ...]:
-    """Kinetic and static level and slope of friction in a phase; NaN for levels that its law says."""
+    """Kinetic and static level and slope of friction in a phase; NaN for levels given by its law."""
     kinetic, static, slope = (in_phase(friction, changes, key) for key in RUB)
     return kinetic or math.nan, static or kinetic or math.nan, slope or 0.0
 
 
 def stops(contact: Contact) -> tuple[Expression | float, Expression | float]:
-    """The lower and the upper stop of a contact, at infinity where there is none."""
+    """The lower and the upper stop of a contact, infinite if missing."""
     lower = NO_STOP["lower"] if contact.lower is None else contact.lower
     return lower, NO_STOP["upper"] if contact.upper is None else contact.upper

@@ -19,17 +19,17 @@ class DefinitionError(ValueError):
     """The fault of a definition, in one line: the entry, the value found, the valid form."""
 
 
-def read_entries(where: str, given: object, known: Collection[str], *shape: int) -> Any:
-    """The expression that a number or a text is; of a list of that shape a row or a matrix of them."""
+def read_entries(where: str, value: object, known: Collection[str], *shape: int) -> Any:
+    """The expression given by a number or a text, or a row or matrix (shape) of them from lists."""
     if shape:
-        entries = read_list(where, given, shape[0], "rows" if len(shape) > 1 else "entries")
+        entries = read_list(where, value, shape[0], "rows" if len(shape) > 1 else "entries")
         return tuple(read_entries(f"{where}[{i}]", entry, known, *shape[1:]) for i, entry in enumerate(entries))
-    if isinstance(given, str):
+    if isinstance(value, str):
         try:
-            return parse(given, known)
+            return parse(value, known)
         except ExpressionError as error:
             raise DefinitionError(f"{where}: {error}") from None
-    return Expression(repr(read_number(where, given, "must be a number or an expression in quotes")))
+    return Expression(repr(read_number(where, value, "must be a number or an expression in quotes")))
 
 
 def read_text(where: str, value: object) -> str:
@@ -40,87 +40,87 @@ def read_text(where: str, value: object) -> str:
 
 
 def read_words(where: str, value: object) -> str:
-    """Words on one line that can stand beside a formula."""
-    found = read_text(where, value)
-    if not found.isprintable() or "$" in found or len(found) > 200:
+    """Printable words on one line, which can stand beside a formula."""
+    text = read_text(where, value)
+    if not text.isprintable() or "$" in text or len(text) > 200:
         raise fault(where, value, "must be one line of at most 200 characters without a dollar")
-    return found
+    return text
 
 
-def read_flag(where: str, given: object) -> bool:
+def read_flag(where: str, value: object) -> bool:
     """True or false; DefinitionError for anything else."""
-    if not isinstance(given, bool):
-        raise fault(where, given, "must be true or false")
-    return given
+    if not isinstance(value, bool):
+        raise fault(where, value, "must be true or false")
+    return value
 
 
-def read_number(where: str, given: object, right: str = "must be a number", infinite: bool = False) -> float:
+def read_number(where: str, value: object, right: str = "must be a number", infinite: bool = False) -> float:
     """The value as a float."""
-    if isinstance(given, bool) or not isinstance(given, Real):
-        raise fault(where, given, right)
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise fault(where, value, right)
     try:
-        number = float(given) + 0.0  # -0.0 becomes 0.0: equal definitions have one digest
+        number = float(value) + 0.0  # -0.0 becomes 0.0: equal definitions have one digest
     except OverflowError:
-        raise fault(where, given, "must be a finite number") from None
+        raise fault(where, value, "must be a finite number") from None
     if math.isnan(number) or (math.isinf(number) and not infinite):
         raise DefinitionError(f"{where}: found {number!r}, must be a finite number")
     return number
 
 
-def read_table(where: str, given: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
-    """The value, a table that has these keys at most, or any; DefinitionError for anything else."""
-    if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
-        raise fault(where, given, "must be a table")
-    for key in given:
+def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
+    """The value, a table with no other keys than these, or with any; DefinitionError for anything else."""
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise fault(where, value, "must be a table")
+    for key in value:
         if keys and key not in keys:
             raise DefinitionError(unknown_name(f"key in {where}", key, keys))
-    return given
+    return value
 
 
-def read_tables(where: str, given: object) -> dict[str, object]:
-    """The tables [[where]] of a list, each under the name that errors give it."""
-    if not isinstance(given, list):
-        raise fault(where, given, f"must be tables [[{where}]]")
-    return {f"{where}[{i}]": one for i, one in enumerate(given)}
+def read_tables(where: str, value: object) -> dict[str, object]:
+    """The tables [[where]] of a list, by their names in error messages."""
+    if not isinstance(value, list):
+        raise fault(where, value, f"must be tables [[{where}]]")
+    return {f"{where}[{i}]": one for i, one in enumerate(value)}
 
 
 def read_list(
-    where: str, given: object, length: int, what: str = "entries", each: str = ", one per coordinate"
+    where: str, value: object, length: int, what: str = "entries", ending: str = ", one per coordinate"
 ) -> list[Any]:
-    """The value, a list of that length; DefinitionError for anything else."""
-    if not isinstance(given, list | tuple):
-        raise fault(where, given, f"must be a list of {length} {what}{each}")
-    if len(given) != length:
-        raise DefinitionError(f"{where}: found {len(given)} {what}, must be {length}{each}")
-    return list(given)
+    """The value, a list of this length; DefinitionError for anything else."""
+    if not isinstance(value, list | tuple):
+        raise fault(where, value, f"must be a list of {length} {what}{ending}")
+    if len(value) != length:
+        raise DefinitionError(f"{where}: found {len(value)} {what}, must be {length}{ending}")
+    return list(value)
 
 
-def read_names(where: str, given: object) -> tuple[str, ...]:
+def read_names(where: str, value: object) -> tuple[str, ...]:
     """The value, a list of names."""
-    if not isinstance(given, list | tuple):
-        raise fault(where, given, "must be a list of names")
-    for i, name in enumerate(given):
+    if not isinstance(value, list | tuple):
+        raise fault(where, value, "must be a list of names")
+    for i, name in enumerate(value):
         check_name(f"{where}[{i}]", name)
-    return tuple(given)
+    return tuple(value)
 
 
 def check_name(where: str, name: object) -> None:
-    """DefinitionError for what is no name, or one that expressions have for their own."""
+    """DefinitionError for an invalid name, or one reserved by expressions."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise fault(where, name, "must be a name of letters, digits and underscores, 40 at most")
     if name in RESERVED:
-        raise taken(where, name)
+        raise name_taken(where, name)
 
 
-def taken(where: str, name: str) -> DefinitionError:
-    """The error of a name that means something else."""
+def name_taken(where: str, name: str) -> DefinitionError:
+    """The error of a name that already has another meaning."""
     return DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
 
 
 def fault(where: str, value: object, right: str) -> DefinitionError:
-    """The error of an entry: the value found, and the valid form."""
+    """The error of an entry, with the value found and the valid form."""
     try:
         shown = _short.repr(value)
-    except ValueError:  # a whole number of more digits than Python writes
+    except ValueError:  # an integer with more digits than Python writes
         shown = "a whole number of thousands of digits"
     return DefinitionError(f"{where}: found {shown}, {right}")

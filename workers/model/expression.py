@@ -5,8 +5,8 @@
     factor     = - factor, + factor, or atom, atom ** factor
     atom       = a number, a name, pi, function(expression, ...), (expression)
 
-with the precedence that Python gives them: -x**2 is -(x**2), and 2**3**2 is 2**(3**2). Nothing else can be written, so
-that nothing else can happen: what an expression from a stranger's file costs is bounded by its length.
+with Python's precedence: -x**2 is -(x**2), and 2**3**2 is 2**(3**2). The grammar admits nothing else, so the cost of an
+expression from a stranger's file is bounded by its length.
 """
 
 import ast
@@ -24,11 +24,11 @@ from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA, near_name, unknown_name
 
 LONGEST = 500
-"""Characters of an expression."""
+"""Longest expression, in characters."""
 DEEPEST = 40
-"""Parentheses, signs and powers within each other."""
+"""Deepest nesting of parentheses, signs and powers."""
 LARGEST_POWER = 16
-"""Whole exponents up to which a power is a product, rounded alike wherever it is computed."""
+"""Largest integer exponent computed as a product, which is rounded alike on every machine."""
 
 PI = "pi"
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
@@ -36,9 +36,9 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
     "exp": (np.exp, 1, 1), "log": (np.log, 1, 1), "abs": (np.abs, 1, 1),
     "atan2": (np.arctan2, 2, 2), "min": (np.minimum, 2, 8), "max": (np.maximum, 2, 8),
 }  # fmt: skip
-"""Each with the least and the largest number of arguments."""
+"""Functions, with the least and the largest number of arguments."""
 RESERVED = (PI, *FUNCTIONS)
-"""Names that no parameter may have."""
+"""Names reserved for expressions."""
 _TIME = ("t", "time")
 
 _BINARY: dict[type[ast.AST], Callable[..., Any]] = {
@@ -55,25 +55,25 @@ class ExpressionError(ValueError):
 
 @dataclass(frozen=True)
 class Expression:
-    """An expression, as its text in a uniform spelling, of a number its repr: it can be compared, hashed, pickled."""
+    """An expression, as text in a normal form, for a number its repr: comparable, hashable, picklable."""
 
     text: str
 
     @property
     def names(self) -> set[str]:
-        """The names whose values it takes."""
+        """The names that it uses."""
         return {node.id[1:] for node in ast.walk(_tree(self.text)) if isinstance(node, ast.Name)}.difference(RESERVED)
 
     @cached_property
     def constant(self) -> float | None:
-        """Its value where it is one number, and no name or operation; else None."""
+        """Its value if it is a single number, without names or operations; else None."""
         return _constant(_tree(self.text))
 
     def __call__(self, values: Mapping[str, Array]) -> Array:
-        """Its values (N,) for the values (N,) of each name, ``omega`` among them.
+        """Its values (N,) at values (N,) of each name, ``omega`` included.
 
-        Infinite or NaN where double precision has no other answer, as numpy does: division by zero, a root of a
-        negative number. What one element gives does not depend on the others.
+        Infinite or NaN as in numpy: division by zero, a root of a negative number. Elements do not depend on each
+        other.
         """
         return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
 
@@ -83,19 +83,19 @@ Matrix = tuple[Row, ...]
 
 
 def evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
-    """An expression (N,), a row (N, n) or a matrix (N, n, n) of them; a number stands for itself."""
+    """Values of an expression (N,), or of a row (N, n) or matrix (N, n, n) of expressions and numbers."""
     if isinstance(entries, Expression):
         return entries(named)
     numbers, others = (_kept if isinstance(entries, tuple) else _sorted)(entries)
-    found = np.empty((named[OMEGA].size, *numbers.shape))
-    found[...] = numbers
+    values = np.empty((named[OMEGA].size, *numbers.shape))
+    values[...] = numbers
     for index, expression in others:
-        found[:, *index] = expression(named)
-    return found
+        values[:, *index] = expression(named)
+    return values
 
 
 def _sorted(entries: Any) -> tuple[Array, list[tuple[Any, Expression]]]:
-    """The numbers among entries, zero elsewhere, and the expressions of names, each with its place."""
+    """The numbers among entries, zero elsewhere, and the expressions with names, each with its place."""
     grid = np.array(entries, dtype=object)
     numbers, others = np.zeros(grid.shape), []
     for index, entry in np.ndenumerate(grid):
@@ -111,19 +111,19 @@ _kept = lru_cache(maxsize=1024)(_sorted)
 
 
 def parse(text: str, known: Collection[str]) -> Expression:
-    """The expression that a text is, of names that are known; ExpressionError otherwise."""
+    """The expression of a text with known names; ExpressionError otherwise."""
     if len(text) > LONGEST:
         raise ExpressionError(f"found {len(text)} characters, must be at most {LONGEST}")
     tokens = _tokens(text)
     _check_order(tokens)
-    found = Expression(" ".join(repr(float(token)) if _is_number(token) else token for token in tokens))
-    _check_names(_tree(found.text), known)
-    return found
+    expression = Expression(" ".join(repr(float(token)) if _is_number(token) else token for token in tokens))
+    _check_names(_tree(expression.text), known)
+    return expression
 
 
 @lru_cache(maxsize=4096)
 def _tree(text: str) -> ast.expr:
-    """Python's tree of a uniform spelling. No keyword begins with an underscore: a parameter may be called lambda."""
+    """Python's tree of a normal form. No keyword begins with an underscore: a parameter may be called lambda."""
     return ast.parse(re.sub(r"\b(?=[A-Za-z_])", "_", text), mode="eval").body
 
 
@@ -153,8 +153,8 @@ def _value(node: ast.expr, values: Mapping[str, Array]) -> Any:
                 return _whole_power(_value(left, values), int(power))
             return _BINARY[type(operator)](_value(left, values), _value(right, values))
         case ast.Call(func=ast.Name(id=name), args=arguments):
-            act, found = FUNCTIONS[name[1:]][0], [_value(each, values) for each in arguments]
-            return reduce(act, found) if len(found) > 1 else act(*found)
+            act, operands = FUNCTIONS[name[1:]][0], [_value(argument, values) for argument in arguments]
+            return reduce(act, operands) if len(operands) > 1 else act(*operands)
     raise AssertionError(node)
 
 
@@ -171,11 +171,11 @@ def _whole_power(base: Array, exponent: int) -> Array:
 
 
 def _tokens(text: str) -> list[str]:
-    found = _TOKEN.findall(text)
-    for _, other in found:
+    matches = _TOKEN.findall(text)
+    for _, other in matches:
         if other:
             raise ExpressionError(f"found {other!r}, must be numbers, names, + - * / **, parentheses and commas")
-    return [token for token, _ in found if token]
+    return [token for token, _ in matches if token]
 
 
 def _is_number(token: str) -> bool:
@@ -183,12 +183,12 @@ def _is_number(token: str) -> bool:
 
 
 def _check_order(tokens: list[str]) -> None:
-    """ExpressionError at the first token that cannot stand where it does, or that is nested too deeply.
+    """ExpressionError at the first misplaced token, or at nesting that is too deep.
 
-    What Python has beyond the grammar, such as (a, b), f(*a), f(a,) and (f)(a), is refused here.
+    Refuses Python syntax beyond the grammar, such as (a, b), f(*a), f(a,) and (f)(a).
     """
-    groups = [""]  # of parentheses that are open: the function that they belong to, the whole first
-    depths = [2]  # of each: itself, its present operand, and the signs and powers that this one is in
+    groups = [""]  # open parentheses: the function of each, the whole expression first
+    depths = [2]  # of each: its own depth, its present operand, and the signs and powers around that operand
     for before, token in pairwise(["(", *tokens, ""]):
         if before in ("(", ",", "+", "-", "*", "/", "**"):
             if not token:
@@ -217,7 +217,7 @@ def _check_order(tokens: list[str]) -> None:
 
 
 def _unknown(name: str, known: list[str]) -> str:
-    """One line for an unknown name: the nearest known one, or what an entry may be."""
+    """One line for an unknown name: the nearest known name, or the valid forms of an entry."""
     if name not in _TIME and near_name(name, known):
         return unknown_name("name", name, known)
     force = "; a force is an amplitude, which sin(omega t + tau) multiplies by itself" if name in _TIME else ""
@@ -225,7 +225,7 @@ def _unknown(name: str, known: list[str]) -> str:
 
 
 def _check_names(tree: ast.expr, known: Collection[str]) -> None:
-    """ExpressionError at the first name that is unknown, or has a wrong number of arguments."""
+    """ExpressionError at the first unknown name, or wrong number of arguments."""
     nodes = list(ast.walk(tree))
     arguments = {node.func: len(node.args) for node in nodes if isinstance(node, ast.Call)}
     names = [node for node in nodes if isinstance(node, ast.Name)]

@@ -1,7 +1,7 @@
-"""Machines over a few parameters, whose modes are built at first use and shared.
+"""Machines over a few free parameters, whose modes are built at first use and shared.
 
-What the other parameters decide of a machine with one rigid contact is worked out once: its flight is what
-``System.build_many`` makes of the same values, to the bit.
+For a machine with one rigid contact, everything that the fixed parameters decide is computed once; its flight equals,
+to the bit, that of ``System.build_many`` at the same values.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,23 +22,23 @@ from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
 FLYING = Code(0, (OPEN,), ())
-"""The one mode of a machine whose only contact is a rigid one, while nothing rests on it."""
+"""The one mode of a machine with a single rigid contact while nothing rests on it."""
 
 
 class NoOscillatorError(ValueError):
-    """Parameters at which there is no oscillator."""
+    """There is no oscillator at these parameters."""
 
 
 @dataclass
 class OrbitMachines:
-    """N machines of n coordinates and their modes, each built when it is first asked for.
+    """N machines of n coordinates and their modes, each built at its first use.
 
     omega, tau (N,)  forcing frequency, forcing phase at a section
     elements         contacts and friction
-    rest (N, 2n)     the physical state that states are counted from, and stops
-    make             makes a mode of all N
-    describe         the machines as numbers, counted from rest too
-    build            their record for the kernels of cells
+    rest (N, 2n)     physical state from which states and stops are counted
+    make             function that makes a mode of all N
+    describe         function for the machines as numbers, also counted from rest
+    build            function for their record for the kernels of cells
     """
 
     omega: Array
@@ -51,7 +51,7 @@ class OrbitMachines:
     known: dict[Code, Pieces] = field(default_factory=dict)
 
     def mode(self, code: Code) -> Pieces:
-        """A mode of all of them. NoOscillatorError where there is none."""
+        """A mode of all machines. NoOscillatorError if it does not exist."""
         if code not in self.known:
             self.known[code] = self.make(code)
         return self.known[code]
@@ -63,11 +63,11 @@ class OrbitMachines:
 
     @cached_property
     def oscillators(self) -> Oscillator:
-        """The machines as the kernels of cells take them."""
+        """The machines as records for the kernels of cells."""
         return self.build()
 
     def taken(self, rows: Rows) -> "OrbitMachines":
-        """These rows, in their order, with the modes of the whole."""
+        """These rows, in this order, sharing the modes of the whole."""
         return OrbitMachines(
             self.omega[rows], self.tau[rows], taken(self.elements, rows), self.rest[rows],
             lambda code: taken(self.mode(code), rows), lambda: taken(self.machines, rows),
@@ -76,28 +76,28 @@ class OrbitMachines:
 
     @property
     def dimension(self) -> int:
-        """How many numbers a state has: 2n."""
+        """Number of components of a state, 2n."""
         return self.rest.shape[1]
 
     @property
     def mirrored(self) -> Mask:
-        """Which of them (N,) are their own mirror images half a period later, in the same phase."""
+        """Mask (N,) of machines that are their own mirror images half a period later, in the same phase."""
         return self.machines.mirrored
 
 
 def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> Callable[[Array], Any]:
-    """Makes machines of rows of values (N, free), and the reason against each, or NO_REASON; the others are fixed."""
+    """A function from rows of values (N, free) to machines and the reason against each; other parameters are fixed."""
     return (_Switching if system.has_modes else _Flying)(system, fixed, free)
 
 
 def with_modes(machines: HybridMachines) -> OrbitMachines:
-    """Machines whose law changes in any way: each mode is built as such."""
+    """Machines with any law: every mode is built by itself."""
 
     def make(code: Code) -> Pieces:
-        found, wrong = pieces_of(machines, code)
+        pieces, wrong = pieces_of(machines, code)
         if np.any(wrong):
             raise NoOscillatorError("a mode of this orbit has no bounded motion there")
-        return found
+        return pieces
 
     return OrbitMachines(
         machines.omega, machines.tau, elements_of(machines), np.zeros((len(machines.omega), machines.dimension)), make,
@@ -106,35 +106,35 @@ def with_modes(machines: HybridMachines) -> OrbitMachines:
 
 
 class _Over:
-    """Machines of a system over some of its parameters, the others fixed."""
+    """Machines of a system over some of its parameters, with the others fixed."""
 
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         self.system, self.free = system, free
         self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
 
-    def given(self, rows: Array) -> dict[str, Array]:
+    def named(self, rows: Array) -> dict[str, Array]:
         """Rows of values (N, free) by name."""
         return {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
 
     def others(self, rows: Array) -> dict[str, Array]:
-        """The values of the others, (N,) each."""
+        """The values (N,) of each fixed parameter."""
         return {name: np.full(len(rows), value) for name, value in self.fixed.items()}
 
 
 class _Switching(_Over):
-    """Of a system whose law changes in any way."""
+    """Machines over parameters, of a system with any law."""
 
     def __call__(self, rows: Array) -> tuple[OrbitMachines, NDArray[np.int8]]:
         """The machines of rows of values (N, free), and the reason against each."""
-        values = self.others(rows) | self.given(rows)
+        values = self.others(rows) | self.named(rows)
         own = self.system.definition.hybrid(values)
         return with_modes(own), self.system.out_of_range(values, hybrid_faults(own))
 
 
 class _Kept(NamedTuple):
-    """What any N rows of values that make machines have in common: fixed values, machines, structure, mode, elements.
+    """Common parts of the machines of N rows of values: fixed values, machines, structure, mode, elements.
 
-    Fields of the machines that free parameters decide are made anew, and all else with them if it depends on these.
+    Fields that depend on free parameters are computed again for each call, with everything that depends on them.
     """
 
     fixed: dict[str, Array]
@@ -145,7 +145,7 @@ class _Kept(NamedTuple):
 
 
 class _Flying(_Over):
-    """Of a system with one rigid contact: states are counted from where y rests, and its mode is the flight."""
+    """Machines with one rigid contact: states are counted from the rest of y, and the only mode is the flight."""
 
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         super().__init__(system, fixed, free)
@@ -155,7 +155,7 @@ class _Flying(_Over):
     @np.errstate(all="ignore")
     def __call__(self, rows: Array) -> tuple[OrbitMachines, NDArray[np.int8]]:
         """The machines of rows of values (N, free), and the reason against each."""
-        values, kept = self.given(rows), self._kept.get(len(rows))
+        values, kept = self.named(rows), self._kept.get(len(rows))
         if kept:
             fixed, fields = kept.fixed, self._changing
             machines = kept.machines._replace(**self.system.definition.fields(fixed | values, fields))
@@ -184,7 +184,7 @@ class _Flying(_Over):
         blocks[..., COLUMN.rest0 :] = 0.0
         stops = np.stack([-at_rest.b_lower, at_rest.b_upper], axis=1)[:, None]
         acceleration = mode.acceleration
-        if np.any(at_rest.loading.load):  # what drives a damped motion is counted from while that moves
+        if np.any(at_rest.loading.load):  # its motion is the origin of a damped motion driven by a load
             moving = np.concatenate([np.zeros((N, n)), rest[:, n:]], axis=1)[..., None]
             blocks[..., COLUMN.rest0 :] = (ways.to_blocks @ moving).reshape(N, n, 2)
             driven = ways.to_physical[:, n:, 1::2] @ at_rest.loading.load[..., None]
@@ -201,15 +201,15 @@ class _Flying(_Over):
             load = (machines.mass @ acceleration[..., -1:])[..., 0]
             return _described(machines, load, elements)
 
-        found = OrbitMachines(
+        orbit_machines = OrbitMachines(
             machines.omega, phase_of(machines.tau), elements, rest, {FLYING: mode}.__getitem__, describe,
             lambda: build(machines)[0],
         )  # fmt: skip
-        return found, reasons
+        return orbit_machines, reasons
 
 
 def _flight(structure: Structure, machines: Machines) -> Pieces:
-    """The mode of flight as far as matrices and force alone decide it: all else is to be replaced."""
+    """The mode of flight as far as matrices and force decide it; the remaining fields are to be replaced."""
     modes, inverse, (N, n) = structure.flow.modes, structure.flow.inverse_mass, machines.gap_row.shape
     H, none, nothing = machines.force_sin.shape[1], np.zeros(N), np.zeros((N, 0))
     rows, acceleration = np.zeros((N, 1, 2 * n + 1)), np.zeros((N, n, 2 * n + 1))
@@ -238,7 +238,7 @@ def _contact(structure: Structure, machines: Machines) -> Elements:
 
 
 def _described(machines: Machines, load: Array, elements: Elements) -> HybridMachines:
-    """Machines with one rigid contact in the form of all others, counted from rest: ``load`` (N, n) is left there."""
+    """Machines with one rigid contact in the general form, counted from rest: ``load`` (N, n) remains."""
     N = len(machines.omega)
     return HybridMachines(
         machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],

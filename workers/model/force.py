@@ -13,7 +13,7 @@ from workers.model.parameter import OMEGA
 
 
 class Harmonic(NamedTuple):
-    """A part of the force, with entries for each coordinate; no cosine where that is empty.
+    """A harmonic of the force, with entries for each coordinate; an empty cosine is zero.
 
     force sin(order (omega t + tau) + phase) + cosine cos(order (omega t + tau) + phase)
     """
@@ -25,7 +25,7 @@ class Harmonic(NamedTuple):
 
 
 def turns_of(orders: Iterable[Fraction]) -> int:
-    """Periods 2 pi / omega after which harmonics of these orders repeat together: all are multiples of 1 / turns."""
+    """Periods 2 pi / omega after which harmonics of these orders all repeat: the orders are multiples of 1 / turns."""
     return math.lcm(*(order.denominator for order in orders))
 
 
@@ -46,12 +46,12 @@ def amplitudes(
 
 
 def changed(harmonics: tuple[Harmonic, ...], force: Row | None, cosine: Row | None) -> tuple[Harmonic, ...]:
-    """The harmonics, the first of order 1 with these amplitudes in place of its own, where there are any."""
+    """The harmonics, with these amplitudes for the first harmonic of order 1, if they are given."""
     if force is None and cosine is None:
         return harmonics
     none = (Expression("0.0"),) * len(force or cosine or ())
-    first = next((each for each in harmonics if each.order == 1), Harmonic(Fraction(1), none, none))
+    first = next((harmonic for harmonic in harmonics if harmonic.order == 1), Harmonic(Fraction(1), none, none))
     new = first._replace(
         force=first.force if force is None else force, cosine=first.cosine if cosine is None else cosine
     )
-    return (new, *(each for each in harmonics if each is not first))
+    return (new, *(harmonic for harmonic in harmonics if harmonic is not first))

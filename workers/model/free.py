@@ -1,6 +1,6 @@
 """The motion between impacts: blocks, forced response, rest position, and the gap coordinate as their signal.
 
-What one oscillator is made of does not depend on the others, to the bit.
+An oscillator does not depend on the others, to the bit.
 """
 
 import math
@@ -24,24 +24,24 @@ from workers.model.oscillator import (
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
 UNSEEN = 1e-9
-"""Share of a rigid mode, or of a motion that grows, in the gap coordinate, of what it could have at most, below which
-the gap misses it."""
+"""Share of a rigid mode or of a growing motion in the gap coordinate, relative to its largest possible one, below which
+the gap does not see it."""
 
 OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
-"""The fields of machines that decide their structure and their loading."""
+"""Fields of machines that decide their structure and their loading."""
 
 RESONANT = 1e-8
-"""Share of its terms below which the stiffness that an oscillation at the forcing frequency feels counts as resonance:
-the forced response is then so large that a motion which grows for thousands of periods seems to close beside it."""
+"""Share of its terms below which the dynamic stiffness of an oscillation at the forcing frequency counts as resonance:
+the forced response is so large that motion growing for thousands of periods seems to close beside it."""
 
 ULPS = 8.0
-"""Units in the last place by which entries of a machine may be wrong: what a few operations leave of exact ones."""
+"""Relative errors of a machine's entries, in units in the last place: the rounding of a few operations."""
 
 
 class Flow(NamedTuple):
-    """What mass, damping and stiffness alone decide of a mode, and its guard's row, of N machines.
+    """Flow of N machines, decided by mass, damping and stiffness, and the row of the guard.
 
-    modes; inverse_mass (N, n, n); blocks (N, n, columns), see Block, without a load, their metric that of elastic ones.
+    modes; inverse_mass (N, n, n); blocks (N, n, columns), see Block, without a load, with the metric of elastic blocks.
     """
 
     modes: Modes
@@ -50,9 +50,9 @@ class Flow(NamedTuple):
 
 
 class Loading(NamedTuple):
-    """What force and load are to the blocks of N machines, whatever the forcing frequency.
+    """Effect of force and load on the blocks of N machines, for any forcing frequency.
 
-    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
+    waves (N, H, n, 2): complex amplitudes of e^(i k phi) in (h, h')'; load (N, n), rest (N, n, 2), see
     oscillator.Block.
     """
 
@@ -62,7 +62,7 @@ class Loading(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """What matrices, force and load alone decide of the free flight of N machines.
+    """Free flight of N machines, as far as matrices, force and load decide it.
 
     flow, loading; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; unheld (N,): see grows_unseen.
     """
@@ -79,8 +79,10 @@ class Structure(NamedTuple):
 
 
 class AtRest(NamedTuple):
-    """The loading of N machines, its rest positions between the stops where machines are balanced; the stops seen from
-    there; and whether a rigid mode is one that the gap does not see.
+    """Rest of N machines.
+
+    The loading, with rest positions midway between the stops for balanced machines; the stops as seen from there; and
+    a mask of machines with a rigid mode that the gap does not see.
     """
 
     loading: Loading
@@ -104,13 +106,14 @@ def structure_of(machines: Machines) -> Structure:
 
 
 def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
-    """Of which machines (N,) a motion of the blocks (N, n, columns) grows that none of rows (N, R, 2n) on (x, x') sees.
+    """Machines (N,) in which the blocks (N, n, columns) have a growing motion invisible to rows (N, R, 2n) on (x, x').
 
-    It is h = e^(r s), h' = r h in one block, and a row sees it by its terms' sum beside the sum of their moduli.
+    The motion is h = e^(r s), h' = r h in one block; a row sees it if the sum of its terms is not small beside the sum
+    of their moduli.
     """
     N, n = blocks.shape[:2]
     rates = rates_of(blocks)
-    found = np.zeros(N, dtype=np.bool_)
+    unseen = np.zeros(N, dtype=np.bool_)
     (some,) = np.nonzero(np.any(rates.real > 0.0, axis=(1, 2)))
     if len(some):
         terms = rows[some, :, :, None] * to_physical[some, None]
@@ -119,8 +122,8 @@ def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
         seen = np.abs(shares[..., 0, :] + rate * shares[..., 1, :])
         most = sizes[..., 0, :] + np.abs(rate) * sizes[..., 1, :]
         missed = np.all(seen <= UNSEEN * most, axis=1)
-        found[some] = np.any(missed & (rates[some].real > 0.0), axis=(1, 2))
-    return found
+        unseen[some] = np.any(missed & (rates[some].real > 0.0), axis=(1, 2))
+    return unseen
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> Flow:
@@ -136,7 +139,7 @@ def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Arr
 
 
 def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
-    """What force (N, H, n) and load (N, n) are to blocks.
+    """Loading of blocks by force (N, H, n) and load (N, n).
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
@@ -147,14 +150,14 @@ def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
     rigid = modes.lam == 0.0
     l0, l1 = steady[..., 0], steady[..., 1]
     p = l1 + 2.0 * modes.eta * l0
-    at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam)) + 0.0  # no -0.0
+    at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam)) + 0.0  # avoids -0.0
     return Loading(waves, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
 def mode_of(flow: Flow, loading: Loading, omega: Array, direct: Any = 0.0) -> tuple[Mode, Mask]:
     """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
 
-    The guard is c . blocks, and what complex amplitudes of e^(i k phi), direct (N, H), add to it.
+    The guard is c . blocks plus complex amplitudes of e^(i k phi), direct (N, H).
     """
     N, H, n = loading.waves.shape[:3]
     w = omega[:, None] * np.arange(1.0, H + 1.0)
@@ -199,7 +202,7 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask
 
 
 def against(modes: Modes, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
-    """The reasons why motion in these modes is none, the weightiest last, and of which machines (N,) each holds."""
+    """The reasons against motion in these modes, the weightiest last, each with a mask (N,) of machines."""
     return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid}
 
 
@@ -213,7 +216,7 @@ def free_motion(structure: Structure, at_rest: AtRest, omega: Array) -> tuple[Mo
 
 
 def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:
-    """Of which machines (N,) a block (N, n) turns too far in a forcing period for doubles to keep its phase."""
+    """Machines (N,) with a block (N, n) that turns too far in a forcing period for doubles to keep its phase."""
     turns = np.where(d > 0.0, w, 0.0) * (2.0 * np.pi / omega)[:, None]
     return np.asarray(np.max(turns, axis=1) > LARGEST_ANGLE)
 
@@ -225,9 +228,9 @@ def phase_of(tau: Array) -> Array:
 
 
 def centred(structure: Structure, machines: Machines) -> AtRest:
-    """The loading of machines of that structure, with rest positions midway between the stops where it is balanced.
+    """The loading of machines of this structure, with balanced machines at rest midway between their stops.
 
-    A rigid mode's position is counted from between the stops, or from the only one.
+    The position of a rigid mode is counted from midway between the stops, or from the only stop.
     """
     upper, lower, modes, loading = machines.upper, machines.lower, structure.flow.modes, structure.loading
     rigid, even, unseen = modes.lam == 0.0, balanced(machines), np.zeros(len(upper), dtype=np.bool_)
@@ -235,7 +238,7 @@ def centred(structure: Structure, machines: Machines) -> AtRest:
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
     rest = loading.rest.copy()
     y0 = structure.gap(rest)
-    if np.any(rigid):  # what is done for others as well leaves them their bits
+    if np.any(rigid):  # skipped for others, whose bits it would change
         moving = np.any(rigid, axis=1)
         share = np.sum(np.where(rigid, structure.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
         unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(structure.inverse_gap_mass))
@@ -255,21 +258,21 @@ def centred(structure: Structure, machines: Machines) -> AtRest:
 
 
 def balanced(machines: Machines) -> Mask:
-    """Whether y rests midway between both stops, or anywhere, to rounding: motion is symmetric where the force is.
+    """Whether y rests midway between both stops, or anywhere, to rounding: needed for symmetric motion.
 
-    That is where no force f holds y in their middle m, K x + f g = load and g . x = m: where |f| is at most what ULPS
-    of each entry make of it. With K v + s g = 0 and g . v = 1 they change it by
-    |v| . (|load| + |K| |x|) + |s| (|g| . |x| + |upper| + |lower|).
+    Then no force f is needed to hold y in the middle m, K x + f g = load and g . x = m: |f| is at most its change by
+    ULPS of each entry. With K v + s g = 0 and g . v = 1 that change is |v| . (|load| + |K| |x|) + |s| (|g| . |x| +
+    |upper| + |lower|).
     """
     stiffness, row, load = machines.stiffness, machines.gap_row, machines.load
     middle = 0.5 * (machines.upper + machines.lower)
-    found = np.isnan(middle) | (~np.any(load != 0.0, axis=1) & (middle == 0.0))  # NaN: both are infinitely far away
-    rows = np.flatnonzero(~found & np.isfinite(middle))
+    balances = np.isnan(middle) | (~np.any(load != 0.0, axis=1) & (middle == 0.0))  # NaN: both are infinite
+    rows = np.flatnonzero(~balances & np.isfinite(middle))
     if not rows.size:
-        return found
+        return balances
     K, g, n = stiffness[rows], row[rows], row.shape[1]
     size = np.max(np.abs(K), axis=(1, 2), initial=0.0)
-    size = np.where(size > 0.0, size, 1.0)[:, None]  # for the border to be of the size of the rest
+    size = np.where(size > 0.0, size, 1.0)[:, None]  # scales the border to the size of the matrix
     matrix, right = np.zeros((len(rows), n + 1, n + 1)), np.zeros((len(rows), n + 1, 2))
     matrix[:, :n, :n] = K
     matrix[:, :n, n] = matrix[:, n, :n] = size * g
@@ -281,17 +284,17 @@ def balanced(machines: Machines) -> Mask:
     change = np.vecdot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (
         np.vecdot(np.abs(g), x) + ends
     )
-    found[rows] = f <= ULPS * np.finfo(np.float64).eps * change
-    return found
+    balances[rows] = f <= ULPS * np.finfo(np.float64).eps * change
+    return balances
 
 
 def finite(record: Any) -> Mask:
-    """Which of many records hold finite numbers only."""
+    """Mask of the records that hold finite numbers only."""
     return np.asarray(np.isfinite(numbers_of(record)).all(axis=1))
 
 
 def numbers_of(record: Any) -> Any:
-    """All numbers of N records (N, .), a row each."""
+    """All numbers of N records, one row (N, .) each."""
     fields = [
         numbers_of(field) if isinstance(field, tuple) else field.reshape(len(field), math.prod(field.shape[1:]))
         for field in record
@@ -311,5 +314,5 @@ def derivative_of(row: Array, eta: Array, lam: Array) -> Array:
 
 
 def times(row: Array, matrix: Array) -> Array:
-    """row @ matrix of each of many."""
+    """row @ matrix, for N of each."""
     return np.asarray((row[:, None, :] @ matrix)[:, 0])

@@ -1,6 +1,6 @@
-"""Machines with modes as the kernels run them: their elements, and a table of the modes that are built.
+"""Machines with modes in the form for kernels: their elements, and a table of the modes built.
 
-A mode, see hybrid_modes.py, is built when a motion comes to it for the first time.
+A mode, see hybrid_modes.py, is built when a motion first reaches it.
 """
 
 import math
@@ -32,12 +32,12 @@ from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
 
 class Elements(NamedTuple):
-    """Contacts and friction of N machines as the kernels need them: fields of HybridMachines, and more.
+    """Contacts and friction of N machines as kernels need them: fields of HybridMachines, and derived ones.
 
     kick (N, C, n) M^-1 g / (g M^-1 g) and weight (N, C) 1 / (g M^-1 g) of each contact's row g; brake (N, F, n) as
-    kick, of each friction's row; even (N, P, F): 1 where static = kinetic; along (N, F, C): the factor a
-    where a friction's row is a times a contact's, else 0. depths (N, C, 2, S) and speeds (N, F, S'): where segments of
-    laws begin, infinite for none.
+    kick, of each friction's row; even (N, P, F): 1 if static = kinetic; along (N, F, C): the factor a if a friction's
+    row is a times a contact's, else 0. depths (N, C, 2, S) and speeds (N, F, S'): starts of the segments of laws,
+    infinite for none.
     """
 
     row: Array
@@ -75,12 +75,11 @@ def elements_of(machines: HybridMachines) -> Elements:
 
 
 class Table(NamedTuple):
-    """The modes of N machines that are built so far, at most K of each.
+    """The modes of N machines built so far, at most K of each.
 
-    codes (N, K): the number of each, see Code, -1 where there is none yet; wrong (N, K): why it is no mode, see
-    pieces_of; missing (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first.
-    tau is that at a section, see free.phase_of. drifts (N,): 1 where a coordinate may drift, else 0. Kernels see
-    nothing of machines.
+    codes (N, K): numbers of the modes, see Code, -1 for free slots; wrong (N, K): fault of the mode, see pieces_of;
+    missing (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first. tau: phase
+    at a section, see free.phase_of. drifts (N,): 1 if a coordinate may drift, else 0. Kernels do not see machines.
     """
 
     codes: NDArray[np.int64]
@@ -94,32 +93,32 @@ class Table(NamedTuple):
     machines: HybridMachines
 
     def build_missing(self, rows: Rows) -> Rows:
-        """Build the mode that each of these machines is missing; which of them had one missing and have it now.
+        """Build the missing mode of each of these machines; returns the rows for which it has been built.
 
-        Those whose table is full keep it missing.
+        Machines with a full table stay without it.
         """
         number, used = self.missing[rows, 0], np.sum(self.codes[rows] >= 0, axis=1)
         rows, number, used = (field[(number >= 0) & (used < self.codes.shape[1])] for field in (rows, number, used))
-        for each in np.unique(number).tolist():
-            some, place = rows[number == each], used[number == each]
-            code = code_of(each, *self.machines.sizes[1:], *self.machines.segments)
-            made, wrong = pieces_of(taken(self.machines, some), code)
-            self.codes[some, place], self.wrong[some, place], self.missing[some, 0] = each, wrong, -1
-            for field, new in zip(self.pieces, made, strict=True):
+        for needed in np.unique(number).tolist():
+            some, place = rows[number == needed], used[number == needed]
+            code = code_of(needed, *self.machines.sizes[1:], *self.machines.segments)
+            pieces, wrong = pieces_of(taken(self.machines, some), code)
+            self.codes[some, place], self.wrong[some, place], self.missing[some, 0] = needed, wrong, -1
+            for field, new in zip(self.pieces, pieces, strict=True):
                 field[some, place] = new
         return rows
 
 
 FIRST_NUMBER = 4
-"""Added to numbers of modes in contacts of motions, above all contacts of motions without modes."""
+"""Offset of mode numbers in the contacts of motions, above all contacts of motions without modes."""
 
 ROOM = 64
-"""Modes that there is room for in the table of a machine, at most; two more for each segment of its laws."""
+"""Most modes in the table of a machine, plus two for each segment of its laws."""
 
 
 @np.errstate(all="ignore")
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
-    """Machines with modes as the kernels run them, without a mode yet, and the reason against each, or NO_REASON."""
+    """Machines with modes in the form for kernels, no mode built yet, and the reason against each, or NO_REASON."""
     (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
     mass, stiffness = _definite(_measuring(machines.mass)), _measuring(machines.stiffness[:, 0])
     lam, modes = _section_modes(mass, stiffness, machines.drifting)
@@ -134,7 +133,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         metric[:, -1] = 1.0
     still, wrong = pieces_of(machines, Code(0, (OPEN,) * C, (1,) * F))
     others = [pieces_of(machines, Code(p, (OPEN,) * C, (1,) * F))[0] for p in range(1, P)]
-    flows = [found.blocks[:, 0] for found in (still, *others)]
+    flows = [pieces.blocks[:, 0] for pieces in (still, *others)]
     growth = np.max([growth_of(flow) for flow in flows], axis=0)
     eta = np.where((growth > 0.0)[:, None], _slowest(flows[0])[:, None], eta)
     blocks = make_blocks(eta, lam)
@@ -147,7 +146,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     known = forced & (wrong == 0)[:, None, None] & np.isfinite(swing)
     swing = np.where(known, swing, _unforced_swing(machines, lam, modes, elements.weight))
     blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(np.isfinite(swing), swing, 0.0)
-    # What a soft contact takes in, not counted yet, is nothing where its force depends on its depth alone.
+    # The effect of a soft contact, not yet included, is zero if its force depends on its depth alone.
     keeps = np.all((machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.pad[..., 1] == 0.0, 1)), 1)
     none, endless, shown = np.zeros(N), np.full(N, np.inf), bool(np.any(machines.counted[:, :1] > 0.0))
     head = Head(
@@ -162,7 +161,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     sides = np.sum(pushes, axis=(1, 2)) * np.where(machines.by_force.any(axis=0), 2, 1)
     slides = np.isfinite(elements.speeds).any(axis=0).sum(axis=1)
     most = ROOM + 2 * int(np.sum(sides) + np.sum(slides)) if machines.segments != (1, 1) else ROOM
-    room = min(most, P * math.prod([*(1 + 2 * slides).tolist(), *(1 + sides).tolist()]))  # all that there are, or most
+    room = min(most, P * math.prod([*(1 + 2 * slides).tolist(), *(1 + sides).tolist()]))  # all modes, or ``most``
     table = Table(
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
         Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
@@ -170,7 +169,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         np.where(machines.drift >= 0.0, 1.0, 0.0), machines,
     )  # fmt: skip
     row = machines.row[:, 0] if shown else np.tile(np.eye(1, n), (N, 1))
-    found = Oscillator(
+    oscillators = Oscillator(
         gap=Mode(blocks, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
         to_physical=to_physical,
         to_blocks=to_blocks,
@@ -184,30 +183,30 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
     fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
-    return found, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
+    return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
 
 def _measuring(matrices: Array) -> Array:
-    """Symmetric matrices (N, n, n) by which states of machines are measured: the symmetric parts of ``matrices``."""
+    """Symmetric matrices (N, n, n) that measure states of machines: the symmetric parts of ``matrices``."""
     even = symmetric(matrices)[:, None, None]
     return matrices if np.all(even) else np.where(even, matrices, 0.5 * matrices + 0.5 * matrices.swapaxes(1, 2))
 
 
 def _definite(mass: Array) -> Array:
-    """Symmetric matrices (N, n, n), unity in place of those that are not positive definite."""
+    """Symmetric matrices (N, n, n), with the identity in place of those that are not positive definite."""
     least = np.min(stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1)
     return np.where((least <= 0.0)[:, None, None], np.eye(mass.shape[1]), mass)
 
 
 def _slowest(flow: Array) -> Array:
-    """The least rate (N,) at which anything in blocks (N, n, columns) grows or decays; 0 where nothing does."""
+    """The least rate (N,) of growth or decay in blocks (N, n, columns); 0 if there is none."""
     rates = np.abs(rates_of(flow).real).reshape(len(flow), -1)
     least = np.min(np.where(rates > 0.0, rates, np.inf), axis=1, initial=np.inf)
     return np.where(np.isfinite(least), least, 0.0)
 
 
 def _unheld(machines: HybridMachines, open_pieces: Pieces) -> Mask:
-    """Of which machines a motion grows while nothing holds it that neither a contact nor friction sees."""
+    """Machines with a growing motion, while nothing holds it, invisible to contacts and friction."""
     row, slide = machines.row, machines.slide
     rows = np.concatenate([np.pad(row, ((0, 0), (0, 0), (0, row.shape[2]))),
                            np.pad(slide, ((0, 0), (0, 0), (slide.shape[2], 0)))], axis=1)  # fmt: skip
@@ -215,10 +214,10 @@ def _unheld(machines: HybridMachines, open_pieces: Pieces) -> Mask:
 
 
 def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:
-    """Sizes (N, n, 2) of block states of machines without a force, of these undamped modes (N, n, n) in columns.
+    """Sizes (N, n, 2) of block states of machines without a force, for these undamped modes (N, n, n) in columns.
 
-    What their loads and friction move them by in a radian of the mode, or of the section if that is faster; where there
-    is neither, what takes a contact of this ``weight`` (N, C), see Elements, to its nearest stop.
+    Displacement by loads and friction in a radian of the mode, or of the section if that is faster; without either,
+    displacement that takes a contact of this ``weight`` (N, C), see Elements, to its nearest stop.
     """
     rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
     loads = np.max(np.abs(machines.load @ modes), axis=1)
@@ -228,14 +227,14 @@ def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: 
     nearest = np.min(np.where(rooms > 0.0, rooms, np.inf), axis=(1, 2), initial=np.inf)
     nearest = np.where(np.isfinite(nearest), nearest, 0.0)[:, None]
     moved = np.where(np.any(moved > 0.0, axis=1)[:, None], moved, nearest)
-    found = np.stack([moved, rate * moved], axis=-1)
-    if machines.drifting >= 0:  # the block of what drifts holds its velocity, and its place, which is always reset
-        found[:, -1, 0], found[:, -1, 1] = found[:, -1, 1].copy(), 0.0
-    return found
+    swing = np.stack([moved, rate * moved], axis=-1)
+    if machines.drifting >= 0:  # the last block holds the drift velocity and the position, which is always reset
+        swing[:, -1, 0], swing[:, -1, 1] = swing[:, -1, 1].copy(), 0.0
+    return swing
 
 
 def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array, Array]:
-    """undamped_modes; where a coordinate drifts its free motion is the last one, orthogonal to all others."""
+    """undamped_modes; the free motion of a drifting coordinate is the last one, orthogonal to all others."""
     if drifting < 0:
         return undamped_modes(mass, stiffness)
     moved = mass[:, drifting]
@@ -248,7 +247,7 @@ def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array,
 
 
 def _count_from_drift(to_blocks: Array, to_physical: Array, drifting: int, omega: Array) -> None:
-    """Make omega times the coordinate that drifts the last number of a state, in place; no other one depends on it."""
+    """Make omega times the drifting coordinate the last number of a state, in place; no other number depends on it."""
     to_blocks[:, -2], to_blocks[:, -1] = to_blocks[:, -1].copy(), 0.0
     to_blocks[:, -1, drifting] = omega
     to_physical[:, :, -2], to_physical[:, :, -1] = to_physical[:, :, -1].copy(), 0.0

@@ -12,33 +12,33 @@ from workers.model.oscillator import Array, Mask, Rows, taken
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 INDEPENDENT = 1e-12
-"""Least singular value of rows of length 1 from which on they do not depend on each other."""
+"""Least singular value of independent rows of length 1."""
 
 PARALLEL = 1e-12
-"""Share of a row by which another may be no multiple of it, and count as one."""
+"""Relative deviation up to which a row counts as a multiple of another."""
 
 HALFWAY = 1e-12
-"""Share of the forcing period by which two phases may be off half of it, and count as that far apart."""
+"""Deviation from half a forcing period, as a share of it, up to which two phases count as half a period apart."""
 
 
 class HybridMachines(NamedTuple):
     """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
 
     mass         (N, n, n)
-    damping, stiffness (N, P, n, n), load (N, P, n), force_sin and force_cos (N, P, H, n): those of each phase
+    damping, stiffness (N, P, n, n), load (N, P, n), force_sin and force_cos (N, P, H, n): of each phase
     omega, tau   (N,)             forcing frequency, forcing phase at a section
     starts       (N, P + 1)       of phases, shares of the forcing period; the last one is 1
     row          (N, C, n)        of each contact, stops (N, C, 2) the lower one and the upper one, infinite for none
     R            (N, C)           coefficient of restitution of rigid contacts, 1 of soft ones
-    soft         (N, C)           1 for soft contacts, by_force (N, C) 1 where these let go by force; alike in all
+    soft         (N, C)           1 for soft contacts, by_force (N, C) 1 if released by force; equal in all N
     pad          (N, P, C, 3)     stiffness, damping and preload of soft contacts, 0 of rigid ones
     slide        (N, F, n)        row of each friction, belt (N, F) the velocity of what it rubs on
     rub          (N, P, F, 3)     kinetic and static level, slope
-    law          (N, C, 2, S, 3)  what the lower and the upper stop of a soft contact push with besides: in each segment
-                                  the depth where it begins, slope, and force continued to depth 0; see laws.py
-    grip         (N, F, S', 3)    what friction resists with besides, likewise over |v|
+    law          (N, C, 2, S, 3)  further force of the lower and upper stop of a soft contact: start of
+                                  each segment in depth, slope, and force extrapolated to depth 0; see laws.py
+    grip         (N, F, S', 3)    further resistance of friction, likewise over |v|
     counted      (N, C)           1 for contacts, 0 for springs, whose stops are the ends of the segment at rest
-    drift        (N,)             the coordinate that may drift, -1 for none; alike in all
+    drift        (N,)             the coordinate that may drift, -1 for none; equal in all N
 
     All are in the units of the definition: pad in force per displacement, force per velocity and force along the row,
     rub in force, force, and force per velocity.
@@ -69,22 +69,22 @@ class HybridMachines(NamedTuple):
 
     @property
     def dimension(self) -> int:
-        """How many numbers a state has: 2n."""
+        """Number of components of a state, 2n."""
         return 2 * self.load.shape[2]
 
     @property
     def mirrored(self) -> Mask:
-        """Which of them (N,) are their own mirror images half a period later, in the same phase: see ``mirrors``."""
+        """Mask (N,) of machines that are their own mirror images half a period later: see ``mirrors``."""
         return mirrors(self) & (self.sizes[0] == 1)
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """How many phases, contacts and frictions there are."""
+        """Numbers of phases, contacts and frictions."""
         return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
 
     @property
     def segments(self) -> tuple[int, int]:
-        """How many segments there is room for in laws of contacts and in those of friction."""
+        """Most segments in laws of contacts and in laws of friction."""
         return self.law.shape[3], self.grip.shape[2]
 
     @property
@@ -95,11 +95,11 @@ class HybridMachines(NamedTuple):
 
     @property
     def signals(self) -> Rows:
-        """The numbers (U,) of the signals that end a mode of any of them, see hybrid_modes.pieces_of; one at least."""
+        """Numbers (U,) of the signals that end a mode of any machine, see hybrid_modes.pieces_of; at least one."""
         F = self.sizes[2]
         ends = np.stack([np.isfinite(self.stops).any(axis=(0, 2)), self.by_force.any(axis=0)], axis=1)  # (C, 2)
-        found = np.flatnonzero(np.concatenate([ends.ravel(), np.ones(F, dtype=np.bool_)]))
-        return found if len(found) else np.zeros(1, dtype=np.int64)
+        numbers = np.flatnonzero(np.concatenate([ends.ravel(), np.ones(F, dtype=np.bool_)]))
+        return numbers if len(numbers) else np.zeros(1, dtype=np.int64)
 
     @property
     def drifting(self) -> int:
@@ -109,12 +109,12 @@ class HybridMachines(NamedTuple):
 
 @np.errstate(all="ignore")
 def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
-    """The reason against each of N machines, or NO_REASON, as far as its numbers alone tell.
+    """The reason against each of N machines, or NO_REASON, as far as its numbers alone show it.
 
-    Each lower stop has to be below the upper one, 0 <= R <= 1, and no stiffness, damping or preload of a contact
-    negative, nor any slope of a contact's law; segments one after the other; 0 <= kinetic <= static; starts rising from
-    0 and below 1; rows that can be held at once independent, see ``held_rows``, and such that a force along each moves
-    it that way, see ``yields``. Nothing ties down what drifts.
+    Conditions: lower stops below upper ones, 0 <= R <= 1; no negative stiffness, damping or preload of a contact, nor
+    slope of its law; segments in order; 0 <= kinetic <= static; starts rising from 0 and below 1; rows that can be held
+    together independent, see ``held_rows``, and moved in the direction of a force along them, see ``yields``. Nothing
+    ties down a drifting coordinate.
     """
     own = machines
     lower, upper = own.stops[..., 0], own.stops[..., 1]
@@ -129,8 +129,8 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
         own.starts[:, :1] == 0.0,
         np.diff(own.starts, axis=1) > 0.0,
     )
-    for each in fine:
-        reasons[_any(~each)] = OUT_OF_RANGE
+    for sound in fine:
+        reasons[_any(~sound)] = OUT_OF_RANGE
     reasons[dependent(held_rows(machines)) | dependent(own.slide)] = OUT_OF_RANGE
     if own.drifting >= 0:
         ties = own.stiffness[..., own.drifting], own.row[..., own.drifting]
@@ -141,18 +141,18 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
 
 
 def mirrors(machines: HybridMachines) -> Mask:
-    """Of which machines z(t) -> -z(t + T/2) takes motions to motions.
+    """Mask of machines in which z(t) -> -z(t + T/2) takes motions to motions.
 
-    Stops lie at equal distances, no belt moves, and half a period later the law is the same, with the load and the even
+    Stops lie at equal distances, belts rest, and half a period later the law is the same, with the load and the even
     harmonics of the force negated.
     """
     own, phases = machines, machines.sizes[0]
     half, ahead = phases // 2, np.mod(np.roll(own.starts[:, :-1], -(phases // 2), axis=1) - own.starts[:, :-1], 1.0)
     sign = np.where(np.arange(own.force_sin.shape[2]) % 2 == 0, 1.0, -1.0)[:, None]
     same = [own.damping, own.stiffness, own.pad, own.rub]
-    later = [(each, each) for each in same] + [(own.load, -own.load)]
-    later += [(each, sign * each) for each in (own.force_sin, own.force_cos)]
-    uneven = [_any(np.roll(each, -half, axis=1) != image) for each, image in later]
+    later = [(field, field) for field in same] + [(own.load, -own.load)]
+    later += [(field, sign * field) for field in (own.force_sin, own.force_cos)]
+    uneven = [_any(np.roll(field, -half, axis=1) != image) for field, image in later]
     uneven += [_any(own.stops[..., 0] != -own.stops[..., 1]), _any(own.belt != 0.0)]
     uneven.append(_any(own.law[:, :, 0] != own.law[:, :, 1]))
     if phases > 1:
@@ -161,9 +161,9 @@ def mirrors(machines: HybridMachines) -> Mask:
 
 
 def held_rows(machines: HybridMachines) -> Array:
-    """The rows (N, C + F, n) that rigid contacts and friction can hold, zeros for all others.
+    """The rows (N, C + F, n) that rigid contacts and friction can hold, zeros for other elements.
 
-    Friction on the row of a rigid contact, or a multiple of it, is left out: what the contact holds does not slide.
+    Friction on the row of a rigid contact, or a multiple of it, is left out: a held contact does not slide.
     """
     rigid = machines.row * (1.0 - machines.soft)[..., None]
     same = np.any((along_contacts(machines) != 0.0) & (machines.soft == 0.0)[:, None], axis=-1)  # (N, F)
@@ -171,7 +171,7 @@ def held_rows(machines: HybridMachines) -> Array:
 
 
 def along_contacts(machines: HybridMachines) -> Array:
-    """(N, F, C): the factor a where the row of a friction is a times that of a contact to rounding, else 0."""
+    """(N, F, C): the factor a if the row of a friction is a times the row of a contact to rounding, else 0."""
     (slide, wide), (row, high) = _scaled(machines.slide), _scaled(machines.row)
     share = np.vecdot(slide[:, :, None], row[:, None]) / np.vecdot(row, row)[:, None]
     apart = np.max(np.abs(slide[:, :, None] - share[..., None] * row[:, None]), axis=-1)
@@ -179,46 +179,46 @@ def along_contacts(machines: HybridMachines) -> Array:
 
 
 def _scaled(rows: Array) -> tuple[Array, Array]:
-    """Rows (N, R, n) of which the largest entry is 1 in size, and what they are divided by for that (N, R)."""
+    """Rows (N, R, n) scaled to largest entries +-1, and the scale factors (N, R)."""
     size = np.max(np.abs(rows), axis=-1)
     size = np.where(size > 0.0, size, 1.0)
     return rows / size[..., None], size
 
 
 def yields(machines: HybridMachines) -> Mask:
-    """Of which machines a force along any row moves it that way, g.M^-1 g > 0, also while others are held.
+    """Mask of machines in which a force along any row moves it that way, g.M^-1 g > 0, also while others are held.
 
-    That is where all principal minors of G M^-1 G' are positive, G the rows of contacts and those that can be held; it
-    is so where M is symmetric and positive definite.
+    All principal minors of G M^-1 G' are positive, with G the rows of contacts and all rows that can be held; true for
+    symmetric, positive definite M.
     """
     least = np.min(stacked(np.linalg.eigvalsh, machines.mass.shape[:2], machines.mass), axis=1)
-    found = symmetric(machines.mass) & (least > 0.0)
-    (others,) = np.nonzero(~found)
+    all_yield = symmetric(machines.mass) & (least > 0.0)
+    (others,) = np.nonzero(~all_yield)
     if len(others):
-        found[others] = _yield_along(taken(machines, others))
-    return found
+        all_yield[others] = _yield_along(taken(machines, others))
+    return all_yield
 
 
 def _yield_along(machines: HybridMachines) -> Mask:
-    """``yields`` by the principal minors."""
+    """``yields`` computed by the principal minors."""
     own, held = machines, held_rows(machines)
     inverse = stacked(np.linalg.inv, own.mass.shape, own.mass)
     singles = np.concatenate([own.row, own.slide], axis=1)
     along = np.vecdot(singles, (inverse[:, None] @ singles[..., None])[..., 0])
-    found = np.asarray(np.all(along > 0.0, axis=1))
+    all_yield = np.asarray(np.all(along > 0.0, axis=1))
     between = held @ inverse @ np.ascontiguousarray(held.swapaxes(1, 2))
     absent = ~np.any(held != 0.0, axis=-1)
     between = between + absent[:, :, None] * np.eye(held.shape[1])
     for size in range(2, held.shape[1] + 1):
         for chosen in combinations(range(held.shape[1]), size):
-            found &= np.linalg.det(between[:, chosen][:, :, chosen]) > 0.0
-    return found
+            all_yield &= np.linalg.det(between[:, chosen][:, :, chosen]) > 0.0
+    return all_yield
 
 
 def dependent(rows: Array) -> Mask:
-    """Of which machines (N,) rows (N, R, n) that are not zero depend on each other."""
+    """Mask of machines (N,) in which the nonzero ones of rows (N, R, n) depend on each other."""
     largest = np.abs(rows).max(axis=-1, initial=0.0)
-    scaled = rows / np.where(largest > 0.0, largest, 1.0)[..., None]  # their squares are within double precision
+    scaled = rows / np.where(largest > 0.0, largest, 1.0)[..., None]  # keeps their squares in range
     length = np.sqrt(np.vecdot(scaled, scaled))
     unit = scaled / np.where(length > 0.0, length, 1.0)[..., None]
     values = stacked(_singular_values, (len(rows), min(rows.shape[1:])), unit)
@@ -230,5 +230,5 @@ def _singular_values(rows: Array) -> Array:
 
 
 def _any(wrong: Mask) -> Mask:
-    """Of which machines anything is."""
+    """Machines with any true entry."""
     return np.asarray(np.any(wrong, axis=tuple(range(1, wrong.ndim))))

@@ -7,9 +7,9 @@ damping delta'; a rigid one turns y' into -R y'. Friction on v = row . x' - belt
 holds v = 0 up to ``static``. Phases change matrices, force, load and the constants of elements from ``start`` on, a
 share of the forcing period.
 
-A mode is an affine linear flow between events: which phase it is, what each contact does and each friction. Coordinates
-y = G x that are held or stick are eliminated: x = D y + N q, N spanning ker G; y goes at a constant rate. In
-blocks y is a rigid mode without a load, so that all modes of a machine have the same number of blocks.
+A mode is an affine linear flow between events, for one phase and one state of each contact and friction. Held or
+sticking coordinates y = G x are eliminated: x = D y + N q, N spanning ker G; y has a constant rate. In blocks y is a
+rigid mode without load, so all modes of a machine have the same number of blocks.
 """
 
 from typing import Any, NamedTuple
@@ -24,23 +24,23 @@ from workers.model.modes import split, stacked, symmetric
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, make_blocks, taken
 
 OPEN, ON, DETACHED = 0, 1, 2
-"""What a contact does, with the sign of its side: it is open; held by a rigid stop or engaged by a soft one; or within
-a soft one that can only push and does not. In segment j of a law it is ON + 2 j or DETACHED + 2 j: odd numbers push."""
+"""States of a contact, with the sign of its side: open; held by a rigid stop or engaged by a soft one; inside a soft
+stop that can only push and does not. In segment j of a law: ON + 2 j or DETACHED + 2 j, odd numbers push."""
 
 ROUNDING = 1e-12
-"""Share of the terms of a sum, or of the largest eigenvalue, that may be what rounding leaves of zero."""
+"""Rounding of zero, as a share of the terms of a sum or of the largest eigenvalue."""
 
 NO_FORM, RESONANT = 1, 2
-"""Why a mode is none: no motion in closed form; undamped resonance. 0 of one that is."""
+"""Faults of a mode: no motion in closed form; undamped resonance. 0 for none."""
 
 SIGNALS = 2
-"""Signals of a contact: y, or its force while it holds; and the force of a soft one that is released by it."""
+"""Signals of a contact: y, or its force while it holds; and the force of a soft contact released by it."""
 
 
 class Code(NamedTuple):
-    """Which mode it is: the phase, what each contact does and the sign of each slip, 0 while it sticks.
+    """A mode: the phase, the state of each contact and the sign of each slip, 0 while it sticks.
 
-    A slip in segment j of its law, from 0 on, is +-(1 + j).
+    Slip in segment j = 0, 1, ... of a law is +-(1 + j).
     """
 
     phase: int
@@ -54,16 +54,16 @@ class Code(NamedTuple):
 
     def number_of(self, segments: int, slip_segments: int) -> int:
         """The code as one number, for a machine whose laws have room for these numbers of segments."""
-        found = self.phase
+        number = self.phase
         for state in self.contacts:
-            found = (4 * segments + 1) * found + state + 2 * segments
+            number = (4 * segments + 1) * number + state + 2 * segments
         for sign in self.slips:
-            found = (2 * slip_segments + 1) * found + sign + slip_segments
-        return found
+            number = (2 * slip_segments + 1) * number + sign + slip_segments
+        return number
 
 
 def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> Code:
-    """The code of a number, for a machine with these numbers of contacts and frictions, and segments of their laws."""
+    """The code of a number, for these numbers of contacts, frictions and segments of their laws."""
     signs, states = [], []
     for _ in range(slips):
         number, digit = divmod(number, 2 * slip_segments + 1)
@@ -75,21 +75,21 @@ def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segm
 
 
 def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
-    """Stiffness, damping and preload (N,) of a soft contact in phase p and this state: in its segment of the law."""
+    """Stiffness, damping and preload (N,) of a soft contact in phase p and this state, in the segment of its law."""
     stiffness, damping, preload = machines.pad[:, p, c].T
     _, slope, level = machines.law[:, c, 1 if state > 0 else 0, (abs(state) - 1) // 2].T
     return stiffness + slope, damping, preload + level
 
 
 def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
-    """Kinetic level and slope (N,) of friction that slides in phase p, in its segment of the law."""
+    """Kinetic level and slope (N,) of sliding friction in phase p, in the segment of its law."""
     kinetic, _, slope = machines.rub[:, p, f].T
     _, more, level = machines.grip[:, f, abs(sign) - 1].T
     return kinetic + level, slope + more
 
 
 def _segment(starts: Array, i: int) -> tuple[Array, Array]:
-    """Where segment i begins and ends (N,), of those that begin at starts (N, S)."""
+    """Start and end (N,) of segment i, for segments that begin at starts (N, S)."""
     return starts[:, i], starts[:, i + 1] if i + 1 < starts.shape[1] else np.full(len(starts), np.inf)
 
 
@@ -101,12 +101,12 @@ class Pieces(NamedTuple):
     numbers      (N, G, NUMBER)        see oscillator.Numbers
     forced       (N, n, 2, H, 2)       forced response of the blocks
     rows         (N, G, 2n + 1)        each signal as a row on (x, v, 1)
-    direct       (N, G, H, 2)          and what the force adds to it
-    offset       (N, G)                what it is while the blocks are at rest
-    ends         (N, G, 2)             the values between which it stays in this mode, infinite where nothing ends it
-    to_blocks    (N, 2n, 2n)           blocks of (x, v), counted from where they rest; to_physical the way back
-    acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) and what the force adds to it
-    lost, trace  (N,)                  dimensions that the flow does not have; trace of M^-1 C, as it contracts volume
+    direct       (N, G, H, 2)          and the share of the force in it
+    offset       (N, G)                its value with the blocks at rest
+    ends         (N, G, 2)             its range in this mode, infinite without an end
+    to_blocks    (N, 2n, 2n)           blocks of (x, v), counted from their rest; to_physical is the inverse
+    acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) the share of the force in it
+    lost, trace  (N,)                  dimensions missing in the flow; trace of M^-1 C, its contraction of volume
     """
 
     blocks: Array
@@ -127,29 +127,29 @@ class Pieces(NamedTuple):
 
 @np.errstate(all="ignore")
 def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.int64]]:
-    """A mode of machines, and why it is none of each of them, 0 where it is one.
+    """A mode of machines, and its fault in each of them, 0 for none.
 
-    RESONANT where it resonates undamped. NO_FORM where held rows depend on each other, planes cannot be separated, or a
-    load drives a free motion that what is held leaves. Machines of which other friction sticks on the
-    row of a contact that is held are made apart from each other: what holds them is not the same.
+    RESONANT: undamped resonance. NO_FORM: held rows depend on each other, planes cannot be separated, or a load drives
+    a free motion that the held coordinates leave. Machines are treated in groups of equal friction that sticks on the
+    row of a held contact, since the holding forces differ.
     """
     along = along_contacts(machines)
     resting, kind = _resting(machines, code, along)
     if len(resting) == 1:
         return _pieces_alike(machines, code, along, resting[0])
     parts = [np.flatnonzero(kind == i) for i in range(len(resting))]
-    made = [_pieces_alike(taken(machines, some), code, along[some], resting[i]) for i, some in enumerate(parts)]
+    groups = [_pieces_alike(taken(machines, some), code, along[some], resting[i]) for i, some in enumerate(parts)]
     order = np.argsort(np.concatenate(parts), kind="stable")
     return (
-        Pieces(*(np.concatenate(fields)[order] for fields in zip(*(found for found, _ in made), strict=True))),
-        np.concatenate([wrong for _, wrong in made])[order],
+        Pieces(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in groups), strict=True))),
+        np.concatenate([wrong for _, wrong in groups])[order],
     )
 
 
 def _pieces_alike(
     machines: HybridMachines, code: Code, along: Array, resting: dict[int, int]
 ) -> tuple[Pieces, NDArray[np.int64]]:
-    """pieces_of machines of which the same friction is ``resting``."""
+    """pieces_of machines with the same ``resting`` friction."""
     p, mass, omega = code.phase, machines.mass, machines.omega
     N, n = machines.load.shape[0], machines.load.shape[2]
     damping, stiffness, load = (field[:, p].copy() for field in (machines.damping, machines.stiffness, machines.load))
@@ -180,19 +180,19 @@ def _pieces_alike(
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
     kept = inverse_mass - D @ G @ inverse_mass
     acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
-    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of what is held
+    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of the held coordinates
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
     reduced, to_blocks, to_physical, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega, moves)
     flow, forced = reduced
     every = rows.shape[1]
     blocks: Array = np.repeat(flow[:, None], every, axis=1)
-    seen = (rows[:, :, : 2 * n] @ to_physical).reshape(N, every, n, 2)
+    seen0 = (rows[:, :, : 2 * n] @ to_physical).reshape(N, every, n, 2)
     eta, lam = flow[:, None, :, COLUMN.eta], flow[:, None, :, COLUMN.lam]
-    seen1 = derivative_of(seen, eta, lam)
-    blocks[..., OF_FLOW : COLUMN.k0] = np.concatenate([seen, seen1], axis=-1)
+    seen1 = derivative_of(seen0, eta, lam)
+    blocks[..., OF_FLOW : COLUMN.k0] = np.concatenate([seen0, seen1], axis=-1)
     blocks[..., COLUMN.cAA0 : OF_GUARD] = derivative_of(seen1, eta, lam)
     H = force.shape[1]
-    parts = (seen.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
+    parts = (seen0.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
     waves = parts + direct
     w = omega[:, None, None] * np.arange(1.0, H + 1.0)
     sizes = np.hypot(waves[..., 0], waves[..., 1])
@@ -200,18 +200,18 @@ def _pieces_alike(
                         *(np.sum(sizes * w**power, axis=2) for power in (0, 2, 3, 4))], axis=-1)  # fmt: skip
     rest = flow[..., COLUMN.rest0 :].reshape(N, 2 * n, 1)
     offset = (rows[:, :, : 2 * n] @ (to_physical @ rest))[..., 0] + rows[:, :, 2 * n]
-    found = Pieces(
+    pieces = Pieces(
         blocks, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, acceleration,
         np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
         np.full(N, float(2 * len(held) + len(stuck))), np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
     )  # fmt: skip
-    return Pieces(*map(np.ascontiguousarray, found)), wrong
+    return Pieces(*map(np.ascontiguousarray, pieces)), wrong
 
 
 def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
-    """The kinds of machines by which friction sticks on the row of a rigid contact that is held, and each one's kind.
+    """Groups of machines by the frictions that stick on the row of a held rigid contact, and the group of each machine.
 
-    Of each kind the frictions, each with that contact; see along_contacts.
+    A group maps each such friction to its contact; see along_contacts.
     """
     held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[0, c]]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
@@ -220,13 +220,13 @@ def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[d
         return [{}], np.zeros(len(along), dtype=np.int64)
     of_each = np.stack([along[:, f, c] != 0.0 for f, c in pairs], axis=1)
     kinds, kind = np.unique(of_each, axis=0, return_inverse=True)
-    return [{f: c for (f, c), holds in zip(pairs, each, strict=True) if holds} for each in kinds], kind.reshape(-1)
+    return [{f: c for (f, c), holds in zip(pairs, held, strict=True) if holds} for held in kinds], kind.reshape(-1)
 
 
 def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
-    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of rows G (N, r, n) that are held.
+    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of held rows G (N, r, n).
 
-    Where M is symmetric the one is the other, turned.
+    For symmetric M one is the transpose of the other.
     """
     turned = np.ascontiguousarray(G.swapaxes(1, 2))
     compliance = G @ inverse_mass @ turned
@@ -241,12 +241,12 @@ def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
 def _signals(
     machines: HybridMachines, code: Code, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
 ) -> tuple[Array, Array, Array]:
-    """Rows (N, G, 2n + 1), what the force adds (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
+    """Rows (N, G, 2n + 1), shares of the force (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
 
-    multipliers (N, r, 2n + 1) and driven (N, H, r): the forces of what is held, in the order of contacts and friction.
+    multipliers (N, r, 2n + 1) and driven (N, H, r): holding forces, in the order of contacts and friction.
     """
     p, (_, C, F), (N, H) = code.phase, machines.sizes, driven.shape[:2]
-    n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of one are those of the flow
+    n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of a single signal are those of the flow
     rows, direct, ends = np.zeros((N, count, 2 * n + 1)), np.zeros((N, count, H, 2)), np.empty((N, count, 2))
     ends[:, :, 0], ends[:, :, 1] = -np.inf, np.inf
     forces = iter(range(multipliers.shape[1]))
@@ -260,7 +260,7 @@ def _signals(
         k, side, row = SIGNALS * c, np.sign(state), machines.row[:, c]
         inner, outer = (0, 1) if side > 0 else (1, 0)
         if abs(state) == ON and not machines.soft[0, c]:
-            hold(k)  # what presses, or pulls no more than friction that holds there too
+            hold(k)  # the pressing force, or the pull up to that of friction that also holds
             helping = [machines.rub[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c]
             ends[:, k, outer] = side * sum(helping, np.zeros(N))
             continue
@@ -302,17 +302,16 @@ def _reduced(
     omega: Array,
     moves: Mask,
 ) -> tuple[tuple[Array, Array], Array, Array, NDArray[np.int64]]:
-    """The flow while rows G (N, r, n) are held: its blocks and their forced response, the ways between them and
-    (x, v), and why there is none, see pieces_of.
+    """The flow while rows G (N, r, n) are held: blocks and response, transformations, faults as in pieces_of.
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
     """
-    # What holds the rows pushes along them, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 gives
+    # Forces along the held rows, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 give
     # p = -(G M^-1 G')^-1 G M^-1 (f - C x' - K x). With D = M^-1 G' (G M^-1 G')^-1 is G D = 1 and N'M D = N'G' ... = 0,
     # so that N' times the equation, x = D y + N q, has neither p nor y'':
     #     N'MN q'' + N'CN q' + N'KN q = N'f - N'K D y - N'C D u.
     # The right side is linear in time, y = y(0) + u t, and a y + b u is its solution: the terms with y give a, those
-    # with u, where q' = a u, give b. In h are left the force and the load.
+    # with u, where q' = a u, give b. The force and the load remain in h.
     N, n = load.shape
     r = G.shape[1]
     free = n - r
@@ -327,12 +326,12 @@ def _reduced(
     undriven = np.zeros(N, dtype=np.bool_)
     if r and free:
         rigid = modes.rigid > 0
-        # No spring pulls at a rigid motion, K x = 0: of all solutions there it is the least one.
+        # No spring pulls at a rigid motion, K x = 0: the least solution is taken there.
         a = -_solved(k, rigid, across @ stiffness @ D)
         drags = np.where(moves[:, None], across @ damping @ (D + null @ a), 0.0)
         b = -_solved(k, rigid, drags)
         undone = np.abs(k @ b + drags) > ROUNDING * (np.abs(k) @ np.abs(b) + np.abs(drags))
-        undriven = rigid & np.any(undone, axis=(1, 2))  # a belt drags at what nothing pulls back
+        undriven = rigid & np.any(undone, axis=(1, 2))  # a belt drags at a motion without restoring force
     gather = flow.inverse_mass @ across @ mass if free else np.zeros((N, 0, n))
     down = np.zeros((N, 2 * n, 2 * n))
     q_rows = np.zeros((N, 2 * free, 2 * n))
@@ -357,20 +356,20 @@ def _reduced(
 
 
 def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
-    """X (N, m, r) of matrix X = right; of singular ones the least X, by least squares."""
+    """X (N, m, r) of matrix X = right; for singular matrices the least X by least squares."""
     safe = np.where(singular[:, None, None], np.eye(matrix.shape[1]), matrix)
-    found = np.asarray(stacked(np.linalg.solve, right.shape, safe, right))
+    X = np.asarray(stacked(np.linalg.solve, right.shape, safe, right))
     if np.any(singular):
         some, even = matrix[singular], symmetric(matrix[singular])
         inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ROUNDING, hermitian=True)
         if not np.all(even):
             inverse[~even] = np.linalg.pinv(some[~even], rcond=ROUNDING)
-        found[singular] = inverse @ right[singular]
-    return found
+        X[singular] = inverse @ right[singular]
+    return X
 
 
 def null_space(G: Array) -> Array:
-    """Orthonormal bases (N, n, n - r) of what rows (N, r, n) send to zero."""
+    """Orthonormal bases (N, n, n - r) of the null space of rows (N, r, n)."""
     if not G.shape[1]:
         return np.repeat(np.eye(G.shape[2])[None], len(G), axis=0)
     return np.ascontiguousarray(

@@ -1,12 +1,12 @@
 """Laws of springs, contacts and friction, piecewise linear in their argument: numbers of their segments.
 
-    law = [[x_0, F_0], [x_1, F_1], ...]     the last segment goes on for ever, of a spring the first one too
+    law = [[x_0, F_0], [x_1, F_1], ...]     the last segment has no end; for a spring the first one neither
 
-A contact has a law of its depth and friction one of |v|, from 0 on. What either has at 0 is its preload or its kinetic
-level; the law of HybridMachines is what comes on top of that. A spring has a law of y. The segment of it that y = 0 is
-in belongs to the stiffness and the load of the machine, and its ends are the stops of a contact that adds the rest.
+The law of a contact is over its depth, that of friction over |v|, from 0 on. The value at 0 is the preload or the
+kinetic level; the law of HybridMachines is the increment. The law of a spring is over y. Its segment at y = 0 goes into
+the stiffness and load of the machine; the ends of that segment are stops of a contact that adds the rest.
 
-An expression becomes such a table of the fewest segments, see chords.py. What is no law has NaN for starts.
+An expression becomes a table of the fewest segments, see chords.py. An invalid law has NaN for starts.
 """
 
 from collections.abc import Mapping
@@ -22,12 +22,15 @@ from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA
 
 EVEN = 8.0 * float(np.finfo(np.float64).eps)
-"""Share of slopes by which two segments that meet may differ and be one: rounding of a table that is odd."""
+"""Relative difference of slopes up to which adjacent segments are one: rounding of an odd table."""
 
 
 class SpringTables(NamedTuple):
-    """N springs: stiffness and force at 0 of the segment at rest (N,), its ends (N, 2), and the rest (N, 2, S, 3) as of
-    HybridMachines.law."""
+    """N springs of piecewise linear laws.
+
+    Stiffness and force at 0 of the segment at rest (N,), its ends (N, 2), and the rest (N, 2, S, 3) as in
+    HybridMachines.law.
+    """
 
     stiffness: Array
     force: Array
@@ -36,17 +39,17 @@ class SpringTables(NamedTuple):
 
 
 SEGMENTS = 64
-"""Segments of a law, at most."""
+"""Most segments of a law."""
 
 ARGUMENTS: dict[type, str] = {Contact: "d", Spring: "y", Friction: "v"}
-"""The argument of a law in an expression: the depth of a contact, the coordinate of a spring, |v| of friction."""
+"""Argument of a law in an expression: depth of a contact, coordinate of a spring, |v| of friction."""
 
 
 @np.errstate(all="ignore")
 def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], most: float = SEGMENTS) -> Array:
-    """The vertices (N, V, 2) of an element's law, argument and force; infinite arguments where a machine has fewer.
+    """Vertices (N, V, 2), argument and force, of an element's law; infinite arguments fill up machines with fewer.
 
-    NaN where an expression takes more than ``most`` segments, or has no value.
+    NaN if an expression takes more than ``most`` segments, or has no value.
     """
     if not isinstance(element.law, Expression):
         return evaluated(element.law, named)
@@ -55,16 +58,16 @@ def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], m
     bounds = np.concatenate([evaluated((element.within,), named), _ranges(element, named)], axis=1)
     every = np.concatenate([*(named[name][:, None] for name in names), bounds], axis=1)
     kinds, kind = np.unique(every, axis=0, return_inverse=True)
-    tables = [_fitted(element, dict(zip(names, each, strict=False)), *each[-3:].tolist()) for each in kinds]
-    tables = [each if len(each) - 1 <= most else np.full((2, 2), np.nan) for each in tables]
-    found = np.full((len(kinds), max(map(len, tables), default=2), 2), [np.inf, 0.0])
-    for k, each in enumerate(tables):
-        found[k, : len(each)] = each
-    return found[kind.reshape(count)]
+    tables = [_fitted(element, dict(zip(names, values, strict=False)), *values[-3:].tolist()) for values in kinds]
+    tables = [table if len(table) - 1 <= most else np.full((2, 2), np.nan) for table in tables]
+    padded = np.full((len(kinds), max(map(len, tables), default=2), 2), [np.inf, 0.0])
+    for k, table in enumerate(tables):
+        padded[k, : len(table)] = table
+    return padded[kind.reshape(count)]
 
 
 def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) -> Array:
-    """The range (N, 2) of the arguments over which an expression counts."""
+    """The range (N, 2) of arguments in which an expression counts."""
     if isinstance(element.range, tuple):
         return evaluated(element.range, named)
     (reach,) = evaluated((element.range,), named).T
@@ -74,7 +77,7 @@ def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) ->
 def _fitted(
     element: Contact | Friction | Spring, numbers: Mapping[str, float], within: float, low: float, high: float
 ) -> Array:
-    """The vertices (V, 2) of the fewest segments of an element's law, for these numbers of its names."""
+    """The vertices (V, 2) of the fewest segments of an element's law, for these values of its names."""
     law, argument = element.law, ARGUMENTS[type(element)]
     assert isinstance(law, Expression)
 
@@ -89,38 +92,39 @@ def _fitted(
     rises = isinstance(element, Contact) and bool(np.all(np.diff(forces[1]) >= 0.0))
     least, reach = 0.0 if rises else -np.inf, max(-low, high)
     sides = [fewest(force, end, bound, least, reach) for end in (low, high) if end != 0.0]
-    found = sides[-1] if high != 0.0 else sides[0][::-1]
+    points = sides[-1] if high != 0.0 else sides[0][::-1]
     if len(sides) == 2:
-        found = np.concatenate([sides[0][:0:-1], found])
-    if isinstance(element, Friction) and len(found) > 1 and found[-1, 1] < found[-2, 1]:
-        found = np.concatenate([found, [[2.0 * high, found[-1, 1]]]])  # beyond the range it falls no further
-    return found
+        points = np.concatenate([sides[0][:0:-1], points])
+    if isinstance(element, Friction) and len(points) > 1 and points[-1, 1] < points[-2, 1]:
+        points = np.concatenate([points, [[2.0 * high, points[-1, 1]]]])  # beyond the range it falls no further
+    return points
 
 
 @np.errstate(all="ignore")
 def segments_of(element: Contact | Friction | Spring, table: Array) -> int:
-    """How many segments a law of these vertices (V, 2) has."""
+    """Number of segments of a law with these vertices (V, 2)."""
     if not isinstance(element, Spring):
         return len(table) - 1
-    found = two_sided(table[None])
-    return 1 + int(np.sum(np.isfinite(found.law[0, :, :, 0]) & np.isfinite(found.stops[0])[:, None]))
+    spring = two_sided(table[None])
+    return 1 + int(np.sum(np.isfinite(spring.law[0, :, :, 0]) & np.isfinite(spring.stops[0])[:, None]))
 
 
 def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
-    """Force at 0 (N,) and segments (N, S, 3), as of HybridMachines.law, of vertices (N, V, 2) that begin at 0.
+    """Force at 0 (N,) and segments (N, S, 3), as in HybridMachines.law, of vertices (N, V, 2) that begin at 0.
 
-    Where it ``falls``, as friction may, no force may be below 0 nor the last segment fall; else none.
+    If it ``falls``, as friction may, no force may be negative and the last segment may not fall; otherwise no segment
+    may fall.
     """
     x, slope, rises = _chords(table)
     first = table[:, 0, 1]
-    found = _segments(x[:, :-1], np.where(np.isfinite(x[:, 1:]), slope, np.nan))
+    segments = _segments(x[:, :-1], np.where(np.isfinite(x[:, 1:]), slope, np.nan))
     end = np.maximum(np.sum(np.isfinite(x), axis=1) - 2, 0)
     last = np.take_along_axis(slope, end[:, None], axis=1)[:, 0]
     sound = rises & (x[:, 0] == 0.0) & (last >= 0.0)
     above = np.where(np.isfinite(x), table[..., 1] >= 0.0, True)
     sound &= np.all(above if falls else slope >= 0.0, axis=1)
-    found[np.logical_not(sound), :, 0] = np.nan
-    return first, found
+    segments[np.logical_not(sound), :, 0] = np.nan
+    return first, segments
 
 
 def two_sided(table: Array) -> SpringTables:
@@ -156,7 +160,7 @@ def two_sided(table: Array) -> SpringTables:
 
 
 def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> HybridMachines:
-    """Machines with one spring more on y = row . x, rows (N, n)."""
+    """Machines with a further spring on y = row . x, rows (N, n)."""
     N, C = len(row), machines.sizes[1]
 
     def and_one(field: Array, value: Any, axis: int = 1) -> Array:
@@ -177,21 +181,21 @@ def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> Hybrid
 
 def widened(laws: list[Array], shape: tuple[int, ...]) -> Array:
     """Laws (N, ..., S, 3) of several elements as one array (N, elements, ..., S, 3) with room for the longest."""
-    most = max([1, *(each.shape[-2] for each in laws)])
-    found = np.zeros((shape[0], len(laws), *shape[1:], most, 3))
-    found[..., 1:, 0] = np.inf
-    for i, each in enumerate(laws):
-        found[:, i, ..., : each.shape[-2], :] = each
-    return found
+    most = max([1, *(law.shape[-2] for law in laws)])
+    wide = np.zeros((shape[0], len(laws), *shape[1:], most, 3))
+    wide[..., 1:, 0] = np.inf
+    for i, law in enumerate(laws):
+        wide[:, i, ..., : law.shape[-2], :] = law
+    return wide
 
 
 def none(*shape: int) -> Array:
-    """The law of elements that have none."""
+    """The law of elements without a law."""
     return np.zeros((*shape, 1, 3))
 
 
 def _chords(table: Array) -> tuple[Array, Array, Array]:
-    """Arguments (N, V), slopes (N, V - 1) with 0 beyond the last vertex, and which machines have rising arguments."""
+    """Arguments (N, V), slopes (N, V - 1), 0 beyond the last vertex, and a mask of machines with rising arguments."""
     x, F = table[..., 0], table[..., 1]
     there = np.isfinite(x[:, 1:]) | np.isnan(x[:, 1:])
     run = np.where(there, np.diff(np.where(x == np.inf, 0.0, x), axis=1), 1.0)
@@ -200,7 +204,7 @@ def _chords(table: Array) -> tuple[Array, Array, Array]:
 
 
 def _segments(starts: Array, slope: Array) -> Array:
-    """Segments (N, S, 3) that begin at starts with these slopes, NaN for none, and with no force at the first start."""
+    """Segments (N, S, 3) with these starts and slopes, NaN for none, and zero force at the first start."""
     there = np.isfinite(slope)
     slope = np.where(there, slope, 0.0)
     safe = np.where(there, starts, 0.0)

@@ -1,4 +1,4 @@
-"""Measures of a machine and results of its elements, besides the results of every machine."""
+"""Measures of a machine and results of its elements, in addition to the results of every machine."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator
@@ -6,29 +6,29 @@ from dataclasses import dataclass
 from typing import Any
 
 from workers.model.elements import Contact, Friction
-from workers.model.entries import DefinitionError, check_name, fault, read_entries, read_table, taken
+from workers.model.entries import DefinitionError, check_name, fault, name_taken, read_entries, read_table
 from workers.model.expression import Expression, Row
 from workers.results import PER_PERIOD, Variable, count_of_orbit
 
 MEASURES = 8
-"""Measures of a machine."""
+"""Measures of a machine, by name."""
 
 ORDERS = ("displacement", "velocity", "acceleration")
-"""What a measure may be a row on: derivatives of the displacements."""
+"""Keys of a measure by the derivative of the displacements that it acts on."""
 
 REPORTS = {
     "mean": "mean", "rms": "root mean square", "peak": "greatest modulus", "power": "mean power",
 }  # fmt: skip
-"""What a measure may report, in words."""
+"""Reports of a measure, in words."""
 
 KEYS = (*ORDERS, "weight", "report")
 
 
 @dataclass(frozen=True)
 class OutputMeasure:
-    """An output, row . x, row . x' or row . x'', whichever row it has, and what is reported of it.
+    """An output row . x, row . x' or row . x'', with the reports wanted of it.
 
-    The mean, the root mean square, the greatest modulus; the power is ``weight`` times the mean square.
+    Reports: mean, root mean square, peak (greatest modulus), and power, ``weight`` times the mean square.
     """
 
     displacement: Row | None = None
@@ -39,22 +39,22 @@ class OutputMeasure:
 
     @property
     def kind(self) -> str:
-        """Which of ORDERS it is a row on."""
+        """The derivative that its row acts on, one of ORDERS."""
         return next(key for key in ORDERS if getattr(self, key) is not None)
 
     @property
     def row(self) -> Row:
         """Its row."""
-        found: Row = getattr(self, self.kind)
-        return found
+        row: Row = getattr(self, self.kind)
+        return row
 
 
 Measures = tuple[tuple[str, OutputMeasure], ...]
 
 
-def read_measures(given: object, known: Collection[str], n: int) -> Measures:
+def read_measures(value: object, known: Collection[str], n: int) -> Measures:
     """The measures in a table [system] of n coordinates, by their names."""
-    tables = read_table("system.measures", given)
+    tables = read_table("system.measures", value)
     if len(tables) > MEASURES:
         raise DefinitionError(f"system.measures: found {len(tables)}, must be at most {MEASURES}")
     for name in tables:
@@ -62,8 +62,8 @@ def read_measures(given: object, known: Collection[str], n: int) -> Measures:
     return tuple((name, _read_measure(f"system.measures.{name}", one, known, n)) for name, one in tables.items())
 
 
-def _read_measure(where: str, given: object, known: Collection[str], n: int) -> OutputMeasure:
-    table = read_table(where, given, KEYS)
+def _read_measure(where: str, value: object, known: Collection[str], n: int) -> OutputMeasure:
+    table = read_table(where, value, KEYS)
     rows = [key for key in ORDERS if key in table]
     if len(rows) != 1:
         found = " and ".join(rows) or "none"
@@ -76,22 +76,22 @@ def _read_measure(where: str, given: object, known: Collection[str], n: int) -> 
     return OutputMeasure(**{rows[0]: row}, weight=weight, report=report)
 
 
-def _read_report(where: str, given: Any) -> tuple[str, ...]:
-    known = isinstance(given, list | tuple) and all(isinstance(each, str) and each in REPORTS for each in given)
-    if not known or not given or len(set(given)) < len(given):
-        raise fault(where, given, f"must be a list of some of {', '.join(REPORTS)}, each once")
-    return tuple(given)
+def _read_report(where: str, value: Any) -> tuple[str, ...]:
+    known = isinstance(value, list | tuple) and all(isinstance(report, str) and report in REPORTS for report in value)
+    if not known or not value or len(set(value)) < len(value):
+        raise fault(where, value, f"must be a list of some of {', '.join(REPORTS)}, each once")
+    return tuple(value)
 
 
 def measure_variables(measures: Measures) -> Iterator[tuple[str, Variable]]:
-    """What measures report, as variables NAME_mean, NAME_rms, NAME_peak and NAME_power, each with its entry."""
+    """Reports of measures as variables NAME_mean, NAME_rms, NAME_peak and NAME_power, each with its entry."""
     for name, measure in measures:
         for report in measure.report:
             yield f"system.measures.{name}", _number(f"{name}_{report}", f"{REPORTS[report]} of {measure.kind} {name}")
 
 
 def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]) -> Iterator[tuple[str, Variable]]:
-    """What contacts and friction show, as variables that begin with their names, each with its entry."""
+    """Results of contacts and friction as variables that begin with their names, each with its entry."""
     for k, contact in enumerate(contacts):
         where, name, of = f"system.contacts[{k}].name", contact.name, f"contact {contact.name}"
         for side in ("upper", "lower"):
@@ -111,12 +111,12 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
 
 
 def refuse_ambiguous(variables: Iterable[tuple[str, Variable]], known: Collection[str]) -> None:
-    """DefinitionError at the first variable whose name is among those ``known``, or of another one before it."""
-    seen = set(known)
+    """DefinitionError at the first variable named like one of the ``known`` or like an earlier one."""
+    taken_names = set(known)
     for where, variable in variables:
-        if variable.name in seen:
-            raise taken(where, variable.name)
-        seen.add(variable.name)
+        if variable.name in taken_names:
+            raise name_taken(where, variable.name)
+        taken_names.add(variable.name)
 
 
 def _number(name: str, long_name: str) -> Variable:

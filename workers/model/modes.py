@@ -1,7 +1,7 @@
 """Blocks h'' + 2 eta h' + lam h of linear oscillators M x'' + C x' + K x: classical modes, or invariant planes.
 
-M is invertible, C and K are any. Damping is classical where the undamped modes of symmetric matrices stay modes: then
-they are the blocks. Else the real Schur form splits the state space into planes, one for each pair of eigenvalues.
+M is invertible, C and K are arbitrary. With classical damping of symmetric matrices the undamped modes stay modes and
+are the blocks. Otherwise the real Schur form splits the state space into planes, one for each pair of eigenvalues.
 """
 
 import math
@@ -16,38 +16,37 @@ from workers.model.oscillator import Array, Mask
 from workers.model.planes import SINGULAR, condition_of, planes_of, refined
 
 COUPLED = 1e-13
-"""Coupling of the modes by the damping, relative to the largest damping, that is more than rounding."""
+"""Coupling of modes by the damping that exceeds rounding, relative to the largest damping."""
 
 LIGHT = 1e-9
-"""Coupling below which modes stay the blocks where planes nearly coincide: it changes less than rounding of these does.
-"""
+"""Coupling up to which modes stay the blocks when planes nearly coincide: it changes less than their rounding does."""
 
 GRADED = 1e3
-"""Ratio of squared frequencies from which on modes are refined: rounding of the largest one shows in the least."""
+"""Ratio of squared frequencies from which on modes are refined: rounding of the largest shows in the least."""
 
 FREE = 8.0 * np.finfo(np.float64).eps
-"""Squared frequency, relative to the largest one and for each coordinate, below which a mode is rigid; likewise damping
-below which it is undamped: what rounding leaves of zero."""
+"""Squared frequency per coordinate, relative to the largest, below which a mode is rigid, likewise damping below which
+it is undamped: rounding of zero."""
 
 INSEPARABLE = 1e5
-"""Condition of the rows of planes from which on they cannot be told apart, unless M, C and K are symmetric and C and K
-take no energy in. The flow has an error of about 3e-16 times it up to there, 1e-9 at 2e5, and rounding holds the
-condition of equal planes near 1e8."""
+"""Condition of the rows of planes from which on planes are inseparable, unless M, C and K are symmetric and C and K
+feed in no energy. Up to it the flow has a relative error of about 3e-16 times the condition, 1e-9 at 2e5; rounding
+holds the condition of equal planes near 1e8."""
 
 REFINED = 100.0
-"""Condition of the rows of planes up to which refinement takes more error off than rounding, which the square of the
-condition multiplies, puts in."""
+"""Condition of the rows of planes up to which refinement removes more error than its rounding, which grows as the
+square of the condition, adds."""
 
 NEIGHBOUR = 1e-3
-"""Mixing of two modes up to which refinement takes it off."""
+"""Mixing of two modes up to which refinement removes it."""
 
 
 class Modes(NamedTuple):
     """N oscillators of n coordinates as blocks.
 
     eta, lam (N, n); to_blocks and to_physical (N, 2n, 2n) between (x, x') and (h_1, h_1', h_2, ...).
-    rigid (N,): how many modes have no stiffness. inseparable (N,): where there are no such blocks, because their planes
-    nearly coincide. A block of eta < 0 or lam < 0 grows.
+    rigid (N,): number of modes without stiffness. inseparable (N,): true if planes nearly coincide, so that there are
+    no such blocks. A block of eta < 0 or lam < 0 grows.
     """
 
     eta: Array
@@ -59,11 +58,11 @@ class Modes(NamedTuple):
 
 
 def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
-    """The blocks of these oscillators (N, n, n); each depends on its own matrices only, to the bit."""
+    """The blocks of these oscillators (N, n, n); each depends only on its own matrices, to the bit."""
     N, n = mass.shape[:2]
-    given, modal = (mass, stiffness), symmetric(mass) & symmetric(stiffness)
-    if not np.all(modal):  # those that have no modes get some, which are written over
-        mass, stiffness = (np.where(modal[:, None, None], of, np.eye(n)) for of in given)
+    matrices, modal = (mass, stiffness), symmetric(mass) & symmetric(stiffness)
+    if not np.all(modal):  # placeholders, overwritten below
+        mass, stiffness = (np.where(modal[:, None, None], of, np.eye(n)) for of in matrices)
     lam, modes = _refined(mass, stiffness, *undamped_modes(mass, stiffness))
     largest = np.max(np.abs(lam), axis=1, initial=0.0)
     lam = np.where(np.abs(lam) <= FREE * n * largest[:, None], 0.0, lam)
@@ -77,7 +76,7 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     passive[doubtful] = _resists(damping[doubtful])
     none = (eta <= FREE * n * size[:, None]) & (passive[:, None] | (eta >= -_rounding(n, size, largest)[:, None]))
     weighted = np.ascontiguousarray(modes.swapaxes(1, 2)) @ mass
-    found = Modes(
+    blocks = Modes(
         eta=np.where(none, 0.0, eta),
         lam=lam,
         to_blocks=interleaved(weighted),
@@ -87,41 +86,40 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     )
     known = np.isfinite(between).all(axis=(1, 2)) & modal
     for r in np.flatnonzero(coupled & known).tolist():
-        _split_planes(found, r, lam[r], between[r], modes[r], weighted[r], bool(passive[r]))
-    mass, stiffness = given
+        _split_planes(blocks, r, lam[r], between[r], modes[r], weighted[r], bool(passive[r]))
+    mass, stiffness = matrices
     for r in np.flatnonzero(~known).tolist():
         if not modal[r] or np.isfinite([mass[r], damping[r], stiffness[r]]).all():
-            _split_any(found, r, mass[r], damping[r], stiffness[r])
-    return found
+            _split_any(blocks, r, mass[r], damping[r], stiffness[r])
+    return blocks
 
 
 def symmetric(matrices: Array) -> Mask:
-    """Which of many matrices (N, n, n) are symmetric."""
+    """Mask of symmetric matrices among matrices (N, n, n)."""
     return np.asarray(np.all(matrices == matrices.swapaxes(1, 2), axis=(1, 2)))
 
 
 def _resists(damping: Array) -> Mask:
-    """Which of many symmetric matrices (N, n, n) are positive semidefinite to rounding; none that is not symmetric."""
+    """Mask of matrices (N, n, n) that are symmetric and positive semidefinite to rounding."""
     values = stacked(np.linalg.eigvalsh, damping.shape[:2], damping)
     least, largest = np.min(values, axis=1, initial=np.inf), np.max(np.abs(values), axis=1, initial=0.0)
     return np.asarray(symmetric(damping) & (least >= -FREE * damping.shape[1] * largest))
 
 
 def _rounding(n: int, damping: Any, stiffness: Any) -> Any:
-    """What rounding may leave of a rate of growth that is zero, of n coordinates with damping and squared frequencies
-    of these sizes."""
+    """Rounding of a growth rate of zero, for n coordinates with damping and squared frequencies of these sizes."""
     return FREE * n * np.maximum(damping, np.sqrt(stiffness))
 
 
 def stacked(act: Callable[..., Any], shape: tuple[int, ...], *matrices: Array) -> Any:
-    """numpy.linalg's function of many matrices; NaN (of this shape) for those that alone it refuses."""
+    """A function of numpy.linalg applied to many matrices; NaN (of this shape) for matrices that it refuses."""
     with suppress(np.linalg.LinAlgError):
         return act(*matrices)
-    found = np.full(shape, np.nan)
+    results = np.full(shape, np.nan)
     for k, one in enumerate(zip(*matrices, strict=True)):
         with suppress(np.linalg.LinAlgError):
-            found[k] = act(*one)
-    return found
+            results[k] = act(*one)
+    return results
 
 
 def undamped_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
@@ -136,10 +134,10 @@ def undamped_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
 
 
 def _refined(mass: Array, stiffness: Array, lam: Array, modes: Array) -> tuple[Array, Array]:
-    """Modes whose squared frequencies have errors of their own size, not of the largest one's.
+    """Modes whose squared frequencies have errors relative to themselves, not to the largest one.
 
     modes (I + X), first order in R = I - modes.T M modes and S = modes.T K modes, with X_ij = (S_ij + lam_j R_ij) /
-    (lam_j - lam_i), or R_ij / 2 where these are too near; twice, since neighbours take X to more than first order.
+    (lam_j - lam_i), or R_ij / 2 for nearly equal ones; applied twice, since neighbours make X larger than first order.
     (Ogita & Aishima, Japan J. Indust. Appl. Math. 35 (2018) 1007)
     """
     n = lam.shape[1]
@@ -149,13 +147,13 @@ def _refined(mass: Array, stiffness: Array, lam: Array, modes: Array) -> tuple[A
     rows = np.flatnonzero((ratio > GRADED) & np.isfinite(modes).all(axis=(1, 2)))
     lam, modes = lam.copy(), modes.copy()
     for _ in range(2 if len(rows) else 0):
-        found = modes[rows]
-        turned = np.ascontiguousarray(found.swapaxes(1, 2))
-        R, S = np.eye(n) - turned @ mass[rows] @ found, turned @ stiffness[rows] @ found
+        some = modes[rows]
+        turned = np.ascontiguousarray(some.swapaxes(1, 2))
+        R, S = np.eye(n) - turned @ mass[rows] @ some, turned @ stiffness[rows] @ some
         values = np.diagonal(S, axis1=1, axis2=2) / (1.0 - np.diagonal(R, axis1=1, axis2=2))
         gap, off = values[:, None, :] - values[:, :, None], S + values[:, None, :] * R
         near = np.eye(n, dtype=np.bool_) | (np.abs(off) > NEIGHBOUR * np.abs(gap))
-        lam[rows], modes[rows] = values, found + found @ np.where(near, 0.5 * R, off / np.where(near, 1.0, gap))
+        lam[rows], modes[rows] = values, some + some @ np.where(near, 0.5 * R, off / np.where(near, 1.0, gap))
     return lam, modes
 
 
@@ -166,7 +164,7 @@ def _values_and_vectors(matrix: Array) -> Array:
 
 
 def interleaved(rows: Array) -> Array:
-    """Rows (N, n, n) for displacements and for velocities alike, as rows (h_1, h_1', ...) of (x, x')."""
+    """Rows (N, n, n) applied to displacements and to velocities, as rows (h_1, h_1', ...) of (x, x')."""
     N, n = rows.shape[:2]
     both = np.zeros((N, 2 * n, 2 * n))
     both[:, 0::2, :n] = both[:, 1::2, n:] = rows
@@ -174,12 +172,12 @@ def interleaved(rows: Array) -> Array:
 
 
 def _split_planes(
-    found: Modes, r: int, lam: Array, damping: Array, modes: Array, weighted: Array, passive: bool
+    blocks: Modes, r: int, lam: Array, damping: Array, modes: Array, weighted: Array, passive: bool
 ) -> None:
     """Write the blocks of oscillator r, whose damping (n, n) couples its undamped modes.
 
-    A rigid mode that no damping reaches is split off first: its double eigenvalue zero has one eigenvector only.
-    passive: nothing takes energy in, so that no block grows.
+    An undamped rigid mode is split off first: its double eigenvalue zero has only one eigenvector. passive: the machine
+    feeds in energy, so no block grows.
     """
     n = len(lam)
     size = np.max(np.abs(damping))
@@ -190,8 +188,8 @@ def _split_planes(
     inner, coupled = lam[idle:], damping[idle:, idle:]
     k = n - idle
     fastest = max(math.sqrt(np.max(np.abs(inner))), float(np.max(np.abs(coupled))))
-    unit = math.ldexp(1.0, -math.frexp(fastest)[1])  # a power of two: no number of a mode is lost in another's rounding
-    w = np.where(inner != 0.0, np.sqrt(np.abs(inner)) * unit, 1.0)  # of (w q, q') neither outweighs the other
+    unit = math.ldexp(1.0, -math.frexp(fastest)[1])  # a power of two, so that scaling is exact
+    w = np.where(inner != 0.0, np.sqrt(np.abs(inner)) * unit, 1.0)  # balances w q and q' in (w q, q')
     A = np.zeros((2 * k, 2 * k))
     A[:k, k:], A[k:, k:] = np.diag(w), -coupled * unit
     A[k:, :k] = -np.diag(np.sign(inner) * w)
@@ -213,25 +211,25 @@ def _split_planes(
     if np.any(inner == 0.0):
         stiffness[np.argmin(np.abs(stiffness))] = 0.0
     none = (eta <= 0.0) & (passive | (eta >= -_rounding(n, size, np.max(np.abs(lam))) * condition))
-    found.eta[r, :idle], found.lam[r, :idle] = 0.0, 0.0
-    found.eta[r, idle:], found.lam[r, idle:] = np.where(none, 0.0, eta), stiffness
-    found.to_blocks[r] = to_blocks @ np.kron(np.eye(2), weighted)
-    found.inseparable[r] = not condition < (1.0 / SINGULAR if passive else INSEPARABLE)
-    if not found.inseparable[r]:
-        found.to_physical[r] = np.kron(np.eye(2), modes) @ np.linalg.inv(to_blocks)
+    blocks.eta[r, :idle], blocks.lam[r, :idle] = 0.0, 0.0
+    blocks.eta[r, idle:], blocks.lam[r, idle:] = np.where(none, 0.0, eta), stiffness
+    blocks.to_blocks[r] = to_blocks @ np.kron(np.eye(2), weighted)
+    blocks.inseparable[r] = not condition < (1.0 / SINGULAR if passive else INSEPARABLE)
+    if not blocks.inseparable[r]:
+        blocks.to_physical[r] = np.kron(np.eye(2), modes) @ np.linalg.inv(to_blocks)
 
 
-def _split_any(found: Modes, r: int, mass: Array, damping: Array, stiffness: Array) -> None:
-    """Write the blocks of oscillator r of any matrices (n, n), as invariant planes of z' = A z with z = (x, x').
+def _split_any(blocks: Modes, r: int, mass: Array, damping: Array, stiffness: Array) -> None:
+    """Write the blocks of oscillator r with any matrices (n, n), as invariant planes of z' = A z with z = (x, x').
 
-    Coordinates are balanced first, by powers of two, and time is counted in one. The blocks of the free motions,
-    K x = 0, have no stiffness.
+    Coordinates are first balanced by powers of two, and time is scaled by one. Blocks of free motions, K x = 0, have no
+    stiffness.
     """
     from scipy.linalg import matrix_balance  # see planes.planes_of
 
     n = len(mass)
-    found.to_blocks[r] = found.to_physical[r] = np.nan
-    found.eta[r] = found.lam[r] = 0.0
+    blocks.to_blocks[r] = blocks.to_physical[r] = np.nan
+    blocks.eta[r] = blocks.lam[r] = 0.0
     A = np.zeros((2 * n, 2 * n))
     with suppress(np.linalg.LinAlgError):
         A[:n, n:], A[n:, :n], A[n:, n:] = np.eye(n), -np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)
@@ -243,13 +241,13 @@ def _split_any(found: Modes, r: int, mass: Array, damping: Array, stiffness: Arr
     if condition_of(planes) < REFINED:
         eta, lam, planes = refined(A * unit, eta, lam, planes)
     condition = condition_of(planes)
-    found.inseparable[r] = not condition < INSEPARABLE
-    if found.inseparable[r]:
+    blocks.inseparable[r] = not condition < INSEPARABLE
+    if blocks.inseparable[r]:
         return
     values = np.linalg.svd(A[n:, :n], compute_uv=False)
     free = int(np.sum(values <= FREE * n * values[0]))
     lam[np.argsort(np.abs(lam), kind="stable")[:free]] = 0.0
     eta[np.abs(eta) <= FREE * n * condition] = 0.0
     planes[1::2] /= unit
-    found.eta[r], found.lam[r], found.rigid[r] = eta / unit, lam / unit / unit, free
-    found.to_blocks[r], found.to_physical[r] = planes / scale, scale[:, None] * np.linalg.inv(planes)
+    blocks.eta[r], blocks.lam[r], blocks.rigid[r] = eta / unit, lam / unit / unit, free
+    blocks.to_blocks[r], blocks.to_physical[r] = planes / scale, scale[:, None] * np.linalg.inv(planes)

@@ -1,4 +1,4 @@
-"""Reserved names of an atlas, which no parameter and no coordinate of a system may have."""
+"""Names reserved by an atlas, invalid for parameters and coordinates of a system."""
 
 from workers.results import result_variables
 from workers.settings import Settings
@@ -7,7 +7,7 @@ _everything = Settings(exponents="spectrum", method="fixed", section_samples=1)
 _KINDS = ((False, False), (True, False), (False, True))  # of atlases: with all attractors, of basins
 _RESULTS = [variable for kind in _KINDS for variable in result_variables(_everything, *kind)]
 NAMES = frozenset((
-    *(name for each in _RESULTS for name in (each.name, f"{each.name}_count", *each.extra)),
+    *(name for variable in _RESULTS for name in (variable.name, f"{variable.name}_count", *variable.extra)),
     # groups of a store
     "attractors", "curves", "labels", "machines", "overviews", "parts", "stability", "tally", "tiles", "zoom",
     # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
@@ -29,5 +29,5 @@ NAMES = frozenset((
 
 
 def is_taken(name: str) -> bool:
-    """Whether the name is one of an atlas's own, such as of coarse cells along an axis and their bounds."""
+    """Whether an atlas reserves the name, also for coarse cells along an axis and their bounds."""
     return name in NAMES or name.endswith(("_bounds", "_coarse"))

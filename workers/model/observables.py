@@ -1,6 +1,6 @@
-"""Observables: numbers such as the phase of each impact, which diagrams plot in place of states.
+"""Observables: numbers such as the phase of each impact, plotted in diagrams in place of states.
 
-An observable is written KIND, KIND:OF or, of impacts, KIND:CONTACT:SIDE too: ``impact_phase:stop``, ``maximum:gap``.
+An observable is written KIND, KIND:OF or, for impacts, KIND:CONTACT:SIDE: ``impact_phase:stop``, ``maximum:gap``.
 """
 
 import math
@@ -23,7 +23,7 @@ SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS = KINDS = (
 OF_IMPACTS, OF_OUTPUTS = (IMPACT_PHASE, IMPACT_SPEED), (SECTION, MAXIMUM, MINIMUM)
 SIDES = {"upper": 1, "lower": -1}
 GAP = "gap"
-"""The output that is the coordinate which pictures show."""
+"""The output that is the coordinate in pictures."""
 
 WORDS = {
     SECTION: "{} at the section", MAXIMUM: "local maxima of {}", MINIMUM: "local minima of {}",
@@ -33,7 +33,7 @@ WORDS = {
 FORMS = "impact_phase[:CONTACT][:SIDE], impact_speed[:CONTACT][:SIDE], maximum:OUTPUT, minimum:OUTPUT, " + (
     "section:OUTPUT, energy_loss"
 )
-"""All that can be observed, in a line."""
+"""All kinds of observables, in one line."""
 
 VALUE = "value"
 """The dimension along the values of an observable, in the order of time."""
@@ -41,16 +41,16 @@ VALUE = "value"
 
 @dataclass(frozen=True)
 class Observable:
-    """What is observed of a motion, value by value.
+    """An observable of a motion, with one value per event.
 
-    section       an output at each section t = kT
+    section       an output at each section t = k T
     impact_phase  omega t + tau modulo 2 pi, the phase of the force, when a contact is reached, in [0, 2 pi)
-    impact_speed  speed |y'| along the contact's row then, before what the contact does
-    maximum, minimum  an output where it ceases to rise, or to fall: at a turning point, or at an impact
-    energy_loss   what contacts, friction and dampers take in each forcing period
+    impact_speed  speed |y'| along the contact's row at that time, before the impact
+    maximum, minimum  an output when it ceases to rise, or to fall: at a turning point, or at an impact
+    energy_loss   energy taken by contacts, friction and dampers in each forcing period
 
-    contact   place of the contact among the machine's, -1 for all; ``side`` +1 or -1, 0 for both. A soft contact is
-              reached where its stop is: at touch
+    contact   index of the contact, -1 for all; ``side`` +1 or -1, 0 for both. A soft contact is reached at touch, at
+              its stop
     of        name of the output, of those that ``outputs_of`` lists
     """
 
@@ -61,7 +61,7 @@ class Observable:
 
     @classmethod
     def parse(cls, text: str, definition: "Definition") -> Self:
-        """The observable that a text names, of a machine; ValueError in one line, with what is possible."""
+        """The observable named by a text, for a machine; ValueError in one line, with the valid ones."""
         kind, *rest = text.split(":")
         if kind not in KINDS:
             raise ValueError(f"unknown observable {text!r}; possible: {FORMS}")
@@ -79,24 +79,24 @@ class Observable:
 
     @classmethod
     def _of_impacts(cls, kind: str, rest: list[str], text: str, definition: "Definition") -> Self:
-        names = [each.name for each in definition.contacts]
+        names = [contact.name for contact in definition.contacts]
         if not names:
             raise ValueError(f"{text}: this machine has no contact")
         left, contact, side = list(rest), -1, 0
-        if left and left[0] in names:  # a contact may be called upper, too
+        if left and left[0] in names:  # a contact may be named upper, too
             contact = names.index(left.pop(0))
         if left and left[0] in SIDES:
             side = SIDES[left.pop(0)]
         if left:
             raise ValueError(f"{text}: unknown contact {left[0]!r}; possible: {', '.join([*names, *SIDES])}")
         some = definition.contacts if contact < 0 else definition.contacts[contact : contact + 1]
-        if side and all(getattr(each, rest[-1]) is None for each in some):
+        if side and all(getattr(contact, rest[-1]) is None for contact in some):
             raise ValueError(f"{text}: there is no {rest[-1]} stop")
         return cls(kind, "" if contact < 0 else names[contact], contact, side)
 
     @property
     def name(self) -> str:
-        """The text that names it."""
+        """Its text form."""
         return ":".join(part for part in (self.kind, self.of, self._side) if part)
 
     @property
@@ -110,12 +110,12 @@ class Observable:
 
     @property
     def turn(self) -> float:
-        """What its values are modulo; infinity where they are not."""
+        """Modulus of its values, infinity if they have none."""
         return 2.0 * math.pi if self.kind == IMPACT_PHASE else math.inf
 
     @property
     def words(self) -> str:
-        """What its values are, as tables, axes and pages say it."""
+        """Its meaning, in words for tables, axes and pages."""
         if self.kind in OF_IMPACTS:
             contact, stop = f" on {self.of}" if self.of else "", f" at the {self._side} stop" if self._side else ""
             return WORDS[self.kind].format(contact + stop)
@@ -141,9 +141,9 @@ class Observable:
         )
 
     def row(self, definition: "Definition", values: "Mapping[str, Array]") -> "tuple[Array, float]":
-        """The row (N, n) that its output is on a derivative of the displacements, and which of measures.ORDERS that is.
+        """The row (N, n) of its output on a derivative of the displacements, and the index of it in ORDERS.
 
-        Of N machines with these parameters (N,); zeros where it is no output.
+        For N machines with these parameters (N,); zeros if it is no output.
         """
         n = len(definition.coordinates)
         shown = definition.shown_rows(values)
@@ -160,17 +160,17 @@ class Observable:
 
 
 def outputs_of(definition: "Definition") -> tuple[str, ...]:
-    """The outputs of a machine by name: the gap coordinate, its coordinates and velocities, and its measures.
+    """The outputs of a machine by name: the gap coordinate, coordinates, velocities, and measures.
 
-    Without a coordinate that drifts: where it is does not matter.
+    A drifting coordinate is left out: its position has no effect.
     """
     coordinates = [name for name in definition.coordinates if name != definition.drift]
     return tuple(dict.fromkeys((GAP, *coordinates, *definition.velocities, *(name for name, _ in definition.measures))))
 
 
 def observables_of(asked: str, definition: "Definition") -> tuple[Observable, ...]:
-    """The observables of a text with commas between; none of an empty one. ValueError for a wrong one or one twice."""
-    found = tuple(Observable.parse(text, definition) for text in asked.split(",") if asked)
-    if len(set(found)) < len(found):
+    """The observables of a text, separated by commas; ValueError for an unknown or repeated one."""
+    observables = tuple(Observable.parse(text, definition) for text in asked.split(",") if asked)
+    if len(set(observables)) < len(observables):
         raise ValueError(f"found {asked!r}, must name each observable once")
-    return found
+    return observables

@@ -1,7 +1,7 @@
-"""The records that kernels run on: blocks, rows and columns of a linear oscillator.
+"""Records for kernels: blocks, rows and columns of a linear oscillator.
 
-The shapes of their arrays give the numbers of masses and of harmonics. Many oscillators are one record with another
-axis in front of every field.
+Array shapes give the numbers of masses and harmonics. Many oscillators are one record with one more leading axis per
+field.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Reasons = NDArray[np.int8]
 Rows = NDArray[np.int64]
-"""Which of many, or a number of each."""
+"""A mask of rows, or their numbers."""
 
 LARGEST_ANGLE = 3e7
-"""Radians of free oscillation in a forcing period up to which elementary.sin_cos reduces angles exactly."""
+"""Largest rotation, in radians of free oscillation per forcing period, for which elementary.sin_cos is exact."""
 
 
 class Block(NamedTuple):
-    """One block h'' + 2 eta h' + lam h = load, and what its flow, bounds and guard need: columns of Mode.blocks.
+    """One block h'' + 2 eta h' + lam h = load, with constants of its flow, bounds and guard: columns of Mode.blocks.
 
     d, w, inv_w      d = lam - eta^2, w = sqrt|d| and its inverse, 0 for w = 0
     slow, fast       decay rates, both eta unless the eigenvalues are real; slow < 0 in a block that grows
@@ -30,10 +30,10 @@ class Block(NamedTuple):
                      rigid mode, lam = 0; in a block that grows the larger one of |lam| and eta^2
     load             of a rigid mode; a load on any other mode moves its rest position instead
     c, cA, cAA       rows of the guard and of its first two derivatives on (h, h')
-    k, Ak            column that a reset kicks along, and its derivative
-    swing            how far the force moves h and h': bounds of their forced response; without a force, the size of
-                     what else moves them: a load, friction, or the room between stops
-    rest             what a constant load adds to h and h'
+    k, Ak            direction of a reset, and its derivative
+    swing            bounds of the forced response of h and h'; without a force, the size of other displacements: by a
+                     load, friction, or the room between stops
+    rest             shares of a constant load in h and h'
     """
 
     eta: Any
@@ -76,19 +76,19 @@ PAIRS = {
 """The first column of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
 
 OF_FLOW, OF_GUARD = COLUMN.c0, COLUMN.swing0
-"""Where the columns end that the flow alone decides, and where those of guard and kick end after them."""
+"""End of the columns that the flow alone decides, and of the following ones of guard and kick."""
 
 
 def make_blocks(eta: Array, lam: Array) -> Array:
-    """Blocks (..., columns) of that damping and stiffness (...), with their metric but for rigid modes, and else zero.
+    """Blocks (..., columns) with this damping and stiffness (...), and their metric except for rigid modes; else zero.
 
-    The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping, where that
-    is large, its energy and q'' = -2 eta q' - lam q bound it better. Those bounds are of blocks that do not grow.
+    The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping this is
+    large, and its energy and q'' = -2 eta q' - lam q give better bounds. Both hold for blocks that do not grow.
     """
     d = lam - eta * eta
     w = np.sqrt(np.abs(d))
     rises = (d < 0.0) & (eta < 0.0)
-    larger = np.where(rises, w - eta, eta + w)  # of both rates, without cancellation
+    larger = np.where(rises, w - eta, eta + w)  # the larger rate, without cancellation
     smaller = lam / np.where(d < 0.0, larger, 1.0)
     fast = np.where(d < 0.0, np.where(rises, -smaller, larger), eta)
     slow = np.where(d < 0.0, np.where(rises, -larger, smaller), eta)
@@ -116,13 +116,14 @@ def rates_of(blocks: Array) -> Any:
 
 
 def growth_of(blocks: Array) -> Array:
-    """The largest rate (...) at which any of blocks (..., n, columns) grows, 0 where none does."""
+    """The largest growth rate (...) in blocks (..., n, columns), 0 for none."""
     return np.asarray(np.max(-blocks[..., COLUMN.slow], axis=-1, initial=0.0))
 
 
 class Numbers(NamedTuple):
-    """What a guard's forced part is measured by: omega, bounds of its modulus and of those of its second to fourth
-    derivative. Columns of Mode.numbers.
+    """Sizes of the forced part of a guard: omega, and bounds of its modulus and of its second to fourth derivative.
+
+    Columns of Mode.numbers.
     """
 
     omega: Any
@@ -144,7 +145,7 @@ class Mode(NamedTuple):
 
     blocks   (n, columns)    constants of each block, see Block, and PAIRS
     waves    (H, 2)          sin_part and cos_part
-    numbers  (NUMBER,)       see Numbers; the amplitude is reached where H = 1
+    numbers  (NUMBER,)       see Numbers; the amplitude is reached if H = 1
     forced   (n, 2, H, 2)    forced response of the blocks, [block, (h, h'), harmonic, (sin, cos)]
     """
 
@@ -154,7 +155,7 @@ class Mode(NamedTuple):
     forced: Array
 
     def __getattr__(self, name: str) -> Any:
-        """A column of the blocks, see Block, two of them, see PAIRS, or one of the numbers, by its name."""
+        """A column or a pair of columns of the blocks, see Block and PAIRS, or one of the numbers, by name."""
         return _named(name, (self.blocks, _OF_BLOCK), (self.numbers, _OF_NUMBERS), (self.waves, _OF_WAVES))
 
 
@@ -163,7 +164,7 @@ _OF_NUMBERS, _OF_WAVES = NUMBER._asdict(), {"sin_part": 0, "cos_part": 1}
 
 
 def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
-    """The columns of that name of the first of these tables that has it."""
+    """The columns of this name in the first of the tables that has it."""
     for table, columns in tables:
         if name in columns:
             return _plain(table[..., columns[name]])
@@ -171,16 +172,16 @@ def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
 
 
 def _plain(field: Array) -> Any:
-    """An array, or the number that one without axes holds."""
+    """An array, or the number in an array without axes."""
     return field if field.ndim else float(field)
 
 
 class Held(NamedTuple):
-    """The mode while the impacting coordinate rests on a stop, n - 1 blocks of its own, and the ways there and back.
+    """The mode while the impacting coordinate rests on a stop: n - 1 blocks of its own, and the transformations.
 
-    down (2n-2, 2n + 2) takes free block coordinates to held ones, up (2n, 2n-2 + 2) takes those back. The last two
-    columns of either are what rest positions add: at the upper stop, and at the lower one.
-    The free acceleration of the gap coordinate is the guard of ``mode`` + push, push (2,) for either stop.
+    down (2n-2, 2n + 2) takes free block coordinates to held ones, up (2n, 2n-2 + 2) takes them back. The last two
+    columns of both are shifts by rest positions, at the upper and at the lower stop. The free acceleration of the gap
+    coordinate is the guard of ``mode`` + push, with push (2,) per stop.
     """
 
     mode: Mode
@@ -190,17 +191,17 @@ class Held(NamedTuple):
 
 
 class Head(NamedTuple):
-    """Numbers of an oscillator: columns of Oscillator.head. Those of a lane of many cells come first.
+    """Numbers of an oscillator: columns of Oscillator.head. Numbers in a lane come first.
 
     top, bottom     the stops as the gap signal sees them, upper - y0 and lower - y0
-    cA2k            cA^2.k, minus the damping rate that the gap coordinate feels
+    cA2k            cA^2.k, minus the damping rate of the gap coordinate
     period          forcing period 2 pi / omega
     time_unit       1 / sqrt(least metric)
-    upper, lower    positions of the stops, infinite where there is none
-    symmetric       1 where z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
+    upper, lower    positions of the stops, infinite if missing
+    symmetric       1 if z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
     gap_mass        1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
     trace           trace of M^-1 C, the rate at which a flight contracts volume
-    growth          largest rate at which anything grows while no rigid stop holds it and nothing sticks, 0 for none
+    growth          largest growth rate while no rigid stop holds and nothing sticks, 0 for none
     """
 
     top: Any
@@ -223,14 +224,14 @@ HEAD = Head(*range(len(Head._fields)))
 _OF_HEAD = HEAD._asdict()
 
 OF_LANE = HEAD.upper
-"""Numbers of an oscillator that a lane holds: the first ones."""
+"""Numbers of an oscillator held in a lane: the first ones."""
 
 
 class Oscillator(NamedTuple):
     """A machine with one rigid contact, whose gap coordinate y moves between two stops, or one; or one with modes.
 
-    gap             free flight; its guard is y(t) - y0, seen from rest_y = y0, and its column k what an impact kicks
-                    along, cA.k = 1, c.k = 0
+    gap             free flight; its guard is y(t) - y0, seen from rest_y = y0, and its column k the direction of an
+                    impact, cA.k = 1, c.k = 0
     to_physical     (2n, 2n): (displacements, velocities) of block coordinates (h_1, h_1', h_2, ...)
     to_blocks       (2n, 2n): its inverse
     gap_row         (n,): y = gap_row . displacements
@@ -239,13 +240,13 @@ class Oscillator(NamedTuple):
     held            of a machine with one rigid contact: see Held
     table           of a machine with modes: see hybrid.Table; of any other None
 
-    Of a machine with modes states between periods are in blocks of the undamped modes of the first phase with all
-    contacts open, no force and no load, whatever the mode: gap has these blocks, with the damping that each mode feels,
-    and no guard. The contact of a motion is the number of its mode, hybrid.FIRST_NUMBER added. gap_row, upper and lower
-    are those of the first contact.
+    For a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all
+    contacts open, no force and no load, in any mode: gap has these blocks, with the damping of each mode, and no guard.
+    The contact of a motion is the number of its mode plus hybrid.FIRST_NUMBER. gap_row, upper and lower belong to the
+    first contact.
 
-    Where a coordinate drifts it is the last number of the state, times omega, and the velocity of its free motion the
-    last but one. Nothing depends on it: it is reset to 0 at each section, so that a motion closes where all else does.
+    A drifting coordinate times omega is the last number of the state, and the velocity of its free motion the last but
+    one. Nothing depends on it: it is reset to 0 at each section, so a motion closes when all other numbers do.
     """
 
     gap: Mode
@@ -258,37 +259,37 @@ class Oscillator(NamedTuple):
     table: Any = None
 
     def __getattr__(self, name: str) -> Any:
-        """One of the numbers of ``head``, see Head, by its name."""
+        """A number of ``head``, see Head, by its name."""
         return _named(name, (self.head, _OF_HEAD))
 
     @property
     def has_modes(self) -> bool:
-        """Whether the law changes otherwise than by one rigid contact."""
+        """Whether the law changes by more than one rigid contact."""
         return self.table is not None
 
     @property
     def drifts(self) -> int:
-        """1 where a coordinate of these machines may drift, else 0."""
+        """1 if a coordinate of these machines may drift, else 0."""
         return 0 if self.table is None else int(np.max(self.table.drifts, initial=0.0))
 
     @property
     def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
         """Row (N, n), upper and lower stop (N,) of each rigid contact of many machines."""
         if self.table is not None:
-            found: list[tuple[Array, Array, Array]] = self.table.machines.rigid_stops
-            return found
+            rigid: list[tuple[Array, Array, Array]] = self.table.machines.rigid_stops
+            return rigid
         return [(self.gap_row, self.upper, self.lower)]
 
     def with_modes(self, act: Callable[[Rows], Any], rows: Rows) -> Any:
-        """Do ``act`` for these rows of many machines, and again for those that missed a mode, which is built first.
+        """Do ``act`` for these rows of many machines, and again for rows that missed a mode, after building it.
 
-        A kernel leaves a motion as it was where a mode is missing. The result is that of the last call. There is one
-        without rows too, which compiles what ``act`` calls.
+        A kernel leaves a motion unchanged if a mode is missing. Returns the result of the last call. ``act`` is called
+        even without rows, which compiles its kernels.
         """
-        found = act(rows)
+        result = act(rows)
         while self.table is not None and len(rows := self.table.build_missing(rows)):
-            found = act(rows)
-        return found
+            result = act(rows)
+        return result
 
     @property
     def b_upper(self) -> Any:
@@ -306,7 +307,7 @@ class Machines(NamedTuple):
 
     The force is sum_k force_sin_k sin(k phi) + force_cos_k cos(k phi), k = 1...H, with phi = omega t + tau.
     mass, damping, stiffness (N, n, n), gap_row and load (N, n), force_sin and force_cos (N, H, n), all else (N,).
-    A stop at infinity is none.
+    A stop at infinity does not exist.
     """
 
     mass: Array
@@ -328,25 +329,25 @@ class Machines(NamedTuple):
         return self.force_sin + 1j * self.force_cos
 
 
-def each(record: Any, act: Callable[[Any], Any]) -> Any:
-    """The same record with something done to every field, including the fields of records in it; None stays None."""
+def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:
+    """The same record with ``act`` applied to every field, also in nested records; None stays None."""
     if isinstance(record, tuple):
-        return type(record)(*(each(field, act) for field in record))
+        return type(record)(*(map_fields(field, act) for field in record))
     return None if record is None else act(record)
 
 
 def taken(record: Any, rows: Rows) -> Any:
-    """These rows of a record of many, in their order."""
-    return each(record, lambda field: field.take(rows, axis=0))
+    """These rows of a record of many, in this order."""
+    return map_fields(record, lambda field: field.take(rows, axis=0))
 
 
 def one_of(oscillators: Any, k: int) -> Any:
-    """Oscillator k of many. Its arrays are views: a mode that it is missing is missing in the table of all."""
-    found: Any = each(oscillators, lambda field: field[k] if field.ndim > 1 else float(field[k]))
-    return found
+    """Oscillator k of many. Its arrays are views: a mode that it misses is missing in the table of all."""
+    one: Any = map_fields(oscillators, lambda field: field[k] if field.ndim > 1 else float(field[k]))
+    return one
 
 
 def many_of(osc: Oscillator) -> Oscillator:
     """One oscillator as a record of many, of the same arrays."""
-    found: Oscillator = each(osc, lambda field: np.asarray(field)[None])
-    return found
+    many: Oscillator = map_fields(osc, lambda field: np.asarray(field)[None])
+    return many

@@ -14,7 +14,7 @@ OMEGA, TAU = "omega", "tau"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that a system takes: its name, symbol (mathtext), unit, meaning, default and valid range.
+    """A number that a system takes: name, symbol (mathtext), unit, meaning, default and valid range.
 
     The range is low <= value <= high; an open end excludes its bound.
     """
@@ -49,21 +49,21 @@ class Parameter:
         return (value >= low) & (value <= high)
 
     def table(self) -> dict[str, Any]:
-        """All of it but its name, as a TOML file has it."""
-        found = {"default": self.default, "symbol": self.symbol, "unit": self.unit, "meaning": self.meaning}
+        """All of it except its name, as in a TOML file."""
+        entries = {"default": self.default, "symbol": self.symbol, "unit": self.unit, "meaning": self.meaning}
         for key, end, is_open in (("low", self.low, self.low_open), ("high", self.high, self.high_open)):
             if math.isfinite(end):
-                found |= {key: end} | ({f"{key}_open": True} if is_open else {})
-        return found
+                entries |= {key: end} | ({f"{key}_open": True} if is_open else {})
+        return entries
 
 
 def near_name(name: str, known: list[str]) -> str:
-    """The known name that is nearest to one that does not exist; empty where none is near."""
+    """The known name nearest to an unknown one; empty if none is near."""
     return next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.5)), "")
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """One line for a name that does not exist: the nearest known one, or all of them."""
+    """One line for an unknown name: the nearest known name, or all of them."""
     names = list(known)
     near = near_name(name, names)
     hint = f"did you mean {near!r}?" if near else f"known: {', '.join(names)}"

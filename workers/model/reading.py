@@ -1,4 +1,4 @@
-"""A TOML table converted to a definition and its parameters, each fault in one line."""
+"""A TOML table converted to a definition and its parameters, with every fault in one line."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
@@ -12,6 +12,7 @@ from workers.model.definition import Definition
 from workers.model.entries import (
     DefinitionError,
     check_name,
+    name_taken,
     read_entries,
     read_flag,
     read_list,
@@ -20,7 +21,6 @@ from workers.model.entries import (
     read_table,
     read_text,
     read_words,
-    taken,
 )
 from workers.model.expression import Expression, Row
 from workers.model.measures import read_measures
@@ -30,9 +30,9 @@ from workers.model.reading_elements import read_contacts, read_friction, read_ph
 from workers.model.reading_force import is_unforced, read_force, with_means
 
 LARGEST = 8
-"""Coordinates of a system."""
+"""Most coordinates of a system."""
 MANY = 64
-"""Parameters, and names in ``let``, of a system."""
+"""Most parameters and names in ``let`` of a system."""
 
 _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi", "rho",
@@ -51,17 +51,17 @@ def read_parameters(
 ) -> tuple[Parameter, ...]:
     """All parameters of a table [system]: omega, its own, tau, then the initial values of coordinates and velocities.
 
-    Omega and tau of a force, and the initial values, exist by themselves: the table may change their default, range and
-    words. A number alone is a default.
+    Omega and tau of a force, and the initial values, need no entry: the table may change their default, range and
+    words. A single number is a default.
     """
-    given, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
+    entries, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
     for name in (OMEGA, TAU) if unforced else ():
-        if name in given:
+        if name in entries:
             raise DefinitionError(
                 f"system.parameters.{name}: the machine has no force that it could be of; give force too"
             )
-    if len(given) > MANY:
-        raise DefinitionError(f"system.parameters: found {len(given)}, must be at most {MANY}")
+    if len(entries) > MANY:
+        raise DefinitionError(f"system.parameters: found {len(entries)}, must be at most {MANY}")
     of_force = [
         Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
         Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
@@ -76,37 +76,37 @@ def read_parameters(
     ]
     for name in (*coordinates, *velocities):
         for key in ("low", "high"):
-            if isinstance(given.get(name), Mapping) and key in given[name]:
+            if isinstance(entries.get(name), Mapping) and key in entries[name]:
                 where = f"system.parameters.{name}.{key}"
                 raise DefinitionError(f"{where}: an initial value has no range; the stops alone bound it")
     known = {parameter.name: parameter for parameter in built_in}
-    own = [name for name in given if name not in known]
-    found = known | {name: _read_parameter(name, one, known.get(name)) for name, one in given.items()}
+    own = [name for name in entries if name not in known]
+    parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
     first = [] if unforced else [OMEGA]
-    return tuple(found[name] for name in (*first, *own, *list(known)[len(first) :]))
+    return tuple(parameters[name] for name in (*first, *own, *list(known)[len(first) :]))
 
 
-def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
+def _read_parameter(name: str, value: object, base: Parameter | None) -> Parameter:
     where = f"system.parameters.{name}"
-    table = read_table(where, {"default": given} if isinstance(given, Real) else given, PARAMETER_KEYS)
+    table = read_table(where, {"default": value} if isinstance(value, Real) else value, PARAMETER_KEYS)
     check_name(where, name)
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
     read = {key: PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
-    found = replace(base or Parameter(name, symbol_of(name), "1", name, 0.0), **read)
-    if not found.low <= found.high:
-        raise DefinitionError(f"{where}: low {found.low:g} must not be above high {found.high:g}")
-    if name == OMEGA and not (found.low > 0.0 or (found.low == 0.0 and found.low_open)):
-        raise DefinitionError(f"{where}.low: found {found.low:g}, must be 0 with low_open = true, or more")
-    if not found.admits(found.default):
-        raise DefinitionError(f"{where}.default: found {found.default:g}, must satisfy {found.range}")
-    return found
+    parameter = replace(base or Parameter(name, symbol_of(name), "1", name, 0.0), **read)
+    if not parameter.low <= parameter.high:
+        raise DefinitionError(f"{where}: low {parameter.low:g} must not be above high {parameter.high:g}")
+    if name == OMEGA and not (parameter.low > 0.0 or (parameter.low == 0.0 and parameter.low_open)):
+        raise DefinitionError(f"{where}.low: found {parameter.low:g}, must be 0 with low_open = true, or more")
+    if not parameter.admits(parameter.default):
+        raise DefinitionError(f"{where}.default: found {parameter.default:g}, must satisfy {parameter.range}")
+    return parameter
 
 
 def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the coordinates and of their velocities.
+    """Names of the coordinates and velocities.
 
-    A velocity that is not named is v with the number that ends its coordinate's name: v1 of x1, v of y.
+    The default name of a velocity is v with the number at the end of its coordinate's name: v1 for x1, v for y.
     """
     coordinates = read_names("system.coordinates", table["coordinates"])
     if not 1 <= len(coordinates) <= LARGEST:
@@ -130,9 +130,9 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 def read_definition(
     table: Mapping[str, Any], parameters: Collection[str], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> Definition:
-    """The definition in a table [system] whose parameters have these names, coordinates and velocities included."""
+    """The definition of a table [system] with these parameters, coordinates and velocities."""
     n = len(coordinates)
-    # The initial state is where a motion begins and no part of the machine.
+    # The initial state is not part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
     let = _read_let(table.get("let", {}), known, parameters)
     known = [*known, *(name for name, _ in let)]
@@ -167,11 +167,11 @@ def read_definition(
     )
 
 
-def _read_drift(given: object, coordinates: Collection[str], unforced: bool) -> str:
-    """The coordinate that may drift; none is an empty name."""
-    if given is None:
+def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> str:
+    """The coordinate that may drift; an empty name for none."""
+    if value is None:
         return ""
-    name = read_text("system.drift", given)
+    name = read_text("system.drift", value)
     if name not in coordinates:
         raise DefinitionError(unknown_name("coordinate in system.drift", name, coordinates))
     if unforced:
@@ -181,9 +181,9 @@ def _read_drift(given: object, coordinates: Collection[str], unforced: bool) -> 
     return name
 
 
-def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[tuple[str, Expression], ...]:
-    """Names for expressions, each after the names that it uses."""
-    table = read_table("system.let", given)
+def _read_let(value: object, known: list[str], taken: Collection[str]) -> tuple[tuple[str, Expression], ...]:
+    """Names for expressions, in the order of their use."""
+    table = read_table("system.let", value)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
     for name in table:
@@ -193,7 +193,7 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
     waiting = {name: read_entries(f"system.let.{name}", entry, [*known, *table]) for name, entry in table.items()}
     ready: list[tuple[str, Expression]] = []
     while waiting:
-        free = next((name for name, each in waiting.items() if not each.names & waiting.keys()), None)
+        free = next((name for name, expression in waiting.items() if not expression.names & waiting.keys()), None)
         if free is None:
             chain = [next(iter(waiting))]
             while chain.count(chain[-1]) < 2:
@@ -205,7 +205,7 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
 
 
 def symbol_of(name: str) -> str:
-    r"""A name as mathtext: ``\mu_{m}`` of mu_m, ``x_{1}`` of x1, words in italics too."""
+    r"""A name as mathtext: ``\mu_{m}`` for mu_m, ``x_{1}`` for x1, words in italics."""
     base, underscore, rest = name.partition("_")
     stem = base.rstrip("0123456789")
     below = base[len(stem) :] + ("," if base != stem and underscore else "") + rest.replace("_", ",")
@@ -214,9 +214,9 @@ def symbol_of(name: str) -> str:
 
 
 def refuse_taken(definition: Definition, parameters: Iterable[Parameter]) -> None:
-    """DefinitionError at the first name that is one of an atlas's own."""
+    """DefinitionError at the first name that an atlas reserves."""
     names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
     names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
     for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():
         if is_taken(name):
-            raise taken(where, name)
+            raise name_taken(where, name)

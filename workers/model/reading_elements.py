@@ -1,4 +1,4 @@
-"""Tables of contacts, friction and phases converted to elements, each fault in one line."""
+"""Tables of contacts, friction and phases converted to elements, with every fault in one line."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -11,27 +11,27 @@ from workers.model.parameter import unknown_name
 from workers.model.reading_laws import read_law, read_spring
 
 STOPS = 4
-"""Stops of all contacts, sides counted."""
+"""Most stops of all contacts, counting sides."""
 FRICTION = 4
-"""Friction elements."""
+"""Most friction elements."""
 PHASES = 16
-"""Phases of a forcing period."""
+"""Most phases of a forcing period."""
 SPRINGS = 4
-"""Springs with a law."""
+"""Most springs with a law."""
 LAWFUL = 6
-"""Contacts, springs and friction elements of a machine with a law: its modes are numbered in a double."""
+"""Most contacts, springs and friction elements of a machine with a law: its mode numbers must fit a double."""
 
-_SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact by themselves
+_SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact without a table
 _SOFT = (*PAD, "release", *LAW)
 CONTACT_KEYS = ("name", *_SHORT, *_SOFT)
 FRICTION_KEYS = ("name", "row", *RUB, "belt", *LAW)
 PHASE_KEYS = ("start", "stiffness", "damping", "force", "cosine", "load", "contacts", "friction")
-_SAME = ("mass", "gap", "row", "upper", "lower")  # keys of what is the same in all phases
+_SAME = ("mass", "gap", "row", "upper", "lower")  # keys that are the same in all phases
 _LAWS = "a rigid contact has a restitution, a soft one a stiffness or law, damping, preload and release"
 
 
 def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Contact, ...]:
-    """The contacts in a table [system] of n coordinates; gap, stops and restitution there are those of a rigid one."""
+    """The contacts in a table [system] of n coordinates; its own gap, stops and restitution make a rigid one."""
     short = {key: table[key] for key in _SHORT if key in table}
     if "contacts" not in table:
         if not short and (table.get("friction") or table.get("phases") or table.get("springs")):
@@ -44,16 +44,16 @@ def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> t
     if not parts:
         raise DefinitionError("system.contacts: found none; give one, or leave the key out")
     contacts = tuple(_read_contact(where, one, known, n) for where, one in parts.items())
-    if (count := sum(each.stops for each in contacts)) > STOPS:
+    if (count := sum(contact.stops for contact in contacts)) > STOPS:
         raise DefinitionError(f"system.contacts: found {count} stops, sides counted, must be at most {STOPS}")
-    _refuse_twice("contact", parts, [each.name for each in contacts])
+    _refuse_twice("contact", parts, [contact.name for contact in contacts])
     return contacts
 
 
-def _read_contact(where: str, given: object, known: Collection[str], n: int) -> Contact:
-    table = read_table(where, given, CONTACT_KEYS)
+def _read_contact(where: str, value: object, known: Collection[str], n: int) -> Contact:
+    table = read_table(where, value, CONTACT_KEYS)
     name = _read_name(where, table)
-    if isinstance(table.get("gap"), list) and any(isinstance(each, list) for each in table["gap"]):
+    if isinstance(table.get("gap"), list) and any(isinstance(entry, list) for entry in table["gap"]):
         raise fault(f"{where}.gap", table["gap"], "several gaps at once are not supported; give one row")
     for key in ("gap",) if any(key in table for key in _SOFT) else ("gap", "restitution"):
         if key not in table:
@@ -83,8 +83,8 @@ def _read_stop(where: str, table: Mapping[str, Any], key: str, known: Collection
         raise DefinitionError(f"{missing}; give one stop or both as positions of the gap coordinate")
     if key not in table or table[key] == NO_STOP[key]:
         return None
-    found: Expression = read_entries(f"{where}.{key}", table[key], known)
-    return found
+    stop: Expression = read_entries(f"{where}.{key}", table[key], known)
+    return stop
 
 
 def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Friction, ...]:
@@ -92,9 +92,9 @@ def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> t
     parts = read_tables("system.friction", table.get("friction", []))
     if len(parts) > FRICTION:
         raise DefinitionError(f"system.friction: found {len(parts)}, must be at most {FRICTION}")
-    found = []
-    for where, given in parts.items():
-        one = read_table(where, given, FRICTION_KEYS)
+    friction = []
+    for where, value in parts.items():
+        one = read_table(where, value, FRICTION_KEYS)
         name = _read_name(where, one)
         law = _read_law(where, one, known, Friction, ("kinetic", "slope"))
         for key in ("row",) if law else ("row", "kinetic"):
@@ -106,9 +106,9 @@ def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> t
         kinetic, static = (
             read_entries(f"{where}.{key}", one[key], known) if key in one else None for key in ("kinetic", "static")
         )
-        found.append(Friction(name, row, kinetic, static, belt, slope, **law))
-    _refuse_twice("friction element", parts, [each.name for each in found])
-    return tuple(found)
+        friction.append(Friction(name, row, kinetic, static, belt, slope, **law))
+    _refuse_twice("friction element", parts, [element.name for element in friction])
+    return tuple(friction)
 
 
 def read_springs(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Spring, ...]:
@@ -116,14 +116,14 @@ def read_springs(table: Mapping[str, Any], known: Collection[str], n: int) -> tu
     parts = read_tables("system.springs", table.get("springs", []))
     if len(parts) > SPRINGS:
         raise DefinitionError(f"system.springs: found {len(parts)}, must be at most {SPRINGS}")
-    found = tuple(read_spring(where, one, known, n) for where, one in parts.items())
-    _refuse_twice("spring", parts, [each.name for each in found])
-    return found
+    springs = tuple(read_spring(where, one, known, n) for where, one in parts.items())
+    _refuse_twice("spring", parts, [spring.name for spring in springs])
+    return springs
 
 
 def refuse_many(*elements: Collection[Contact] | Collection[Friction] | Collection[Spring]) -> None:
-    """DefinitionError where a law stands among more elements than modes can be numbered of."""
-    laws = [each.law for kind in elements for each in kind]
+    """DefinitionError if a machine with a law has too many elements for its modes to be numbered."""
+    laws = [element.law for kind in elements for element in kind]
     if any(law is not None for law in laws) and len(laws) > LAWFUL:
         raise DefinitionError(
             f"system: found {len(laws)} contacts, springs and friction elements, must be at most {LAWFUL} where one "
@@ -134,7 +134,7 @@ def refuse_many(*elements: Collection[Contact] | Collection[Friction] | Collecti
 def _read_law(
     where: str, table: Mapping[str, Any], known: Collection[str], kind: type, instead: Collection[str]
 ) -> dict[str, Any]:
-    """The law of a contact or friction, whose keys it stands ``instead`` of; none is an empty table."""
+    """The law of a contact or friction, in place of the keys ``instead``; an empty table for none."""
     if "law" not in table:
         for key in (key for key in LAW if key in table):
             raise DefinitionError(f"{where}.{key}: there is no law that it could be of; give law too")
@@ -153,39 +153,39 @@ def read_phases(
     if len(parts) > PHASES:
         raise DefinitionError(f"system.phases: found {len(parts)}, must be at most {PHASES}")
     shapes = {"stiffness": (n, n), "damping": (n, n), "force": (n,), "cosine": (n,), "load": (n,)}
-    found: list[Phase] = []
-    for where, given in parts.items():
-        _refuse_same(where, given)
-        one = read_table(where, given, PHASE_KEYS)
+    phases: list[Phase] = []
+    for where, value in parts.items():
+        _refuse_same(where, value)
+        one = read_table(where, value, PHASE_KEYS)
         if "start" not in one:
             raise DefinitionError(f"{where}: start missing; give a share of the forcing period")
         start: Expression = read_entries(f"{where}.start", one["start"], known)
-        if not found and start.constant != 0.0:
+        if not phases and start.constant != 0.0:
             raise fault(f"{where}.start", one["start"], "must be 0; the first phase begins at the section")
         entries = {
             key: read_entries(f"{where}.{key}", one[key], known, *shape) for key, shape in shapes.items() if key in one
         }
         entries["contacts"] = _read_changes(f"{where}.contacts", one.get("contacts", {}), contacts, known)
         entries["friction"] = _read_changes(f"{where}.friction", one.get("friction", {}), friction, known)
-        found.append(Phase(start, **entries))
-    return tuple(found)
+        phases.append(Phase(start, **entries))
+    return tuple(phases)
 
 
 def _read_changes(
-    where: str, given: object, elements: Collection[Contact] | Collection[Friction], known: Collection[str]
+    where: str, value: object, elements: Collection[Contact] | Collection[Friction], known: Collection[str]
 ) -> Changes:
-    """What a phase changes of elements, in their order and in that of their constants."""
-    table = read_table(where, given)
-    names = [each.name for each in elements]
+    """Changes of elements by a phase, in the order of the elements and of their constants."""
+    table = read_table(where, value)
+    names = [element.name for element in elements]
     for name in table:
         if name not in names:
             raise DefinitionError(unknown_name(f"element in {where}", name, names or ["none"]))
-    found = []
+    every = []
     for element in elements:
         inside = f"{where}.{element.name}"
         keys: tuple[str, ...] = RUB if isinstance(element, Friction) else PAD
         if element.law is not None:
-            keys = ("damping",) if isinstance(element, Contact) else ("static",)  # the law is one in all phases
+            keys = ("damping",) if isinstance(element, Contact) else ("static",)  # the law is the same in all phases
         changes = table.get(element.name, {})
         _refuse_same(inside, changes)
         changes = read_table(inside, changes)
@@ -193,14 +193,14 @@ def _read_changes(
             raise DefinitionError(f"{inside}: {element.name} is rigid; a phase changes soft contacts and friction")
         changes = read_table(inside, changes, keys)
         read = tuple((key, read_entries(f"{inside}.{key}", changes[key], known)) for key in keys if key in changes)
-        found += [(element.name, read)] if read else []
-    return tuple(found)
+        every += [(element.name, read)] if read else []
+    return tuple(every)
 
 
-def _refuse_same(where: str, given: object) -> None:
-    """DefinitionError for what no phase can change."""
+def _refuse_same(where: str, value: object) -> None:
+    """DefinitionError for entries that no phase can change."""
     for key in _SAME:
-        if isinstance(given, Mapping) and key in given:
+        if isinstance(value, Mapping) and key in value:
             raise DefinitionError(f"{where}.{key}: phases leave mass, rows and positions of stops as they are")
 
 
@@ -212,7 +212,7 @@ def _read_name(where: str, table: Mapping[str, Any]) -> str:
 
 
 def _refuse_twice(kind: str, parts: Collection[str], names: list[str]) -> None:
-    """DefinitionError at the first name of an element that another one has."""
+    """DefinitionError at the first repeated name of an element."""
     for i, (where, name) in enumerate(zip(parts, names, strict=True)):
         if name in names[:i]:
             raise DefinitionError(f"{where}.name: there is a {kind} {name!r} already; choose another name")

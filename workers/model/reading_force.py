@@ -1,4 +1,4 @@
-"""The force in a table [system] converted to harmonics, waveforms included, each fault in one line."""
+"""The force in a table [system] converted to harmonics, waveforms included, with every fault in one line."""
 
 import math
 import re
@@ -12,11 +12,11 @@ from workers.model.force import Harmonic, turns_of
 from workers.model.waveform import WAVEFORMS, Waveform
 
 HARMONICS = 8
-"""Orders that a force has at most."""
+"""Most orders of a force."""
 HIGHEST = 32
 """The highest order, as a multiple of the frequency at which the whole force repeats."""
 POINTS = 1000
-"""Points of a waveform."""
+"""Most points of a waveform."""
 
 FORCE_KEYS = ("force", "phase", "cosine")
 HARMONIC_KEYS = ("order", *FORCE_KEYS)
@@ -34,9 +34,9 @@ def is_unforced(table: Mapping[str, Any]) -> bool:
 
 
 def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[tuple[Harmonic, ...], list[Row]]:
-    """The harmonics of the force in a table [system] of n coordinates, and the means of its waveforms, which are loads.
+    """The harmonics of the force in a table [system] of n coordinates, and the means of its waveforms, as loads.
 
-    Parts of one order add up.
+    Parts of the same order add up.
     """
     parts = read_tables("system.harmonics", table.get("harmonics", []))
     if "force" in table or "cosine" in table:
@@ -60,11 +60,11 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
             f"leave out {len(taken) - HARMONICS}"
         )
     harmonics, means = list[Harmonic](), list[Row]()
-    for where, one in sorted(tables.items(), key=lambda each: _is_waveform(each[1])):
+    for where, one in sorted(tables.items(), key=lambda item: _is_waveform(item[1])):
         if "force" not in one and "cosine" not in one:
             raise DefinitionError(f"{where}: force missing; give a list of {n}")
         rows = {key: read_entries(f"{where}.{key}", one.get(key, [0.0] * n), known, n) for key in FORCE_KEYS}
-        if all(each.constant == 0.0 for each in rows["cosine"]):
+        if all(entry.constant == 0.0 for entry in rows["cosine"]):
             rows["cosine"] = ()
         part = Harmonic(orders[where], **rows)
         if not _is_waveform(one):
@@ -73,14 +73,14 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
         if Fraction(1) not in taken:
             _refuse_phases_of_force(table)
         wave = _read_waveform(where, one)
-        made = _harmonics_of(where, one, wave, part, turns, HARMONICS - len(taken), known)
-        harmonics, taken = [*harmonics, *made], taken.union(each.order for each in made)
+        waves = _harmonics_of(where, one, wave, part, turns, HARMONICS - len(taken), known)
+        harmonics, taken = [*harmonics, *waves], taken.union(harmonic.order for harmonic in waves)
         means += [_times(where, wave.mean, part.force, known)] if wave.mean else []
-    return tuple(sorted(harmonics, key=lambda each: each.order)), means
+    return tuple(sorted(harmonics, key=lambda harmonic: harmonic.order)), means
 
 
 def with_means(where: str, load: Row, means: list[Row], known: Collection[str]) -> Row:
-    """A load with these added."""
+    """A load plus these means."""
     for mean in means:
         load = tuple(_sum(where, one, other, known) for one, other in zip(load, mean, strict=True))
     return load
@@ -97,7 +97,7 @@ def _is_waveform(one: object) -> bool:
 
 
 def _refuse_phases_of_force(table: Mapping[str, Any]) -> None:
-    """DefinitionError for a phase that changes a force of order 1 where waveforms alone have one."""
+    """DefinitionError for a phase that changes a force of order 1 if only waveforms have that order."""
     for where, one in read_tables("system.phases", table.get("phases", [])).items():
         for key in ("force", "cosine"):
             if isinstance(one, Mapping) and key in one:
@@ -105,28 +105,28 @@ def _refuse_phases_of_force(table: Mapping[str, Any]) -> None:
 
 
 def _read_order(where: str, one: Mapping[str, Any]) -> Fraction:
-    """A whole number, or a ratio in quotes; 1 of a force in [system] itself and where a waveform has none."""
-    given = one.get("order", 1 if where == "system" or _is_waveform(one) else None)
-    if isinstance(given, int) and not isinstance(given, bool) and given > 0:
-        return Fraction(given)
-    if isinstance(given, str) and ORDER.fullmatch(given):
-        return Fraction(given)
-    raise fault(f"{where}.order", given, f'must be a whole number, 1 to {HIGHEST}, or a ratio of two such as "3/2"')
+    """A whole number, or a ratio in quotes; 1 for a force in [system] itself and for waveforms without an order."""
+    order = one.get("order", 1 if where == "system" or _is_waveform(one) else None)
+    if isinstance(order, int) and not isinstance(order, bool) and order > 0:
+        return Fraction(order)
+    if isinstance(order, str) and ORDER.fullmatch(order):
+        return Fraction(order)
+    raise fault(f"{where}.order", order, f'must be a whole number, 1 to {HIGHEST}, or a ratio of two such as "3/2"')
 
 
 def _read_waveform(where: str, one: Mapping[str, Any]) -> Waveform:
-    """The waveform of that name, or that a table of points (share of its period, value) makes."""
-    where, given = f"{where}.waveform", one.get("waveform")
-    if isinstance(given, str) and given in WAVEFORMS:
-        return Waveform(WAVEFORMS[given])
-    if given in ("square", "sawtooth"):
-        raise fault(where, given, f"which jumps: {_JUMPS}")
+    """The waveform of this name, or of a table of points (share of its period, value)."""
+    where, value = f"{where}.waveform", one.get("waveform")
+    if isinstance(value, str) and value in WAVEFORMS:
+        return Waveform(WAVEFORMS[value])
+    if value in ("square", "sawtooth"):
+        raise fault(where, value, f"which jumps: {_JUMPS}")
     known = " or ".join(repr(name) for name in WAVEFORMS)
-    if not isinstance(given, list) or not all(isinstance(each, list | tuple) and len(each) == 2 for each in given):
-        raise fault(where, given, f"must be {known}, or a list of pairs [share of the period, value]")
-    if not 2 <= len(given) <= POINTS:
-        raise DefinitionError(f"{where}: found {len(given)} points, must be 2 to {POINTS}")
-    points = [tuple(read_number(f"{where}[{i}]", each) for each in pair) for i, pair in enumerate(given)]
+    if not isinstance(value, list) or not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value):
+        raise fault(where, value, f"must be {known}, or a list of pairs [share of the period, value]")
+    if not 2 <= len(value) <= POINTS:
+        raise DefinitionError(f"{where}: found {len(value)} points, must be 2 to {POINTS}")
+    points = [tuple(read_number(f"{where}[{i}]", number) for number in pair) for i, pair in enumerate(value)]
     before = -math.inf
     for i, (share, _) in enumerate(points):
         if share == before:
@@ -142,7 +142,7 @@ def _read_waveform(where: str, one: Mapping[str, Any]) -> Waveform:
 def _harmonics_of(
     where: str, one: Mapping[str, Any], wave: Waveform, part: Harmonic, turns: int, most: int, known: Collection[str]
 ) -> list[Harmonic]:
-    """The harmonics of a waveform, ``most`` at most, to the bound that its table gives."""
+    """The harmonics of a waveform, at most ``most``, within the error bound of its table."""
     if "within" not in one:
         raise DefinitionError(
             f"{where}: within missing; give the largest error of the waveform over its largest value, such as 0.05"
@@ -151,7 +151,7 @@ def _harmonics_of(
     if not 0.0 < within < 1.0:
         raise DefinitionError(f"{where}.within: found {within:g}, must be above 0 and below 1")
     reach = int(HIGHEST / (part.order * turns))
-    found, error = wave.fewest(within, range(1, reach + 1), most)
+    parts, error = wave.fewest(within, range(1, reach + 1), most)
     if error > within:
         digits = 10.0 ** (1 - math.floor(math.log10(error)))
         raise DefinitionError(
@@ -165,13 +165,13 @@ def _harmonics_of(
             _times(where, float(k), part.phase, known),
             _times(where, cosine, part.force, known) if cosine else (),
         )
-        for k, (sine, cosine) in found.items()
+        for k, (sine, cosine) in parts.items()
     ]
 
 
 def _times(where: str, number: float, row: Row, known: Collection[str]) -> Row:
     """A number times a row of expressions."""
-    return tuple(_product(where, number, each, known) for each in row)
+    return tuple(_product(where, number, entry, known) for entry in row)
 
 
 def _product(where: str, number: float, entry: Expression, known: Collection[str]) -> Expression:

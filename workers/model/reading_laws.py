@@ -1,4 +1,4 @@
-"""Laws of springs, contacts and friction in a table, each fault in one line: see laws.py."""
+"""Laws of springs, contacts and friction in a table, with every fault in one line: see laws.py."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -12,8 +12,8 @@ SPRING_KEYS = ("name", "row", *LAW)
 
 def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind: type) -> dict[str, Any]:
     """The entries LAW of an element of this kind."""
-    given, argument = table["law"], ARGUMENTS[kind]
-    if isinstance(given, str):
+    law, argument = table["law"], ARGUMENTS[kind]
+    if isinstance(law, str):
         if argument in known:
             raise DefinitionError(f"{where}.law: {argument} is its argument, and a parameter; give that another name")
         for key, meaning in (
@@ -24,27 +24,27 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
                 raise DefinitionError(f"{where}: {key} missing; a law as an expression has its {meaning}")
         ends = (2,) if kind is Spring and isinstance(table["range"], list | tuple) else ()
         return {
-            "law": read_entries(f"{where}.law", given, [*known, argument]),
+            "law": read_entries(f"{where}.law", law, [*known, argument]),
             "within": read_entries(f"{where}.within", table["within"], known),
             "range": read_entries(f"{where}.range", table["range"], known, *ends),
         }
     for key in (key for key in LAW[1:] if key in table):
         raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; it is of an expression")
-    if not isinstance(given, list | tuple) or not 2 <= len(given) <= SEGMENTS + 1:
-        found = f"{len(given)} rows" if isinstance(given, list | tuple) else given
+    if not isinstance(law, list | tuple) or not 2 <= len(law) <= SEGMENTS + 1:
+        found = f"{len(law)} rows" if isinstance(law, list | tuple) else law
         raise fault(
             f"{where}.law",
             found,
             f"must be 2 to {SEGMENTS + 1} rows [{argument}, force], or an expression of {argument}",
         )
-    each = f", {argument} and the force"
-    rows = [read_list(f"{where}.law[{i}]", row, 2, "numbers", each) for i, row in enumerate(given)]
+    ending = f", {argument} and the force"
+    rows = [read_list(f"{where}.law[{i}]", row, 2, "numbers", ending) for i, row in enumerate(law)]
     return {"law": read_entries(f"{where}.law", rows, known, len(rows), 2)}
 
 
-def read_spring(where: str, given: object, known: Collection[str], n: int) -> Spring:
+def read_spring(where: str, value: object, known: Collection[str], n: int) -> Spring:
     """A spring of a machine of n coordinates."""
-    one = read_table(where, given, SPRING_KEYS)
+    one = read_table(where, value, SPRING_KEYS)
     for key in ("name", "row", "law"):
         if key not in one:
             raise DefinitionError(f"{where}: {key} missing; a spring has a name, a row and a law of y = row . x")

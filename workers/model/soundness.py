@@ -1,4 +1,4 @@
-"""Checks of a definition at the defaults of its parameters: impossible machines are refused at once."""
+"""Checks of a definition at the defaults of its parameters: impossible machines are refused early."""
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
@@ -20,16 +20,16 @@ from workers.model.parameter import Parameter
 OF_EXPRESSION = ", within above 0 and the range around 0"
 
 ROUNDING = 1e-12
-"""Relative size of an eigenvalue that counts as zero."""
+"""Relative size of an eigenvalue up to which it counts as zero."""
 
 
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
-    """DefinitionError in one line unless the machine of the defaults is one.
+    """DefinitionError in one line unless the defaults make a valid machine.
 
-    M invertible; phases that begin one after the other within the period. Of contacts 0 <= R <= 1, no negative
-    stiffness, damping or preload, the lower stop below the upper one; of friction 0 <= kinetic <= static; rows other
-    than zero, independent where they can be held at once, and such that a force along a row moves it that way. Contacts
-    see every free motion, K x = 0, but that of the coordinate that may drift, which nothing ties down.
+    M is invertible; phases begin in order within the period. Contacts: 0 <= R <= 1, no negative stiffness, damping or
+    preload, the lower stop below the upper one. Friction: 0 <= kinetic <= static. Rows are nonzero, independent if they
+    can be held together, and moved in the direction of a force along them. Contacts see every free motion, K x = 0,
+    except that of a coordinate that may drift, which nothing ties down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
     for where, element, tables in definition.laws(defaults):
@@ -38,7 +38,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     machine = HybridMachines(*(field[0] for field in many))
     matrices = {"system.mass": machine.mass}
     for key in ("damping", "stiffness"):
-        matrices |= {_entry_in(definition, p, key): each for p, each in enumerate(getattr(machine, key))}
+        matrices |= {_entry_in(definition, p, key): matrix for p, matrix in enumerate(getattr(machine, key))}
     C = len(definition.contacts)
     rows = {f"{_contact(definition, c)}.gap": row for c, row in enumerate(machine.row[:C])}
     rows |= {f"system.springs[{s}].row": row for s, row in enumerate(machine.row[C:])}
@@ -70,13 +70,13 @@ def _contact(definition: Definition, c: int) -> str:
 
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
-    """The entry that counts in a phase, its own or that of the whole machine."""
+    """The entry that counts in a phase: its own, or that of the whole machine."""
     own = definition.phases and getattr(definition.phases[p], key) is not None
     return f"system.phases[{p}].{key}" if own else f"system.{key}"
 
 
 def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
-    """Load and force of each phase by their entries."""
+    """Load and force of each phase, by their entries."""
     for p, load in enumerate(machine.load):
         yield _entry_in(definition, p, "load"), load
         where = _entry_in(definition, p, "force")
@@ -86,7 +86,7 @@ def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[s
 
 
 def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
-    """The constants of contacts and friction by their entries, in each phase too."""
+    """The constants of contacts and friction by their entries, also in each phase."""
     for c, contact in enumerate(definition.contacts):
         if contact.rigid:
             yield f"{_contact(definition, c)}.restitution", machine.R[c]
@@ -133,7 +133,7 @@ def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -
         )
     if (n := segments_of(element, table)) > SEGMENTS:
         assert element.within is not None
-        enough = 1.1 * (len(table) - 1) ** 2 / SEGMENTS**2  # their number falls as the root of the bound
+        enough = 1.1 * (len(table) - 1) ** 2 / SEGMENTS**2  # the number of segments falls as the root of the bound
         right = (
             "a larger within" if element.within.constant is None else f"within = {enough * element.within.constant:.2g}"
         )
@@ -166,10 +166,10 @@ def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -
 def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array]) -> None:
     (rows,), _, (weights,) = outputs
     for (name, measure), row, weight in zip(definition.measures, rows, weights, strict=True):
-        for key, found in ((measure.kind, row), ("weight", weight)):
-            if getattr(measure, key) is not None and not np.isfinite(found).all():
+        for key, numbers in ((measure.kind, row), ("weight", weight)):
+            if getattr(measure, key) is not None and not np.isfinite(numbers).all():
                 raise DefinitionError(
-                    f"system.measures.{name}.{key}: found {_shown(found)} at the defaults, must be finite numbers"
+                    f"system.measures.{name}.{key}: found {_shown(numbers)} at the defaults, must be finite numbers"
                 )
         if definition.drift and measure.displacement and row[definition.coordinates.index(definition.drift)] != 0.0:
             raise DefinitionError(
@@ -200,7 +200,7 @@ def _check_starts(starts: Array) -> None:
 
 
 def _check_independent(named: list[str], held: Array) -> None:
-    """held (1, R, n): rows of rigid contacts and friction, zeros for others."""
+    """held (1, R, n): rows of rigid contacts and friction, zeros for other elements."""
     for k, where in enumerate(named):
         if dependent(held[:, : k + 1])[0]:
             raise DefinitionError(
@@ -234,7 +234,7 @@ def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
 
 
 def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
-    """Contacts and what drifts see each free motion: of two that one gap sees, some combination leaves y as it is."""
+    """Contacts and drift see each free motion: two motions seen by one gap combine to one that leaves y unchanged."""
     with np.errstate(all="ignore"):
         free, over_mass = _free_motions(machine.mass, stiffness)
     if not np.isfinite(over_mass).all():
@@ -251,8 +251,8 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
                     f"system.drift: {what} ties {definition.drift} down at the defaults; leave it out"
                 )
         rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
-    rows = rows / np.abs(rows).max(axis=1, keepdims=True)  # whose squares might be beyond double precision
-    most = np.sqrt(np.vecdot(rows, np.linalg.solve(machine.mass, rows.T).T))  # of a mode in each of them
+    rows = rows / np.abs(rows).max(axis=1, keepdims=True)  # whose squares might overflow
+    most = np.sqrt(np.vecdot(rows, np.linalg.solve(machine.mass, rows.T).T))  # of a mode in each row
     seen = (rows @ free) / np.where(most > 0.0, most, 1.0)[:, None]
     if free.shape[1] and np.linalg.matrix_rank(seen, tol=UNSEEN) < free.shape[1]:
         others = "" if definition.short else ", or let one coordinate drift: drift = NAME"
@@ -263,7 +263,7 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
 
 
 def _free_motions(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """What K sends to zero, in columns, and M^-1 K or, of symmetric matrices, the undamped modes."""
+    """Null space of K, in columns, and M^-1 K or, for symmetric matrices, the undamped modes."""
     even = all(np.array_equal(of, of.T) for of in (mass, stiffness))
     squares, modes = (of[0] for of in undamped_modes(mass[None], stiffness[None]))
     if even and np.isfinite(modes).all():

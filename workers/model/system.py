@@ -1,4 +1,4 @@
-"""Systems: the packaged ones, and definitions of users in the same form."""
+"""Systems: the packaged ones, and definitions by users in the same form."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ DEFAULT = "two-mass"
 SYSTEMS = resources.files("workers.model") / "systems"
 TEXTS = ("title", "source", "equation", "picture")
 PROSE = (*TEXTS, "axes")
-"""Keys that no number depends on."""
+"""Keys that affect no number."""
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
     "cosine", "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
@@ -48,7 +48,7 @@ KEYS = (
 )  # fmt: skip
 LATEST = 1_000_000
 """The highest version of a definition."""
-_PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec has all values, and needs no default
+_PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all values and needs no default
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class System:
 
     states      components of the physical section state in order, displacements, then velocities; each is also a
                 parameter, the initial value at t = 0
-    version     of the definition: raised where a packaged one changes a number
-    packaged    whether its name alone identifies it
-    source      its reference; ``equation`` and ``picture`` as text; ``axes``: the usual ones, (name, low, high)
+    version     of the definition: raised when a packaged one changes a number
+    packaged    true if its name alone identifies it
+    source      its reference; ``equation`` and ``picture`` as text; ``axes``: the usual axes, (name, low, high)
     """
 
     name: str
@@ -74,16 +74,16 @@ class System:
     picture: str = ""
 
     @classmethod
-    def from_mapping(cls, given: Mapping[str, Any]) -> "System":
-        """The system of a table [system]; DefinitionError, a ValueError, in one line for any fault in it."""
-        found = _read(given, packaged=False)
-        refuse_taken(found.definition, found.parameters)
-        refuse_ambiguous(found._own, NAMES.union(parameter.name for parameter in found.parameters))
-        return found
+    def from_mapping(cls, table: Mapping[str, Any]) -> "System":
+        """The system of a table [system]; DefinitionError, a ValueError in one line, for any fault."""
+        system = _read(table, packaged=False)
+        refuse_taken(system.definition, system.parameters)
+        refuse_ambiguous(system._own, NAMES.union(parameter.name for parameter in system.parameters))
+        return system
 
     @classmethod
     def from_toml(cls, source: str | Path) -> "System":
-        """The system of a TOML file with one table [system], by the file's path or by its text.
+        """The system of a TOML file with one table [system], from the file's path or text.
 
         Raises ValueError in one line that names the file and the entry.
         """
@@ -101,25 +101,25 @@ class System:
 
     @property
     def exponents(self) -> int:
-        """How many exponents a motion has: one for each component of the state but the displacement that may drift."""
+        """Number of exponents of a motion: one per component of the state, without a displacement that may drift."""
         return len(self.states) - bool(self.definition.drift)
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """Names of its own parameters that no entry uses: they change nothing."""
+        """Names of its own parameters that no entry uses, and that therefore have no effect."""
         without = {OMEGA, TAU, *self.states, *self.definition.used}
         return tuple(parameter.name for parameter in self.parameters if parameter.name not in without)
 
     @property
     def has_modes(self) -> bool:
-        """Whether its law changes otherwise than by one contact with a restitution: see model/hybrid.py."""
+        """Whether its law changes by more than one contact with a restitution: see model/hybrid.py."""
         own = self.definition
         elements = own.friction or own.phases or own.springs
-        return bool(elements) or own.unforced or [each.rigid for each in own.contacts] != [True]
+        return bool(elements) or own.unforced or [contact.rigid for contact in own.contacts] != [True]
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
-        """``own_variables``, each with the entry that it comes from."""
+        """``own_variables``, each with its entry."""
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", PROGRESS)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
@@ -127,22 +127,22 @@ class System:
 
     @property
     def own_variables(self) -> tuple[Variable, ...]:
-        """The results that only this system has."""
+        """The results of this system alone."""
         return tuple(variable for _, variable in self._own)
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
-        """The results of a cell, see ``results.result_variables``, and the results that only this system has."""
-        seen = tuple(variable for each in self.observables(settings) for variable in each.variables)
-        found = result_variables(settings, attractors, basins, self.own_variables + seen)
-        return tuple(map(in_time, found)) if self.definition.unforced else found
+        """The results of a cell, see ``results.result_variables``, with the results of this system alone."""
+        observed = tuple(variable for observable in self.observables(settings) for variable in observable.variables)
+        variables = result_variables(settings, attractors, basins, self.own_variables + observed)
+        return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def observables(self, settings: Settings) -> tuple[Observable, ...]:
-        """The observables that settings ask for; ValueError, in one line, for one that its machines do not have.
+        """The observables named in the settings; ValueError in one line for one that its machines do not have.
 
-        Also for one whose results would have the name of another result.
+        Also ValueError for an observable whose results would take the name of another result.
         """
         try:
-            found = observables_of(settings.observe, self.definition)
+            observables = observables_of(settings.observe, self.definition)
         except ValueError as error:
             raise DefinitionError(f"observe: {error}") from None
         if self.definition.unforced and settings.method == "fixed":
@@ -150,20 +150,21 @@ class System:
                 'method: found "fixed", which counts forcing periods, and there is no force; take "adaptive"'
             )
         names = NAMES.union(variable.name for variable in self.own_variables)
-        refuse_ambiguous((("observe", variable) for each in found for variable in each.variables), names)
-        return found
+        results = (variable for observable in observables for variable in observable.variables)
+        refuse_ambiguous((("observe", variable) for variable in results), names)
+        return observables
 
     def must_offer(self, what: str) -> None:
-        """DefinitionError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force."""
+        """DefinitionError in one line that ``what`` does not exist with a drifting coordinate, or without a force."""
         if self.definition.unforced:
             raise DefinitionError(f"system {self.name!r}: {what} are not there for a machine without a force")
         if self.definition.drift:
             raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")
 
     def with_cycle(self, values: Mapping[str, Array], cycle: float | None) -> dict[str, Array]:
-        """Values (N,) of each parameter of machines without a force that are followed over cycles of this length.
+        """Values (N,) of each parameter of machines without a force, followed over cycles of this length.
 
-        As they are for None. ValueError for a length where there is a force.
+        Unchanged for None. ValueError for a length if there is a force.
         """
         if cycle is None:
             return dict(values)
@@ -172,14 +173,14 @@ class System:
         return dict(values) | {OMEGA: np.full_like(next(iter(values.values())), 2.0 * np.pi / cycle)}
 
     def build(self, values: Mapping[str, float]) -> Any:
-        """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
+        """The oscillator at one value of each parameter; InvalidError, a ValueError, if there is none."""
         oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
         return one_of(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
-        """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
+        """The oscillators at values (N,) of each parameter, and the reason against each, or NO_REASON."""
         if self.has_modes:
             hybrids, reasons = build_hybrid(self.definition.hybrid(values))
             return hybrids, self.out_of_range(values, reasons)
@@ -194,41 +195,41 @@ class System:
         reasons: NDArray[np.int8],
         fields: Collection[str] = Machines._fields,
     ) -> NDArray[np.int8]:
-        """These reasons (N,) against machines, but where the numbers of these fields or values (N,) alone tell one."""
+        """These reasons (N,) against machines, replaced if the values (N,) or these fields alone show a fault."""
         wrong = faults(machines, fields)
         return self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
-        """These reasons (N,), but where values (N,) of parameters are out of their ranges."""
+        """These reasons (N,), replaced if values (N,) of parameters are out of their ranges."""
         admitted = [p.admits(values[p.name]) for p in self.parameters if p.name in values]
         reasons[~np.logical_and.reduce(admitted)] = OUT_OF_RANGE
         return reasons
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter of that name; KeyError with the nearest known name otherwise."""
+        """The parameter of this name; KeyError with the nearest known name otherwise."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         raise KeyError(self.unknown(name))
 
     def unknown(self, name: str, kind: str = "parameter") -> str:
-        """One line for a name that is no parameter."""
+        """One line for an unknown parameter name."""
         if self.definition.unforced and name in (OMEGA, TAU):
             return f"{kind} {name!r}: system {self.name!r} has no force that it could be of; leave it out"
         return unknown_name(kind, name, [parameter.name for parameter in self.parameters])
 
     def table(self) -> dict[str, Any]:
-        """The whole system as plain JSON, in one spelling: ``from_mapping`` makes an equal one of it."""
-        found: dict[str, Any] = {"name": self.name, "version": self.version}
-        found |= {key: text for key in TEXTS if (text := getattr(self, key))} | self.definition.table()
+        """The whole system as plain JSON in a normal form: ``from_mapping`` makes an equal system of it."""
+        table: dict[str, Any] = {"name": self.name, "version": self.version}
+        table |= {key: text for key in TEXTS if (text := getattr(self, key))} | self.definition.table()
         if self.axes:
-            found["axes"] = {name: [low, high] for name, low, high in self.axes}
-        return found | {"parameters": {p.name: p.table() for p in self.parameters}}
+            table["axes"] = {name: [low, high] for name, low, high in self.axes}
+        return table | {"parameters": {p.name: p.table() for p in self.parameters}}
 
     def resolved(self) -> dict[str, Any]:
-        """What a store keeps, enough for ``from_resolved``: the name of a packaged system, the whole of another.
+        """The entry in a store, enough for ``from_resolved``: the name of a packaged system, else the whole definition.
 
-        A packaged system's version is named from the second on.
+        The version of a packaged system is included from the second on.
         """
         if not self.packaged:
             return {"system": self.table()}
@@ -236,33 +237,33 @@ class System:
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "System":
-        """The system that ``resolved`` is of; DefinitionError, or KeyError, where this program has no such system."""
-        given = resolved["system"]
-        # Names that an atlas took for its own since the store was made are let pass: what it holds can be read.
-        found = packaged_system(given) if isinstance(given, str) else _read(given, packaged=False)
+        """The system of ``resolved``; DefinitionError or KeyError if this program does not have it."""
+        system = resolved["system"]
+        # Names that an atlas has reserved since the store was made are accepted: the store can be read.
+        record = packaged_system(system) if isinstance(system, str) else _read(system, packaged=False)
         version = resolved.get("system_version", 1)
-        if found.packaged and found.version != version:
-            raise DefinitionError(f"system {found.name} is of version {version} there, of {found.version} here")
-        return found
+        if record.packaged and record.version != version:
+            raise DefinitionError(f"system {record.name} is of version {version} there, of {record.version} here")
+        return record
 
 
 def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
-    """What of ``System.resolved`` decides numbers, for a digest: a name, or a definition without its words."""
-    given = resolved["system"]
-    if isinstance(given, str):
+    """The part of ``System.resolved`` that decides numbers, for a digest: a name, or a definition without its words."""
+    system = resolved["system"]
+    if isinstance(system, str):
         return {key: resolved[key] for key in ("system", "system_version") if key in resolved}
-    machine = {key: value for key, value in given.items() if key not in PROSE}
+    machine = {key: value for key, value in system.items() if key not in PROSE}
     machine["parameters"] = {
         name: {key: value for key, value in table.items() if key not in _PARAMETER_PROSE}
-        for name, table in given.get("parameters", {}).items()
+        for name, table in system.get("parameters", {}).items()
     }
     return {"system": machine}
 
 
 def find_system(system: object) -> System:
-    """The system of that name, path of a .toml file, or table; a System is itself.
+    """The system of this name, path of a .toml file, or table; a System is returned as it is.
 
-    KeyError with the nearest known name for another name, ValueError for a definition that is wrong.
+    KeyError with the nearest known name for an unknown name, ValueError for a wrong definition.
     """
     if isinstance(system, System):
         return system
@@ -277,7 +278,7 @@ def find_system(system: object) -> System:
 
 @cache
 def packaged_system(name: str) -> System:
-    """The system of that name; KeyError with the nearest known name otherwise."""
+    """The system of this name; KeyError with the nearest known name otherwise."""
     if name not in system_names():
         raise KeyError(unknown_name("system", name, system_names()))
     file = SYSTEMS / f"{'chain' if name in CHAINS else name}.toml"
@@ -287,7 +288,7 @@ def packaged_system(name: str) -> System:
 
 @cache
 def system_names() -> tuple[str, ...]:
-    """Names of the packaged systems, the first one the default."""
+    """Names of the packaged systems, with the default first."""
     files = {item.name.removesuffix(".toml") for item in SYSTEMS.iterdir() if item.name.endswith(".toml")}
     return (DEFAULT, *sorted(files.union(CHAINS) - {DEFAULT, "chain"}))
 
@@ -299,8 +300,8 @@ def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
     return read_table("system", tables["system"])
 
 
-def _read(given: Mapping[str, Any], packaged: bool) -> System:
-    table = read_table("system", given, KEYS)
+def _read(value: Mapping[str, Any], packaged: bool) -> System:
+    table = read_table("system", value, KEYS)
     for key in ("coordinates", "mass"):
         if key not in table:
             raise DefinitionError(f"system: {key} missing")
@@ -322,15 +323,15 @@ def _read(given: Mapping[str, Any], packaged: bool) -> System:
     return System(name, parameters, definition, version, packaged, axes, **texts)
 
 
-def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:
+def _read_axes(value: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:
     """Usual axes, ``{ omega = [1.0, 4.0] }``."""
-    found = []
-    for name, ends in read_table("system.axes", given).items():
+    axes = []
+    for name, ends in read_table("system.axes", value).items():
         where = f"system.axes.{name}"
         if name not in names:
             raise DefinitionError(unknown_name("parameter in system.axes", name, names))
         low, high = (read_number(where, end) for end in read_list(where, ends, 2, "numbers", ""))
         if not low < high:
             raise DefinitionError(f"{where}: found {low:g} and {high:g}, must rise")
-        found.append((name, low, high))
-    return tuple(found)
+        axes.append((name, low, high))
+    return tuple(axes)

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 MAX_FILE = 1_000_000
-"""Bytes of a file: far more than a spec or a system needs, and nothing that could fill the memory."""
+"""Largest file, in bytes: far more than a spec or a system needs, and small beside the memory."""
 
 _DEEP_KEY = re.compile(r"""^[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""", re.MULTILINE)
-"""A dotted key of a hundred parts: the time that tomllib takes for one grows as the square of their number."""
+"""Most parts of a dotted key: the time of tomllib grows as the square of their number."""
 
 
 class TomlError(ValueError):
@@ -17,11 +17,11 @@ class TomlError(ValueError):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; TomlError where it cannot be read or is not TOML."""
+    """The tables of a TOML file; TomlError if it cannot be read or is not TOML."""
     try:
         if path.is_dir():
             raise TomlError("cannot be read: is a folder")
-        if path.exists() and not path.is_file():  # a pipe could keep its reader for ever
+        if path.exists() and not path.is_file():  # a pipe could block its reader forever
             raise TomlError("cannot be read: not a regular file")
         with path.open("rb") as file:
             content = file.read(MAX_FILE + 1)
@@ -38,7 +38,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a text; TomlError where it is not TOML."""
+    """The tables of a text; TomlError if it is not TOML."""
     if text.startswith("%%"):
         raise TomlError("not a TOML file: it begins with a line of a notebook; leave out the line with %%")
     try:

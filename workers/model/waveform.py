@@ -16,10 +16,10 @@ LOOKED_AT = 2**14
 """Shares of the period at which the error is computed; between them it is bounded."""
 
 ROUNDING = 1e-14
-"""Share of the largest value below which a part of a harmonic, or the mean, is rounding."""
+"""Share of the largest value up to which a part of a harmonic, or the mean, is rounding."""
 
 DIGITS = 12
-"""Digits of a part: the last ones of a sine are not the same on every machine, and a store's digest has all of them."""
+"""Digits of a part: the last digits of a sine depend on the machine, and the digest of a store includes all digits."""
 
 
 class Parts(NamedTuple):
@@ -32,7 +32,7 @@ class Parts(NamedTuple):
 class Waveform:
     """A function of period 1, linear between points (share, value), the shares in [0, 1) and rising.
 
-    largest     the largest of its moduli
+    largest     its largest modulus
     mean        its mean
     """
 
@@ -49,11 +49,11 @@ class Waveform:
         return float(f"{number:.{DIGITS}g}") if abs(number) > ROUNDING * self.largest else 0.0
 
     def at(self, shares: Array) -> Array:
-        """Its values at any shares of the period."""
+        """Its values at these shares of the period."""
         return np.interp(shares, self._shares, self._values, period=1.0)
 
     def harmonic(self, k: int) -> Parts:
-        """Its Fourier coefficients of order k: the bends J of its slope at shares x make, as its second derivative,
+        """Its Fourier coefficients of order k, from the bends J of its slope at shares x:
 
         -(2 pi k)^2 (sine, cosine) = 2 sum J (sin 2 pi k x, cos 2 pi k x)
         """
@@ -64,31 +64,31 @@ class Waveform:
     def error(self, harmonics: Mapping[int, Parts]) -> float:
         """A bound of the largest error of its mean and these harmonics, relative to its largest value.
 
-        The largest error r at shares a step d apart, its points among them, and d^2 / 8 max |r''| for those between:
-        there the waveform is linear, and r'' is that of the harmonics.
+        The largest error r at shares a step d apart, its points included, plus d^2 / 8 max |r''| for the shares
+        between: there the waveform is linear, and r'' is that of the harmonics.
         """
         shares = np.union1d(np.arange(LOOKED_AT) / LOOKED_AT, self._shares)
-        found = np.full(shares.size, self.mean)
+        sums = np.full(shares.size, self.mean)
         bound = 0.0
         for k, (sine, cosine) in harmonics.items():
             angles = 2.0 * np.pi * np.fmod(k * shares, 1.0)
-            found += sine * np.sin(angles) + cosine * np.cos(angles)
+            sums += sine * np.sin(angles) + cosine * np.cos(angles)
             bound += (2.0 * math.pi * k) ** 2 * math.hypot(sine, cosine)
-        r = found - self.at(shares)
+        r = sums - self.at(shares)
         return (float(np.abs(r).max()) + bound / (8.0 * LOOKED_AT**2)) / self.largest
 
     def fewest(self, within: float, orders: Iterable[int], most: int) -> tuple[dict[int, Parts], float]:
-        """Its largest harmonics of these orders, as few as have an error of at most ``within``, and their error.
+        """The fewest of its largest harmonics of these orders with an error of at most ``within``, and their error.
 
-        Where ``most`` of them do not, those that come nearest.
+        If ``most`` harmonics do not reach that error, the best approximation.
         """
         every = {k: part for k in orders if any(part := self.harmonic(k))}
         ranked = sorted(every, key=lambda k: (-math.hypot(*every[k]), k))
-        found, best = dict[int, Parts](), math.inf
+        parts, best = dict[int, Parts](), math.inf
         for count in range(min(most, len(ranked)) + 1):
             tried = {k: every[k] for k in sorted(ranked[:count])}
             if (error := self.error(tried)) < best:
-                found, best = tried, error
+                parts, best = tried, error
             if best <= within:
                 break
-        return found, best
+        return parts, best

@@ -1,1 +1,1 @@
-"""Exact orbits of the stroboscopic map: proved by Newton's method, their multipliers and attraction."""
+"""Exact orbits of the stroboscopic map, proved by Newton's method, with their multipliers and attraction."""

@@ -1,14 +1,13 @@
 """The test that a motion near an orbit falls into it.
 
-A turn takes h* + d to h* + J d + r, where r is what the linear map does not explain. The multipliers of J are at most
-|mu| < 1, but its energy norm may exceed 1: a deviation may grow for some turns. With every turn it shrinks in the norm
+A turn takes h* + d to h* + J d + r, with r the deviation from the linear map. The multipliers of J are at most |mu| <
+1, but its energy norm may exceed 1: a deviation may grow for some turns. With every turn it shrinks in the norm
 
     |d|_P^2 = d.P d = sum_{k < K} |A^k d|^2,    A = J / q,    q = (1 + |mu|) / 2,    K a power of two with |A^K| <= 1,
 
-for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P. The motion falls into the orbit
-where |r|_P < (1 - q) |d|_P, what is not explained is less than half of the contraction 1 - |mu|, in each turn until it
-has come nearer, in the energy norm, and by J alone stays so, and in one more: a single turn says nothing of r in the
-directions into which J takes d.
+for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P. The motion converges to the orbit if
+|r|_P < (1 - q) |d|_P, that is r is less than half of the contraction 1 - |mu|, in each turn until it is nearer in the
+energy norm and stays so by J alone, and in one more turn: a single turn does not test r in the directions of J d.
 """
 
 import math
@@ -25,10 +24,10 @@ from workers.model.oscillator import COLUMN
 from workers.orbit.map import squares
 
 LOOK_AHEAD = 256
-"""Turns of the linear map after which a deviation that has not grown back is taken not to."""
+"""Turns of the linear map after which a deviation that has not grown back counts as one that never will."""
 
 MOST_DOUBLINGS = 30
-"""Of K. More would take |mu| within 1e-9 of 1, where rounding decides."""
+"""Largest K. More would take |mu| within 1e-9 of 1, where rounding decides."""
 
 
 @inline_always
@@ -41,24 +40,24 @@ def deviation(h, fixed):
 
 
 @kernel
-def add_product(found, left, right):
-    """Add the product of two square matrices to a third one, in place."""
-    size = len(found)
+def add_product(target, left, right):
+    """Add the product of two square matrices to a third, in place."""
+    size = len(target)
     for i in range(size):
         for k in range(size):
             total = 0.0
             for j in range(size):
                 total += left[i, j] * right[j, k]
-            found[i, k] += total
+            target[i, k] += total
 
 
 @kernel
 def shrinking_norm(blocks, J, contraction):
-    """P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation; NaN where none is found.
+    """P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation; NaN if none is found.
 
     contraction = 1 - |mu|.
 
-    The sum to 2K is P + (A^K)' P A^K: all terms are squares, so that nothing cancels.
+    The sum to 2K is P + (A^K)' P A^K: all terms are squares, so there is no cancellation.
     """
     size = len(J)
     weight, A, P = np.empty(size), np.empty((size, size)), identity(size)
@@ -94,7 +93,7 @@ def squared(P, d):
 
 @apart(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
-    """Whether a turn from block state h (n, 2) to ``image`` is one of falling into the orbit through ``fixed``.
+    """Whether a turn from block state h (n, 2) to ``image`` converges to the orbit through ``fixed``.
 
     |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
     """
@@ -108,9 +107,9 @@ def falls_into(P, J, contraction, fixed, h, image):
 
 @apart(FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
 def stays_nearer(blocks, P, J, fixed, h, begun):
-    """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and by J alone stays so.
+    """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and stays so by J alone.
 
-    That is certain once the deviation is less in the norm of P, which no turn lets grow and is the larger of the two.
+    Certain once the deviation is smaller in the norm of P, which never grows and is the larger of the two.
     """
     blocks, P, J = whole(blocks), whole(P), whole(J)
     fixed, h = whole(fixed), whole(h)

@@ -14,21 +14,20 @@ from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 MARGIN = 1.0 + 1e-12
-"""Factor of sums of bounds that covers their rounding."""
+"""Factor on sums of bounds that covers their rounding."""
 
 
 REACHED, INSIDE, BEHIND = range(3)
-"""What is certain of a guard: nothing, that it stays between its ends, or that it goes away from its only end for ever.
-"""
+"""Certain future of a guard: none; it stays between its ends; it moves away from its only end forever."""
 
 
 @kernel
 def future_of(blocks, numbers, h, offset, low, high):
-    """What is certain of a guard, offset added, with ends low and high, from block state h (n, 2) on.
+    """Certain future of a guard plus offset, with ends low and high, from block state h (n, 2) on.
 
-    BEHIND: the fastest growth a e^(r s), r real, takes it away from the only end that there is, and all else in it is
-    at most M e^(m s): y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and
-    a r >= M m. INSIDE: it sees no growth, m = 0 and a = 0, and M keeps it between its ends.
+    BEHIND: the fastest growth a e^(r s), r real, moves it away from its only end, and the other terms are at most M
+    e^(m s): y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r >= M m.
+    INSIDE: no growth in it, m = 0 and a = 0, and M keeps it between its ends.
     """
     first, r = 0, 0.0
     for j in range(len(blocks)):
@@ -80,22 +79,22 @@ def future_of(blocks, numbers, h, offset, low, high):
 
 @kernel
 def escaping(oscillators, motions, cells):
-    """Which of these motions of machines with one rigid contact, at a section, meet no stop again while they grow."""
+    """Mask of motions of machines with one rigid contact, at a section, that grow and meet no stop again."""
     gap, head, motions = lend(oscillators).gap, oscillators.head, lend(motions)
-    found = np.zeros(len(cells), dtype=np.bool_)
+    escapes = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
         if head[r, HEAD.growth] > 0.0 and motions.contact[r, 0] == FREE:
             low, high = head[r, HEAD.bottom], head[r, HEAD.top]
-            found[e] = future_of(gap.blocks[r], gap.numbers[r], motions.h[r], 0.0, low, high) == BEHIND
-    return found
+            escapes[e] = future_of(gap.blocks[r], gap.numbers[r], motions.h[r], 0.0, low, high) == BEHIND
+    return escapes
 
 
 @kernel
 def escaping_in_modes(oscillators, motions, cells):
-    """``escaping`` of machines with modes, and all guards of the mode that they are in, where there is one phase."""
+    """``escaping`` for machines with modes and one phase: growing motions that meet no guard of their mode again."""
     oscillators, motions = lend(oscillators), lend(motions)
-    found, n = np.zeros(len(cells), dtype=np.bool_), motions.h.shape[1]
+    escapes, n = np.zeros(len(cells), dtype=np.bool_), motions.h.shape[1]
     at = np.zeros((n, 2))
     for e in range(len(cells)):
         r = cells[e]
@@ -112,5 +111,5 @@ def escaping_in_modes(oscillators, motions, cells):
             if low > -np.inf or high < np.inf:
                 future = future_of(blocks, numbers, at, offset, low, high)
                 left, met = left or future == BEHIND, met or future == REACHED
-        found[e] = left and not met
-    return found
+        escapes[e] = left and not met
+    return escapes

@@ -1,4 +1,4 @@
-"""Floquet multipliers of an orbit without forming the product of its Jacobians, which would lose the small ones."""
+"""Floquet multipliers of an orbit without the product of its Jacobians, in which small multipliers would be lost."""
 
 import math
 
@@ -11,15 +11,15 @@ from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
 
 SETTLED = 1e-13
-"""Coupling below which the Floquet frame has split into invariant subspaces."""
+"""Coupling up to which the Floquet frame has split into invariant subspaces."""
 
 NARROW = 2.0
-"""Log-spread of multipliers up to which their block's product may be formed: loses no digit that counts."""
+"""Log-spread of multipliers up to which their block's product may be formed without loss of significant digits."""
 
 
 @kernel
 def overlaps(blocks, before, after, m):
-    """The energy products of the first m vectors of two frames: an orthogonal matrix where they span one space."""
+    """The energy products of the first m vectors of two frames: an orthogonal matrix if they span the same space."""
     products = np.empty((m, m))
     for i in range(m):
         for k in range(m):
@@ -29,7 +29,7 @@ def overlaps(blocks, before, after, m):
 
 @kernel
 def block_ends(rotation):
-    """Where the diagonal blocks end into which an orthogonal matrix splits."""
+    """Ends of the diagonal blocks of an orthogonal matrix."""
     size = len(rotation)
     ends = np.empty(size, dtype=np.int64)
     count = 0
@@ -61,7 +61,7 @@ def spread_of(logs, ends):
 def block_logs(rotation, growth, triangle, ends, size):
     """ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest modulus of them.
 
-    Scaled so that nothing overflows. Up to ``size`` they are -infinity: directions that are lost.
+    Scaled against overflow. Eigenvalues up to ``size`` give -infinity: lost directions.
     """
     logs = np.full(size, -np.inf)
     largest, start = 0.0, 0
@@ -83,10 +83,10 @@ def block_logs(rotation, growth, triangle, ends, size):
 def floquet(osc, point, steps, half, most):
     """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``most`` < 2.
 
-    A frame is carried round the orbit until it splits into invariant subspaces; what QR took out of each is
-    kept as logarithms, so that multipliers of any spread keep their digits. Blocks that do not split have
-    multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity: a turn that loses
-    some only tells which are left, and what is left of these after another turn may be less.
+    A frame is carried round the orbit until it splits into invariant subspaces; the factors of QR are kept as
+    logarithms, so multipliers of any spread keep their digits. Blocks that do not split have multipliers of nearly
+    equal modulus, and their product can be formed. Lost directions are -infinity: a turn that loses directions only
+    shows the remaining ones, and another turn may lose more.
     """
     size = point.h.size
     frame = slanted(point.h.shape[0])

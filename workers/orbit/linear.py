@@ -1,5 +1,6 @@
-"""Machines with phases alone: their map is affine, z -> J z + c, and known for all states. Others are such machines
-where their motion certainly meets no contact, and phases change contacts alone.
+"""Machines whose law changes with phases alone: their map z -> J z + c is affine, known for all states.
+
+Other machines count as such while their motion certainly meets no contact and phases change contacts alone.
 """
 
 import numpy as np
@@ -18,22 +19,22 @@ from workers.orbit.map import FixedPoint, map_with_jacobian
 from workers.orbit.newton import CYCLES, corrected
 
 UNKNOWN, STAYS, GROWS = range(3)
-"""What is known of such a motion: nothing, that it dies away, comes to rest or goes on for ever, or that it grows."""
+"""Fate of such a motion: unknown; it decays, comes to rest or continues forever; it grows."""
 
 ELLIPTIC = 1.5e-8
-"""Largest logarithm of a multiplier of a machine without damping that counts as zero: they come in pairs m, 1/m, and
-two on the unit circle that meet are known to the square root of rounding."""
+"""Largest logarithm of a multiplier of an undamped machine that counts as zero: they come in pairs m, 1/m, and two that
+meet on the unit circle are known to the square root of rounding."""
 
 SQUARINGS, LOOK = 60, 20
-"""Squarings of the map until what is damped is gone; after LOOK of them it shows whether what goes on grows."""
+"""Squarings of the map until damped parts are gone; growth of the remaining motion shows after LOOK of them."""
 
 SETTLED, BOUNDED = 1e-12, 1e3
-"""Share of itself by which another squaring changes a map that has settled; how far one grows that is bounded."""
+"""Relative change by another squaring of a settled map; and the growth up to which a map is bounded."""
 
 
 @inline_always
 def meets_nothing(osc, h, contact):
-    """Whether this motion meets no contact for ever, and phases change nothing until then. So without contacts."""
+    """Whether this motion meets no contact forever and no phase changes it; true without contacts and friction."""
     table, pieces, n = osc.table, osc.table.pieces, h.shape[0]
     C, F, P = table.elements.row.shape[0], table.elements.slide.shape[0], table.elements.starts.shape[0] - 1
     if F > 0 or C == 0:
@@ -61,31 +62,31 @@ def meets_nothing(osc, h, contact):
 
 @kernel
 def contact_free(oscillators, motions, cells):
-    """Which of these motions of machines with modes meet no contact for ever, see meets_nothing."""
+    """Mask of motions of machines with modes that never meet a contact, see meets_nothing."""
     oscillators, motions = lend(oscillators), lend(motions)
-    found = np.empty(len(cells), dtype=np.bool_)
+    free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
         osc = row_of(oscillators, r)
-        found[e] = meets_nothing(osc, motions.h[r], motions.contact[r, 0])
-    return found
+        free[e] = meets_nothing(osc, motions.h[r], motions.contact[r, 0])
+    return free
 
 
 @kernel
 def linear_orbits(oscillators, motions, cells, orbits, spent):
-    """Whether each of these motions, all of them contact_free, STAYS or GROWS.
+    """Verdict on each of these motions, all of them contact_free: STAYS, GROWS or UNKNOWN.
 
-    Where it goes, or where it is where it goes on for ever, is written into the rows of ``orbits`` of these cells with
-    its exponents, and the periods that this took into spent (N,). Multipliers of one to rounding have exponents of 0.
+    The limit of the motion, or its own state if it continues forever, is written with its exponents into the rows of
+    ``orbits``, and the periods spent into spent (N,). Multipliers of one to rounding have exponents of 0.
     """
     oscillators, motions, orbits = lend(oscillators), lend(motions), lend(orbits)
-    found = np.empty(len(cells), dtype=np.int64)
+    verdicts = np.empty(len(cells), dtype=np.int64)
     steps, half = np.int64(1), np.bool_(False)  # no literals, as in run_batch
     for e in range(len(cells)):
         r = cells[e]
-        osc, given, contact = row_of(oscillators, r), motions.h[r].copy(), motions.contact[r, 0]
-        found[e] = UNKNOWN
-        base = np.zeros(given.shape) if osc.table.elements.row.shape[0] == 0 else given  # exact where it is that orbit
+        osc, start, contact = row_of(oscillators, r), motions.h[r].copy(), motions.contact[r, 0]
+        verdicts[e] = UNKNOWN
+        base = np.zeros(start.shape) if osc.table.elements.row.shape[0] == 0 else start  # exact if it is that orbit
         first, J = map_with_jacobian(osc, base, contact, steps, half)
         if first.tally[STATUS] != RUNNING:
             continue
@@ -101,27 +102,27 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
                 neutral, logs[k] = max(neutral, abs(logs[k])), 0.0
         largest = highest(logs, 0, len(logs))
         if largest > 0.0:
-            found[e] = GROWS
+            verdicts[e] = GROWS
             continue
-        h = corrected(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, given)
+        h = corrected(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
         turn, _ = map_with_jacobian(osc, h, contact, steps, half)
         if not np.all(np.isfinite(h)) or turn.tally[STATUS] != RUNNING:
             continue
-        found[e] = STAYS
+        verdicts[e] = STAYS
         sort_down(logs)
         orbits.contact[r, 0], orbits.period[r] = contact, 1
         orbits.error[r] = error if largest < 0.0 else neutral
         copy_into(orbits.h[r], h)
         copy_into(orbits.tally[r], turn.tally)
         copy_into(orbits.exponents[r], logs)
-    return found
+    return verdicts
 
 
 @kernel
 def where_it_stays(J, base, image, h):
-    """Where block state h (n, 2) goes under z -> J z + c that takes ``base`` to ``image``, its largest multiplier one.
+    """Limit of block state h (n, 2) under z -> J z + c that takes ``base`` to ``image``, its largest multiplier one.
 
-    h itself where motion goes on for ever; NaN where it goes away, as a free mass does.
+    h itself if the motion continues forever; NaN if it is unbounded, as for a free mass.
     """
     size = h.size
     A, start, c, zero = J.copy(), h.ravel(), image.copy().ravel(), base.ravel()

@@ -1,6 +1,6 @@
 """The map of some steps, whole periods P or half periods G, with its Jacobian; distances between its states.
 
-Where the gap is symmetric, G o G = P.
+For a symmetric gap G o G = P.
 """
 
 import math
@@ -28,14 +28,14 @@ class FixedPoint(NamedTuple):
 
 @for_modes(freeze)
 def freeze_where_stuck(osc, motion):
-    """See kernel.hybrid.neutral.freeze. A machine with one rigid contact has nothing that sticks."""
+    """kernel.hybrid.neutral.freeze; a machine with one rigid contact has no friction that sticks."""
 
 
 @kernel
 def iterate(osc, h, contact, V, growth, triangle, steps, half):
-    """The motion that ``steps`` of the map, half periods or whole ones, make of block state h; see motion_with.
+    """The motion after ``steps`` of the map, half or whole periods, from block state h; see motion_with.
 
-    Not RUNNING where it cannot get there.
+    Its status is not RUNNING if it cannot be followed.
     """
     motion = motion_with(h, contact, V, growth, triangle)
     for _ in range(steps):
@@ -54,7 +54,7 @@ def iterate_alone(osc, h, contact, steps, half):
 
 @kernel
 def jacobian_of(V):
-    """The Jacobian (2n, 2n) that has tangent vectors V (2n, n, 2) for columns."""
+    """The Jacobian (2n, 2n) with tangent vectors V (2n, n, 2) as columns."""
     J = np.empty((len(V), len(V)))
     for i in range(len(V)):
         for k in range(len(V)):
@@ -64,7 +64,7 @@ def jacobian_of(V):
 
 @kernel
 def map_with_jacobian(osc, h, contact, steps, half):
-    """The motion that ``steps`` of the map make of h, and the Jacobian (2n, 2n) of the map there."""
+    """The motion after ``steps`` of the map from h, and the Jacobian (2n, 2n) of the map there."""
     motion = iterate(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
     return motion, jacobian_of(motion.V)
 

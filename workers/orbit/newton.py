@@ -1,8 +1,8 @@
 """Periodic orbits: near returns, Newton's method on the period map, attraction, symmetry.
 
-Where the gap is symmetric an orbit of odd period m is first sought as one of the half-period map G, G o G = P: what
-closes after m steps of G is a symmetric orbit of period m. The maps are those of a section near which the motion meets
-no stop, see ``orbit.section``; results are of the section t = k T.
+For a symmetric gap an orbit of odd period m is first sought as one of the half-period map G, G o G = P: an orbit that
+closes after m steps of G is symmetric with period m. The maps belong to a section near which the motion meets no stop,
+see ``orbit.section``; results refer to the section t = k T.
 """
 
 import math
@@ -26,31 +26,31 @@ from workers.orbit.section import back_at_section, quiet_section, seen_later
 
 PROOF_STEPS = 12
 CYCLES = 60
-"""Turns of the orbit that the Floquet frame may take to settle."""
+"""Turns of the orbit within which the Floquet frame must settle."""
 
 UNDERFLOWS = 1e-290
 """Spectral radius below which the product of an orbit's Jacobians has lost its digits."""
 
 HOPELESS = 30.0
-"""Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
+"""Spectral radius of the Jacobian from which on no stable orbit is near: chaos that returns close to itself."""
 
 ON_ORBIT = 1e-9
 """Distance from an orbit, relative to the motion's scale, up to which a motion is on it."""
 
 RESERVED_TURNS = 7
-"""Turns that the other tests of an orbit take: divisors (less than three, or less than two and one under G), two of the
+"""Turns of the other tests of an orbit: divisors (less than three, or less than two and one under G), two of the
 motion, one for the error of the multipliers, one last count."""
 
 
 NOTHING, NEAR, SETTLED = range(3)
-"""What is found of an orbit: none that is stable; a stable one that the motion need not fall into; one that it does."""
+"""Outcome of the search for an orbit: no stable one; a stable one that need not attract the motion; one that does."""
 
 
 class PeriodicOrbit(NamedTuple):
-    """A closed orbit of m steps of the map, with what its multipliers show.
+    """A closed orbit of m steps of the map, with its multipliers.
 
     h (n, 2), contact   section state on it
-    steps, half         m, and whether a step is half a period (map G)
+    steps, half         m, and true if a step is half a period (map G)
     exponents           (2n,) ln|mu| / period, in any order; -infinity where structurally lost
     error               rounding error of the exponents
     """
@@ -83,10 +83,10 @@ def is_hopeless(J):
 
 @inline_always
 def newton(osc, start, contact, steps, half, scale, most):
-    """The fixed point of the map near block state ``start``, to rounding, and the steps of Newton's method it took.
+    """The fixed point of the map near block state ``start``, to rounding, and the number of Newton steps.
 
-    h <- h - (J - I)^-1 (F(h) - h), at most ``most`` times, until the residual stops falling. It must end below 1e-10
-    of ``scale``; the residual is infinite where none is found.
+    h <- h - (J - I)^-1 (F(h) - h), at most ``most`` times, until the residual stops falling. It must end below 1e-10 of
+    ``scale``; without a fixed point the residual is infinite.
     """
     h = start.copy()
     blocks = osc.gap.blocks
@@ -111,9 +111,9 @@ def newton(osc, start, contact, steps, half, scale, most):
 
 @inline_always
 def least_turn(osc, point, steps, half, scale):
-    """(steps, half) of the shortest turn that closes an orbit which closes after these, and half periods flown to see.
+    """(steps, half) of the shortest turn of an orbit that closes after these, and half periods flown to find it.
 
-    Motion returns after several turns of it where an impact is now on this, now on that side of the section t = k T.
+    Motion returns only after several turns if an impact alternates between both sides of the section t = k T.
     """
     spent = 0
     for fewer in range(1, steps + 1):
@@ -132,10 +132,10 @@ def least_turn(osc, point, steps, half, scale):
 
 @inline_always
 def approaches(osc, point, h, steps, half, contraction, scale, most):
-    """Whether a motion at block state h falls into an orbit, seen in at most ``most`` turns; and these turns.
+    """Whether a motion at block state h converges to an orbit, judged in at most ``most`` turns; and these turns.
 
-    Every turn has to pass the test of ``orbit.attraction`` until the motion has come nearer for good, and one more, or
-    is on the orbit.
+    Every turn must pass the test of ``orbit.attraction`` until the motion is nearer for good, and one more turn, or
+    until it is on the orbit.
     """
     blocks, norm = osc.gap.blocks, shrinking_norm(osc.gap.blocks, point.jacobian, contraction)
     begun, at, nearer = separation(blocks, h, point.h), h, False
@@ -155,7 +155,7 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
 def find_orbit(osc, h, contact, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
-    The orbit closes after ``steps``, or is one that closes after fewer.
+    The orbit closes after ``steps`` or a divisor of them.
     """
     guess, spent = h, 0
     while True:
@@ -191,7 +191,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
     periods = 0.5 * unit
     orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, rounding / periods)
-    # Else it is too near a bifurcation for these digits.
+    # otherwise too near a bifurcation for double precision
     return SETTLED if largest < -rounding else NOTHING, orbit, spent
 
 
@@ -199,50 +199,51 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
 def recurrence(blocks, sections, near, longest):
     """Periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest first.
 
-    It returned within ``near`` in the energy norm; of those, each p that came ten times closer than any
-    shorter one, at most three. Whether it means anything, settle() finds out.
+    The return is within ``near`` in the energy norm and ten times closer than for any shorter p; at most three.
+    settle() decides whether it is an orbit.
     """
-    found = np.empty(3, dtype=np.int64)
+    closest = np.empty(3, dtype=np.int64)
     count, last = 0, len(sections) - 1
     record = near
     for p in range(1, min(last, longest) + 1):
         here = separation(blocks, sections[last], sections[last - p])
         if here < record:
-            found[2], found[1], found[0] = found[1], found[0], p
+            closest[2], closest[1], closest[0] = closest[1], closest[0], p
             count = min(count + 1, 3)
             record = 0.1 * here
         if record < 1e-10 * near:
             break
-    return found[:count]
+    return closest[:count]
 
 
 @kernel
 def far_from_closing(blocks, h, sections, cells, returns, limit):
-    """Of which of these cells none of the ``returns`` sections before the last lies within ``limit`` of it.
+    """Mask of cells of which none of the ``returns`` sections before the last lies within ``limit`` of it.
 
-    Relative to the motion's scale. The number of returns is fixed, since on a torus more of them come nearer.
+    ``limit`` is relative to the motion's scale. The number of returns is fixed, since on a torus more returns come
+    nearer.
     """
-    found = np.empty(len(cells), dtype=np.bool_)
+    far = np.empty(len(cells), dtype=np.bool_)
     last = sections.shape[1] - 1
     for e in range(len(cells)):
         r = cells[e]
         nearest = np.inf
         for k in range(last - returns, last):
             nearest = min(nearest, separation(blocks[r], sections[r, last], sections[r, k]))
-        found[e] = nearest > limit * scale_of(blocks[r], h[r])
-    return found
+        far[e] = nearest > limit * scale_of(blocks[r], h[r])
+    return far
 
 
 @inline_always
 def settle(osc, motion, sections, near, longest, budget):
-    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent): the stable orbit that the motion falls into.
+    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent): the stable orbit to which the motion converges.
 
-    NEAR: its sections recur near a stable orbit, but it is not shown to fall into that.
+    NEAR: its sections recur near a stable orbit, but convergence is not proved.
 
-    Shown: a fixed point (Newton) on the section t = (k + shift) T, minimal (no shorter turn closes), all multipliers
-    inside the unit circle, and the motion either on it or so near that its deviation shrinks: see ``orbit.attraction``.
-    Sections recur where the last one has returned within ``near`` of the motion's scale, after ``longest`` periods at
-    most. At most ``budget`` periods are spent.
+    The proof: a fixed point (Newton) on the section t = (k + shift) T, minimal (no shorter turn closes), all
+    multipliers inside the unit circle, and the motion either on it or so near that its deviation shrinks: see
+    ``orbit.attraction``. Sections recur if the last one has returned within ``near`` of the motion's scale, after at
+    most ``longest`` periods. At most ``budget`` periods are spent.
     """
     scale = scale_of(osc.gap.blocks, motion.h)
     returns = recurrence(osc.gap.blocks, sections, near * scale, longest)
@@ -258,20 +259,20 @@ def settle(osc, motion, sections, near, longest, budget):
             halves = osc.head[HEAD.symmetric] > 0.0 and p % 2 == 1
             if (half and not halves) or left // (p if half else 2 * p) <= RESERVED_TURNS:
                 continue
-            found, orbit, half_periods = find_orbit(there, h, contact, p, half, scale, left)
+            verdict, orbit, half_periods = find_orbit(there, h, contact, p, half, scale, left)
             spent += half_periods + half_periods % 2
-            if found == SETTLED:
+            if verdict == SETTLED:
                 return SETTLED, orbit, shift, spent // 2
-            nearest = max(nearest, found)
+            nearest = max(nearest, verdict)
     return nearest, none, shift, spent // 2
 
 
 class Orbits(NamedTuple):
-    """Periodic orbits of N cells: what of PeriodicOrbit a result needs, and the counts of one turn.
+    """Periodic orbits of N cells: the fields of PeriodicOrbit needed in results, and the counts of one turn.
 
-    h (N, n, 2), contact (N, 1) at t = k T, where an impact at that time counts as past; period (N,), symmetric (N,),
-    exponents (N, 2n) largest first, error (N,), tally (N, TALLIES): see Motion. shift (N,): of the section on which it
-    was proved, in periods. near (N,): whether the motion ever came near a stable orbit and left it again.
+    h (N, n, 2), contact (N, 1) at t = k T, after an impact at that time; period (N,), symmetric (N,), exponents (N, 2n)
+    largest first, error (N,), tally (N, TALLIES): see Motion. shift (N,): of the section of the proof, in periods. near
+    (N,): true if the motion ever came near a stable orbit and left it again.
     """
 
     h: Array
@@ -302,10 +303,10 @@ def no_orbits(count: int, n: int) -> Orbits:
 
 @kernel
 def settle_each(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
-    """settle for each of these cells, of which the last ``kept`` (N,) sections (N, K, n, 2) are known; near (N,).
+    """``settle`` for these cells, with the last ``kept`` (N,) of the sections (N, K, n, 2) known; near (N,).
 
-    An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest.
-    Fills in the rows of orbits and spent (N,) of these cells; returns which of them were found.
+    An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest. Writes the rows of
+    orbits and spent (N,) of these cells; returns a mask of proved orbits.
     """
     oscillators, motions, orbits = lend(oscillators), lend(motions), lend(orbits)
     settled = np.empty(len(cells), dtype=np.bool_)
@@ -321,7 +322,7 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         orbits.near[r] |= result == NEAR
         if not settled[e]:
             continue
-        turn = iterate_alone(there, orbit.h, orbit.contact, orbit.steps, np.bool_(False))  # no literal, as in run_batch
+        turn = iterate_alone(there, orbit.h, orbit.contact, orbit.steps, np.bool_(False))  # typed, as in run_batch
         here = back_at_section(osc, shift, orbit.h, orbit.contact)
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift

@@ -1,4 +1,4 @@
-"""The events of a motion over some periods from a section state, as its kernels record them."""
+"""The events of a motion over some periods from a section state, as recorded by its kernels."""
 
 from collections.abc import Iterator
 from itertools import count, islice
@@ -28,15 +28,18 @@ from workers.model.oscillator import Array, Oscillator, Rows, one_of
 from workers.orbit.section import quiet_section
 
 RECORD = 512
-"""Events of one period that are written down."""
+"""Most events of one period that are recorded."""
 
 AT_REST = 1e-10
-"""Share of the largest displacement or velocity within which a state is on a stop, or slides on nothing."""
+"""Share of the largest displacement or velocity up to which a state is on a stop, or does not slide."""
 
 
 class Passed(NamedTuple):
-    """A motion in one mode: when it begins, after the first section; which signal has reached which end of its range
-    then, -1 and 0 where the phase changes or the motion begins, at which rate; its mode and how its signals begin.
+    """The motion in one mode, and the event that begins it.
+
+    Its time after the first section; the signal at an end of its range and which end, -1 and 0 where the phase changes
+    or
+    the motion begins; the rate of the signal; the mode and the beginning of its signals.
     """
 
     time: float
@@ -48,9 +51,9 @@ class Passed(NamedTuple):
 
 
 def passed(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
-    """What the only one of many oscillators passes from a physical section state (2n,), the motion there first.
+    """Events of a single oscillator, in a record of many, from a physical section state (2n,), its start first.
 
-    ValueError where it cannot be followed.
+    ValueError if it cannot be followed.
     """
     if oscillators.has_modes:
         return _through_modes(oscillators, state, periods)
@@ -58,7 +61,7 @@ def passed(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
 
 
 def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
-    """``passed`` with one rigid contact, in order of time of a motion that repeats."""
+    """``passed`` for one rigid contact: the events of a repeating motion in order of time."""
     start = motion_from(osc, state)
     # From there on no impact is lost or counted twice.
     shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
@@ -77,20 +80,22 @@ def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
     impacts = np.concatenate(rows)
     impacts[:, 0] = np.mod(impacts[:, 0], periods * osc.period)
     impacts = impacts[np.argsort(impacts[:, 0], kind="stable")]
-    found = [Passed(t, 0, int(side), side * speed, FLYING, (int(side),)) for t, side, speed in impacts.tolist()]
-    return [Passed(0.0, -1, 0, 0.0, FLYING, (0,)), *found]
+    events = [Passed(t, 0, int(side), side * speed, FLYING, (int(side),)) for t, side, speed in impacts.tolist()]
+    return [Passed(0.0, -1, 0, 0.0, FLYING, (0,)), *events]
 
 
 def _through_modes(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
-    """``passed`` through all modes that come."""
+    """``passed`` for a machine with modes."""
     state = np.array(state, dtype=np.float64)
     rows = islice(legs_of_periods(oscillators, state, _shown(oscillators.table, state)), periods)
     return [passed_by(oscillators, row) for row in np.concatenate(list(rows))]
 
 
 def legs_of_periods(oscillators: Oscillator, state: Array, number: int) -> Iterator[Array]:
-    """The legs, see notes.LegRecord, of each period of the only one of many oscillators, with times since the first
-    section, from a physical state (2n,) in the mode of this number. ValueError where it cannot be followed.
+    """The legs, see notes.LegRecord, of each period of a single oscillator, in a record of many.
+
+    Times are counted from the first section. The motion starts at a physical state (2n,) in the mode of this number.
+    ValueError if it cannot be followed.
     """
     for k in count():
         rows, state, number = _one_period(oscillators, state, number)
@@ -99,7 +104,7 @@ def legs_of_periods(oscillators: Oscillator, state: Array, number: int) -> Itera
 
 
 def passed_by(oscillators: Oscillator, row: Array) -> Passed:
-    """A leg as what the only one of many oscillators passes."""
+    """A leg in the form of Passed, for a single oscillator in a record of many."""
     own = oscillators.table.machines
     begun = tuple(map(int, row[LEG_STATE + own.dimension :]))
     code = code_of(int(row[LEG.number]), *own.sizes[1:], *own.segments)
@@ -107,7 +112,7 @@ def passed_by(oscillators: Oscillator, row: Array) -> Passed:
 
 
 def _shown(table: Table, z: Array) -> int:
-    """The number of the mode that a section state shows; what rounding leaves of rest or of sticking is rest."""
+    """Number of the mode of a section state; rest and sticking up to rounding count as such."""
     n, own = len(z) // 2, table.elements
     x, v = z[:n], z[n:]
     far, fast = AT_REST * np.max(np.abs(z)) + 1e-300, AT_REST * np.max(np.abs(v)) + 1e-300
@@ -127,12 +132,12 @@ def _shown(table: Table, z: Array) -> int:
 
 
 def _segment(starts: Array, at: float) -> int:
-    """The segment of a law that its argument is in, of those that begin at ``starts`` (S,)."""
+    """The segment of a law at an argument, for segments that begin at ``starts`` (S,)."""
     return max(0, int(np.sum(starts < at)) - 1)
 
 
 def _one_period(oscillators: Oscillator, state: Array, number: int) -> tuple[Array, Array, int]:
-    """The legs of one period, and state and mode after it; modes are built as they are missing."""
+    """The legs of one period, and the state and mode after it; missing modes are built."""
     table = one_of(oscillators, 0).table
     legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
     W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))

@@ -1,4 +1,4 @@
-"""Motion of one mass from rest to rest: it depends on the release alone, and so repeats."""
+"""Motion of one mass from rest to rest: it depends only on the release, and so repeats."""
 
 import numpy as np
 
@@ -12,21 +12,21 @@ from workers.kernel.period import advance
 from workers.orbit.map import separation, squares
 
 FOLLOWED = 1e10
-"""How far a disturbance may grow from a release to the next rest, by the norm of all tangent vectors: rounding is still
-small beside the motion then."""
+"""Largest growth of a disturbance from a release to the next rest, by the norm of all tangent vectors: rounding is
+still small beside the motion."""
 
 SAME_RELEASE = 1e-6
-"""Distance, relative to the motion's scale, of two sections that follow the same release."""
+"""Relative distance, in units of the motion's scale, of two sections after the same release."""
 
 RELEASES = 16
-"""Releases that a section is compared with: there are as many as the load on a stop has phases at which it ends."""
+"""Releases compared with a section: as many as phases at which the load on a stop ends."""
 
 
 @inline_always
 def pass_period(osc, motion, rests):
-    """Take a motion on by a period: whether it rests at its end, and whether that is the first section after a rest.
+    """Advance a motion by a period: whether it rests at its end, and whether that is the first section after a rest.
 
-    ``rests`` says whether it did before. From a section after a rest on tangent vectors are the block axes again.
+    ``rests``: whether it rested before. At a section after a rest the tangent vectors are reset to the block axes.
     """
     motion.tally[LOST] = 0.0
     advance(osc, motion)
@@ -52,11 +52,11 @@ def is_followed(osc, h, contact, periods):
 
 @kernel
 def rest_to_rest(oscillators, motions, cells, sections, kept):
-    """Take these motions of one mass, in place, to a section after a release that they have met before.
+    """Advance these motions of one mass, in place, to a section after a release that they have had before.
 
-    sections (N, K, n, 2) keep the states from there to there, ``kept`` (N,) of them, the last ones of each row; 0 where
-    a motion does not come to such a section in K - 1 periods, or a disturbance grows FOLLOWED times on the way, where
-    doubles cannot tell whether it does. Returns the periods gone (N,).
+    sections (N, K, n, 2) keep the states between the two, ``kept`` (N,) of them at the end of each row; 0 if a motion
+    does not reach such a section in K - 1 periods, or if a disturbance grows FOLLOWED times on the way, so that doubles
+    cannot decide. Returns the periods flown (N,).
     """
     oscillators, motions = lend(oscillators), lend(motions)
     gone = np.zeros(len(sections), dtype=np.int64)

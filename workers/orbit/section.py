@@ -1,8 +1,8 @@
 """The section of an orbit's proof: t = (k + shift) T, near which the motion meets no stop and leaves none.
 
-Results are of the section t = k T. An orbit may impact there, as many closed forms do: then rounding decides, from turn
-to turn, whether that comes before or after the section, and the map of the section is not smooth. The period, impacts
-and multipliers of an orbit are the same on every section.
+Results refer to the section t = k T. An orbit may impact there, as many closed forms do: then rounding decides, in each
+turn, whether the impact comes before or after the section, and the map is not smooth. Period, impacts and multipliers
+of an orbit are the same on every section.
 """
 
 import math
@@ -14,27 +14,27 @@ from workers.kernel.period import propagate
 from workers.model.oscillator import HEAD
 
 SHIFT = 0.3819660112501051
-"""Of the first section that is tried, by the golden ratio; the next ones are multiples of it, less whole periods."""
+"""Shift of the first section tried, by the golden ratio; the next ones are multiples of it modulo one period."""
 
 MARGIN = 1.0 / 1024.0
-"""Share of a period before and after a section in which nothing may happen."""
+"""Share of a period before and after a section that must be free of events."""
 
 TRIES = 4
-"""Sections tried; the last one is taken in any case."""
+"""Most sections tried; the last one is taken in any case."""
 
 AT_SECTION = 1e-12
-"""Share of a period after the section t = k T within which an impact counts as past there."""
+"""Share of a period after the section t = k T within which an impact counts as past."""
 
 
 @inline_always
 def seen_later(osc, shift):
-    """The oscillator as it is seen from the section t = shift T; one with modes from t = 0, where its phases begin."""
+    """The oscillator as seen from the section t = shift T; with modes from t = 0, where its phases begin."""
     return with_phase(osc, osc.tau + 2.0 * math.pi * shift)
 
 
 @kernel
-def moved(osc, h, contact, shift):
-    """The motion that block state h (n, 2) has come to after ``shift`` < 1 periods."""
+def motion_after(osc, h, contact, shift):
+    """The motion from block state h (n, 2) after ``shift`` < 1 periods."""
     motion = motion_alone(h, contact)
     propagate(osc, motion, shift * osc.head[HEAD.period])
     return motion
@@ -42,20 +42,20 @@ def moved(osc, h, contact, shift):
 
 @kernel
 def same_section(osc, h, contact):
-    """quiet_section of a machine with modes."""
+    """quiet_section for a machine with modes."""
     return 0.0, h.copy(), contact, 0
 
 
 @for_modes(same_section)
 def quiet_section(osc, h, contact):
-    """(shift, h (n, 2), contact, periods flown): a section on the way of a motion, near which nothing happens to it.
+    """(shift, h (n, 2), contact, periods flown): a section of a motion without events nearby.
 
-    Given is its block state at t = 0, returned that at t = shift T.
+    Takes the block state at t = 0 and returns the block state at t = shift T.
     """
     shift, there, at, tries = 0.0, h.copy(), contact, 0
     for tries in range(1, TRIES + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
-        motion = moved(osc, h, contact, shift - MARGIN)
+        motion = motion_after(osc, h, contact, shift - MARGIN)
         before = motion.contact[0]
         motion.tally[MAX_SPEED] = 0.0
         propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.head[HEAD.period])
@@ -69,10 +69,10 @@ def quiet_section(osc, h, contact):
 
 @inline_always
 def back_at_section(osc, shift, h, contact):
-    """The motion at the next section t = k T of block state h (n, 2) at t = (k - 1 + shift) T.
+    """The motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
 
-    An impact at that section counts as past, also one that rounding puts up to AT_SECTION T after it.
+    An impact at that section counts as past, also if rounding delays it by up to AT_SECTION T.
     """
-    motion = moved(seen_later(osc, shift), h, contact, 1.0 - shift)
-    after = moved(osc, motion.h, motion.contact[0], AT_SECTION)
+    motion = motion_after(seen_later(osc, shift), h, contact, 1.0 - shift)
+    after = motion_after(osc, motion.h, motion.contact[0], AT_SECTION)
     return after if after.tally[MAX_SPEED] > 0.0 else motion

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from atlas.orbits.curves.plane import Cells, CurvePlane
 from atlas.orbits.stored import NEEDED, orbits_of
 from workers.continuation import Family, Orbit, family_of
-from workers.continuation.orbits import alike, attract, many_of, moved
+from workers.continuation.orbits import alike, attract, continued_to, many_of
 from workers.continuation.same import same_orbit
 from workers.model.family import NoOscillatorError
 
@@ -66,8 +66,8 @@ class CellOrbits:
             here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
             start = many_of(orbits, here)
             try:
-                half = moved(self.family, start, 0.5 * (here + there))
-                taken = moved(self.family, half, there)
+                half = continued_to(self.family, start, 0.5 * (here + there))
+                taken = continued_to(self.family, half, there)
                 attracts = attract(self.family, taken)
             except (NoOscillatorError, ValueError):
                 continue
@@ -83,7 +83,7 @@ class CellOrbits:
         """
         there = self.plane.values(np.array([cell]))
         try:
-            taken = moved(self.family, many_of([orbit], values[None]), there)
+            taken = continued_to(self.family, many_of([orbit], values[None]), there)
             if not attract(self.family, taken)[0]:
                 return CEASES
         except (NoOscillatorError, ValueError):
@@ -101,7 +101,7 @@ class CellOrbits:
         for rows in alike(orbit.itinerary for orbit in points):
             start = many_of([points[row] for row in rows], values[rows])
             try:
-                taken = moved(self.family, start, self.plane.values(cells[rows]))
+                taken = continued_to(self.family, start, self.plane.values(cells[rows]))
             except (NoOscillatorError, ValueError):
                 continue
             self.find(cells[rows[taken.found]])

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from atlas.orbits.labels.rows import Array, Attractors, Rows, with_images
 from atlas.orbits.stored import NEEDED, orbits_of
 from workers.continuation import Family, Orbit, branch, family_of, section_states
-from workers.continuation.orbits import Many, alike, many_of, moved
+from workers.continuation.orbits import Many, alike, continued_to, many_of
 from workers.model.family import NoOscillatorError
 from workers.results import NO_IMPACT
 
@@ -209,7 +209,7 @@ class _Follower:
         here, at = start.values, start
         try:
             for k in range(1, steps + 1):
-                at = moved(self.family, at, here + (there - here) * (k / steps))
+                at = continued_to(self.family, at, here + (there - here) * (k / steps))
         except (NoOscillatorError, ValueError):
             unmoved = start.orbits.taken(np.arange(len(here)))
             return start._replace(orbits=unmoved, found=np.zeros(len(here), dtype=bool))

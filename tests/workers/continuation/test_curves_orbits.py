@@ -9,7 +9,7 @@ from tests.handmade import TWO_MASS
 from tests.workers.continuation.test_hybrid_branches import machine
 from workers import solve_tile
 from workers.continuation import Itinerary, Orbit, family_of, orbit_from_state
-from workers.continuation.orbits import attract, many_of, moved, refined
+from workers.continuation.orbits import attract, continued_to, many_of, refined
 from workers.continuation.same import distance, same_orbit
 
 ASYMMETRIC = {"omega": 2.32, "b": 0.193}
@@ -56,7 +56,7 @@ def test_many_orbits_are_moved_as_each_one_is(orbit: Orbit) -> None:
     family = family_of(TWO_MASS, ASYMMETRIC, ("omega", "b"))
     start = np.array([[ASYMMETRIC["omega"], ASYMMETRIC["b"]]])
     values = start + np.array([[0.0, 0.0], [0.01, 0.0], [-0.01, 0.002], [0.005, -0.003]])
-    found = moved(family, many_of([orbit] * 4, np.repeat(start, 4, axis=0)), values)
+    found = continued_to(family, many_of([orbit] * 4, np.repeat(start, 4, axis=0)), values)
     assert found.found.all()
     for k in range(4):
         alone = refined(family_of(TWO_MASS, dict(zip(("omega", "b"), values[k], strict=True)), ()), orbit, np.zeros(0))
@@ -80,8 +80,8 @@ def test_an_orbit_is_moved_though_one_moved_with_it_is_none(orbit: Orbit, name: 
         orbit = Orbit(Itinerary((), 1, True), np.zeros(0), np.zeros(0))
         family, start = family_of(system, {"A": 0.1}, ("omega", "p")), np.array([[1.2, 0.0]])
         values = np.array([[1.201, 0.0], [1.2, 0.01]])
-    both = moved(family, many_of([orbit] * 2, np.repeat(start, 2, axis=0)), values)
-    alone = moved(family, many_of([orbit], start), values[:1])
+    both = continued_to(family, many_of([orbit] * 2, np.repeat(start, 2, axis=0)), values)
+    alone = continued_to(family, many_of([orbit], start), values[:1])
     assert both.found.tolist() == [True, False]
     assert np.array_equal(both.orbit(0).times, alone.orbit(0).times)
 
@@ -92,7 +92,7 @@ def test_an_orbit_that_lost_its_stability_does_not_attract() -> None:
     orbit = Orbit(Itinerary((1,), 1, symmetric=True), np.array([1.0189538951595758]), np.array([0.67299783747295054]))
     exact = 1.8443244880291019
     values = np.array([[exact - 1e-3], [exact + 1e-3]])
-    found = moved(family, many_of([orbit, orbit], np.full((2, 1), exact)), values)
+    found = continued_to(family, many_of([orbit, orbit], np.full((2, 1), exact)), values)
     assert found.found.all()
     assert sorted(attract(family, found).tolist()) == [False, True]
 
@@ -104,6 +104,8 @@ def test_no_orbit_is_told_where_it_has_ceased_to_be() -> None:
     speeds = [0.6043537286396591, -0.26046116018718839, -0.26592798277093465]
     orbit = Orbit(Itinerary((1, -1, -1), 1), np.array(times), np.array(speeds))
     exact = 2.0130904979164509
-    found = moved(family, many_of([orbit] * 2, np.full((2, 1), exact)), np.array([[exact - 0.01], [exact + 0.01]]))
+    found = continued_to(
+        family, many_of([orbit] * 2, np.full((2, 1), exact)), np.array([[exact - 0.01], [exact + 0.01]])
+    )
     assert not attract(family, found).all()
     assert not found.found.all()

@@ -12,14 +12,14 @@ from workers.kernel.coordinates import motion_from
 from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import SPREAD, Motion
 from workers.kernel.tangent import reset_frame
-from workers.model.oscillator import Oscillator, each, many_of
+from workers.model.oscillator import Oscillator, many_of, map_fields
 
 ONE = np.zeros(1, dtype=np.int64)
 
 
 def averaged(osc: Oscillator, motion: Motion, periods: int, kept: int = 0) -> Batch:
     """The batch of one motion, after a stretch of this many periods that takes it on in place."""
-    batch = batch_of(many_of(osc), each(motion, lambda field: field[None]), kept)
+    batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]), kept)
     batch.periods[0] = periods
     run(batch, ONE)
     return batch

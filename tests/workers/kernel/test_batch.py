@@ -13,7 +13,7 @@ from workers.kernel.lanes.layout import VECTOR_WIDTH, room_for_vectors
 from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import EVALUATIONS, FREE, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
 from workers.kernel.period import advance
-from workers.model.oscillator import Oscillator, each
+from workers.model.oscillator import Oscillator, map_fields
 from workers.model.system import find_system
 from workers.results import NO_REASON, UNDETERMINED, reason_counts
 
@@ -34,7 +34,7 @@ def at_rest(oscillators: Oscillator, vectors: int, periods: int | np.ndarray) ->
     N, n = oscillators.gap_row.shape
     h = np.empty((N, n, 2))
     for k in range(N):
-        h[k] = motion_from(each(oscillators, lambda field: field[k]), np.zeros(2 * n)).h  # noqa: B023
+        h[k] = motion_from(map_fields(oscillators, lambda field: field[k]), np.zeros(2 * n)).h  # noqa: B023
     batch = batch_of(oscillators, motions_at(h, vectors=vectors), KEPT)
     batch.periods[:] = periods
     return batch
@@ -66,7 +66,7 @@ def random_cells(seed: int, count: int, vectors: int, periods: int) -> Batch:
 
 def part(batch: Batch, cells: np.ndarray) -> Batch:
     """A copy of some cells."""
-    copied: Batch = each(batch, lambda field: field[cells].copy())
+    copied: Batch = map_fields(batch, lambda field: field[cells].copy())
     return copied
 
 
@@ -166,10 +166,10 @@ def test_a_motion_that_is_out_of_work_stops_at_its_section() -> None:
 def test_side_by_side_cells_follow_the_map_of_one(figure: int) -> None:
     """The stroboscopic map as the kernels of one cell state it; on a stable orbit rounding does not grow."""
     batch = family(figure, 4, 20, 300)
-    motions = [motion_from(each(batch.oscillators, lambda f: f[k]), np.zeros(4), 4) for k in range(20)]  # noqa: B023
+    motions = [motion_from(map_fields(batch.oscillators, lambda f: f[k]), np.zeros(4), 4) for k in range(20)]  # noqa: B023
     finish(batch)
     for k, motion in enumerate(motions):
-        osc = each(batch.oscillators, lambda field: field[k])  # noqa: B023
+        osc = map_fields(batch.oscillators, lambda field: field[k])  # noqa: B023
         for _ in range(300):
             advance(osc, motion)
         assert batch.motions.h[k] == pytest.approx(motion.h, abs=1e-12)
@@ -186,7 +186,7 @@ def test_one_period_of_every_kind_of_cell_is_that_of_the_map_of_one() -> None:
     batch.periods[:], batch.done[:] = 1, 0
     finish(batch)
     for k in range(300):
-        osc = each(batch.oscillators, lambda field: field[k])  # noqa: B023
+        osc = map_fields(batch.oscillators, lambda field: field[k])  # noqa: B023
         motion = part(before, np.array([k])).motions
         alone = type(motion)(*(field[0] for field in motion))
         advance(osc, alone)

@@ -14,7 +14,7 @@ from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import RUNNING, STATUS
 from workers.kernel.period import advance
 from workers.model.hybrid import build_hybrid
-from workers.model.oscillator import each, one_of
+from workers.model.oscillator import map_fields, one_of
 from workers.model.system import find_system
 from workers.results import NO_REASON
 
@@ -92,7 +92,7 @@ def test_a_period_is_that_of_the_map_of_one_motion(seed: int) -> None:
 
     def go_on(rows: np.ndarray) -> None:
         for k in rows:
-            motion = each(single.motions, lambda field: field[k])  # noqa: B023
+            motion = map_fields(single.motions, lambda field: field[k])  # noqa: B023
             motion.tally[STATUS] = RUNNING
             advance(one_of(single.oscillators, k), motion)
 

@@ -15,7 +15,7 @@ from workers import System
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults
-from workers.model.oscillator import each
+from workers.model.oscillator import map_fields
 from workers.model.system import find_system, identity, system_names
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
@@ -264,8 +264,8 @@ def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
     found.slide[8] = [[0.0, 1e-200], [1e200, 1e200]]  # friction on no contact's row, beside the wall's and the pad's
     wrong = np.isin(np.arange(9), [1, 3, 5, 7, 8])
     assert hybrid_faults(found).tolist() == np.where(wrong, OUT_OF_RANGE, NO_REASON).tolist()
-    assert each(found, lambda field: field[:0]).mass.shape == (0, 2, 2)
-    assert hybrid_faults(each(found, lambda field: field[:0])).tolist() == []
+    assert map_fields(found, lambda field: field[:0]).mass.shape == (0, 2, 2)
+    assert hybrid_faults(map_fields(found, lambda field: field[:0])).tolist() == []
 
 
 def rig(**changes: Any) -> dict[str, Any]:

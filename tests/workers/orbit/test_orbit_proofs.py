@@ -28,7 +28,7 @@ from workers.orbit.newton import (
     recurrence,
     settle_each,
 )
-from workers.orbit.section import SHIFT, moved
+from workers.orbit.section import SHIFT, motion_after
 from workers.tile import solve_tile
 
 
@@ -118,7 +118,7 @@ def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_o
     map, mu from numpy, the norm as it is defined.
     """
     begin, w, e = attractor(WEAK), weights(WEAK), 1e-6
-    h = moved(WEAK, begin, FREE, SHIFT).h
+    h = motion_after(WEAK, begin, FREE, SHIFT).h
     there = WEAK._replace(tau=WEAK.tau + 2.0 * math.pi * SHIFT)
     steps = e * np.eye(2).reshape(2, 1, 2)
     J = np.column_stack([(after(there, h + d, 1) - after(there, h - d, 1)).ravel() / (2.0 * e) for d in steps])
@@ -130,7 +130,7 @@ def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_o
 
     def share(distance: float) -> float:
         """The largest of the turns that it takes to come nearer for good, and one more."""
-        at = moved(WEAK, beside(distance), FREE, SHIFT).h
+        at = motion_after(WEAK, beside(distance), FREE, SHIFT).h
         begun, worst, nearer = np.linalg.norm(w * (at - h).ravel()), 0.0, False
         while True:
             image = after(there, at, 1)

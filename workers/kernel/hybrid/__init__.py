@@ -1,1 +1,1 @@
-"""Motion of machines whose law changes, see model/hybrid.py: modes, guards and resets."""
+"""Motion of machines with modes, see model/hybrid.py: modes, guards and resets."""

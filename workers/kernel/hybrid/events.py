@@ -1,11 +1,12 @@
-"""What happens where a guard of a hybrid machine falls to zero: its reset, and the mode that follows.
+"""Events of a hybrid machine, where a guard falls to zero: the reset, and the mode that follows.
 
-An event that a guard r reaches at its rate r' takes a tangent vector w to
+An event at guard r, reached at the rate r', takes a tangent vector w to
 
     S w = R w + (f+ - R f-) (r . w) / r',
 
-f the right-hand sides before and after it, R what it does to a state. ``begun`` holds which end of its range a signal
-starts on in the next mode, and the order of its first derivative that is not zero there: see crossing.next_crossing.
+with f the right-hand sides before and after the event and R the linear part of the reset. ``begun`` holds, for each
+signal, the end of its range at which it starts in the next mode and the order of its first nonzero derivative there:
+see crossing.next_crossing.
 """
 
 import numpy as np
@@ -27,18 +28,18 @@ from workers.kernel.signal import evaluate
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, RESONANT, SIGNALS
 
 MISSING, WRONG, ENDLESS, RESONATES = -1, -2, -3, -4
-"""In place of a mode: it is not built yet; it is none; the changes that lead to it have no end; it resonates."""
+"""In place of a mode: not built yet; no valid mode; an endless chain of changes; undamped resonance."""
 
 JUMPED = 1e-12
-"""Share of its terms by which a signal has to be beyond its range for a jump to have taken it there."""
+"""Overshoot of a signal beyond its range, as a share of its terms, from which on a jump has caused it."""
 
 CHANGES = 4
-"""Changes of mode at one time for each element, after which they are taken to have no end."""
+"""Simultaneous changes of mode per element after which the chain counts as endless."""
 
 
 @inlined
 def mode_of(table, states, slips, where):
-    """Where the mode of these contacts and slips in this phase is, MISSING, WRONG or RESONATES; and its number."""
+    """(slot of the mode of these contacts and slips in this phase, or MISSING, WRONG or RESONATES; its number)."""
     number = number_of(table.elements, states, slips, where)
     k = slot_of(table.codes, number)
     if k >= 0 and table.wrong[k] != 0:
@@ -48,7 +49,7 @@ def mode_of(table, states, slips, where):
 
 @inlined
 def follow_jumps(table, states, slips, where, z, turn, begun):
-    """Let what a jump has taken beyond its guard follow: what sticks slips, what pushes engages. See mode_of."""
+    """Follow a jump beyond guards: friction slips, contacts that push engage. Returns as mode_of."""
     number = np.int64(0)
     for _ in range(CHANGES * (len(states) + len(slips) + 1)):
         k, number = mode_of(table, states, slips, where)
@@ -59,7 +60,7 @@ def follow_jumps(table, states, slips, where, z, turn, begun):
 
 @inlined
 def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
-    """Change what the first signal of mode k that is beyond its range asks for; whether there is one."""
+    """Change the element of the first signal of mode k that is beyond its range; returns whether there was one."""
     C = len(states)
     for g in range(SIGNALS * C + len(slips)):
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
@@ -81,16 +82,16 @@ def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
             states[c] = other_push(states[c])
             return True
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            release(elements, g, c, where, states, slips, begun, np.int64(2))  # a jump: what pulls is not zero
+            release(elements, g, c, where, states, slips, begun, np.int64(2))  # after a jump the load is not zero
             return True
     return False
 
 
 @inlined
 def release(elements, g, c, where, states, slips, begun, order):
-    """A rigid stop lets go; ``order`` is that of the first derivative of y that is not zero then.
+    """Release a rigid stop; ``order`` is that of the first nonzero derivative of y after the release.
 
-    Friction that held the mass there too slides, and what pulls jumps where its static level is above the kinetic one.
+    Friction that also held the mass slides; its force jumps if the static level is above the kinetic one.
     """
     side = states[c]
     for e in range(len(slips)):
@@ -105,13 +106,13 @@ def release(elements, g, c, where, states, slips, begun, order):
 
 @kernel
 def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun):
-    """Friction e begins to slip, or slides no more: then it sticks where it can, else it slides the other way. Or it
-    goes on in another segment of its law, in which nothing jumps.
+    """Friction e begins to slip, or stops sliding: then it sticks if it can, else slides the other way.
 
-    Where the mode is in which it sticks and its number, as of mode_of: that has to be built to know.
+    Or its law enters another segment, in which nothing jumps. Returns the slot and number of the sticking mode, as of
+    mode_of: it must be built to decide.
     """
     elements, sign = table.elements, 1 if slips[e] > 0 else -1
-    if slips[e] != 0 and (slips[e] != sign or side == sign):  # of a law, the next segment or the one before
+    if slips[e] != 0 and (slips[e] != sign or side == sign):  # the next or the previous segment of a law
         slips[e] += side
         begun[g] = -side
         return np.int64(0), np.int64(0)
@@ -130,7 +131,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun
         reset(f, n, row, brake, 0.0, 1.0)
         for i in range(W.shape[0]):
             reset(W[i], n, row, brake, 0.0, 1.0)
-        begun[g] = 0  # it may have turned in this instant: what begins now is a stick, not the slide after the turn
+        begun[g] = 0  # the velocity may have turned at this instant: this begins a stick, not the slide after the turn
     else:
         slips[e] = -1 if force > 0.0 else 1
         begun[g] = -slips[e]
@@ -139,13 +140,13 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun
 
 @inlined
 def other_push(state):
-    """A soft contact that pushes detaches, and one that is detached pushes."""
+    """The other of the two states of a soft contact: pushing and detached."""
     return state + (1 if state > 0 else -1) * (1 if state % 2 != 0 else -1)
 
 
 @inlined
 def soft_event(g, c, side, states, begun):
-    """A soft contact engages or opens, its law has another segment, or it begins or ceases to push. Nothing jumps."""
+    """A soft contact engages or opens, enters another segment, or begins or ceases to push. Nothing jumps."""
     state = states[c]
     begun[g] = -side
     if g % SIGNALS == 1:
@@ -160,10 +161,10 @@ def soft_event(g, c, side, states, begun):
 
 @kernel
 def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, turn, begun):
-    """A rigid contact is reached at this rate of y: what follows, see contact.outcome; what is left of a chatter.
+    """An impact on a rigid contact at this rate of y: outcome (see contact.outcome) and remaining time of a chatter.
 
-    Friction that it jerks slides from then on. The end of chatter is to leading order one impact with R = 0; a load
-    that pulls away from R = 0 lets go at once, see follow_one.
+    Friction that the impact jerks slides afterwards. The end of chatter is to leading order one impact with R = 0;
+    after R = 0 a load that pulls away releases at once, see follow_one.
     """
     elements, pieces, n = table.elements, table.pieces, len(z) // 2
     row, kick, R, stop = elements.row[c], elements.kick[c], elements.R[c], elements.stops[c, 1 if side > 0 else 0]
@@ -172,7 +173,7 @@ def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, 
     cA2k, w = damping_along(pieces.acceleration[k], row, kick), R * abs(rate)
     load = load_at_rest(side, rate, product(row, f, n), cA2k)
     following = outcome(load, rate, R, scale, 2.0 * np.pi / table.omega)
-    reset(z, 0, row, kick, stop, 1.0)  # or rounding would add up over many impacts
+    reset(z, 0, row, kick, stop, 1.0)  # else rounding would add up over many impacts
     rests = following != REBOUND
     share = 1.0 if rests else 1.0 + R
     reset(z, n, row, kick, 0.0 if rests else -R * rate, 1.0)
@@ -200,7 +201,7 @@ def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, 
 
 @kernel
 def load_away(table, c, side, load, states, slips, where, z, turn):
-    """The load on stop ``side`` while the mass moves away from it: other than ``load``, if friction turns at hops."""
+    """Load on stop ``side`` while the mass moves away from it: differs from ``load`` if friction turns at each hop."""
     n, kick, turned = len(z) // 2, table.elements.kick[c], slips.copy()
     for e in range(len(slips)):
         along = product(table.elements.slide[e], kick, 0)
@@ -218,9 +219,9 @@ def load_away(table, c, side, load, states, slips, where, z, turn):
 
 @kernel
 def uneven_chatter(away, back, w, R):
-    """The time that chatter takes after a rebound at speed w, under these loads away from the stop and back to it.
+    """Duration of chatter after a rebound at speed w, under different loads away from the stop and back to it.
 
-    Hops last w / away + w / sqrt(away back), and each speed is R sqrt(back / away) times the last one.
+    Hops last w / away + w / sqrt(away back); the speed ratio of successive hops is R sqrt(back / away).
     """
     both = np.sqrt(away * back)
     return w * (1.0 / away + 1.0 / both) / (1.0 - R * both / away)
@@ -228,7 +229,7 @@ def uneven_chatter(away, back, w, R):
 
 @kernel
 def strikes_while_held(elements, c, states):
-    """Whether rigid contact c is struck and moves another one that is held: two impacts at once."""
+    """Whether an impact on rigid contact c moves another held one: two impacts at once."""
     if elements.soft[c] > 0.0 or states[c] != OPEN:
         return False
     for other in range(len(states)):

@@ -1,8 +1,8 @@
-"""What a motion is measured by: means, squares and extremes of outputs, contacts, rest, and what takes energy.
+"""Measures of a motion: means, squares and extremes of outputs, contacts, rest, and energy losses.
 
-The one loop of motion.py writes down the legs of each period. On a leg every output is a sum of exponentials and
-harmonics: its integrals, and those of its square, are sums over Gauss points close enough to be exact to rounding, and
-it is greatest and least at an end or where it turns, which the certified search finds.
+The one loop of motion.py records the legs of each period. On a leg every output is a sum of exponentials and harmonics:
+integrals of the output and of its square are sums over Gauss points close enough to be exact to rounding. Extremes are
+at the ends or at turning points, which the certified search finds.
 """
 
 import math
@@ -24,21 +24,21 @@ from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.model.oscillator import Array
 
 EARLY = 0.3819660112501051
-"""Share of a period after a section, by the golden ratio, at which a state and that half a turn later are compared: at
+"""Share of a period after a section, by the golden ratio, at which a state is compared with that half a turn later. At
 the section itself orbits may impact, as many closed forms do."""
 
 LEGS = 64
-"""Legs of one period that there is room for at first; four times as many each time that there are more."""
+"""Initial room for the legs of one period; it grows fourfold until all legs fit."""
 
 AROUND = 1e-9
-"""Share of a period after a section in which what happens counts as at the section: once in a turn of an orbit."""
+"""Share of a period after a section in which an event counts as at the section: once per turn of an orbit."""
 
 
 class Meters(NamedTuple):
-    """What is measured of N machines of n coordinates with P phases, C contacts and F frictions.
+    """Quantities measured of N machines of n coordinates with P phases, C contacts and F frictions.
 
-    rows (N, M, n) of the outputs, orders (N, M) which derivative each is a row on, peaks (N, M) 1 for their extremes;
-    damping (N, P, n, n), pad (N, P, C, 3), rub (N, P, F, 3), law (N, C, 2, S, 3) and grip (N, F, S', 3): see
+    rows (N, M, n) of the outputs, orders (N, M) of the derivatives that they act on, peaks (N, M) 1 to measure
+    extremes; damping (N, P, n, n), pad (N, P, C, 3), rub (N, P, F, 3), law (N, C, 2, S, 3) and grip (N, F, S', 3): see
     HybridMachines
     """
 
@@ -53,7 +53,7 @@ class Meters(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What N motions have shown so far.
+    """Measured values of N motions so far.
 
     first, square (N, M)  integrals of each output and of its square; low, high (N, M) its extremes
     hits     (N, C, 2)    contacts at the lower and at the upper stop; endless (N, C) 1 where they cannot be counted
@@ -83,7 +83,7 @@ class Readings(NamedTuple):
 
 @kernel
 def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally):
-    """Add the integrals over a flight of s in mode k from block state h (n, 2)."""
+    """Add the integrals over a flight of duration s in mode k from block state h (n, 2)."""
     pieces, elements = table.pieces, table.elements
     blocks, n = pieces.blocks[k, 0], len(h)
     top = table.omega * pieces.waves.shape[2]
@@ -122,9 +122,10 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
 
 @kernel
 def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, phase, omega, chatter):
-    """Take the end of a chatter, from block state h (n, 2), off the time that contact c holds and friction sticks.
+    """Subtract the end of a chatter, from block state h (n, 2), from the time of contact c and of sticking friction.
 
-    It flies in that time, in mode ``before``, and not in mode k: its acceleration is another one. By Simpson's rule.
+    The mass flies in that time in mode ``before``, with another acceleration than in mode k. Integrated by Simpson's
+    rule.
     """
     n = len(h)
     reading.touching[c] -= chatter
@@ -148,7 +149,7 @@ def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, 
 
 @kernel
 def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, phase, s, tally):
-    """What a contact that is on, or detached, shows on a leg from state z to state ``end``, but for its damper."""
+    """Add the readings of an engaged or detached contact on a leg from z to ``end``, except its damper's."""
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
     n, pushes = len(row), state % 2 != 0
     if pushes:
@@ -173,7 +174,7 @@ def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, pha
 
 @kernel
 def read_impact(elements, reading, c, end, following, counts):
-    """Contact c is reached in state ``end`` (2n,), and goes on from ``following``: what is counted, what it takes."""
+    """Count an impact on contact c from state ``end`` (2n,) to state ``following``, and the energy that it takes."""
     n = len(end) // 2
     before, after = product(elements.row[c], end, n), product(elements.row[c], following, n)
     reaches_upper = before > 0.0
@@ -191,11 +192,11 @@ def read_impact(elements, reading, c, end, following, counts):
 
 @kernel
 def read_leg(table, meter, reading, before, leg, signal, following, begins, marks, flies, tally):
-    """Add what a leg shows that ends with a signal, -1 for none; the next one starts from state ``following`` (2n,).
+    """Add the readings of a leg that ends with a signal, -1 for none; the next leg starts from ``following`` (2n,).
 
-    ``before`` is the mode of the leg before it.
-    What happens before the time ``begins`` does not count. marks (2,): when the states of ``halves`` are to be written
-    down, NaN for not in this period. Where it does not fly, contacts alone are counted.
+    ``before`` is the mode of the previous leg. Events before the time ``begins`` do not count. marks (2,): times at
+    which to record the states of ``halves``, NaN for none in this period. If ``flies`` is false, only contacts are
+    counted.
     """
     pieces, elements = table.pieces, table.elements
     n, z = len(following) // 2, leg[LEG_STATE : LEG_STATE + len(following)]
@@ -244,10 +245,10 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
 
 @kernel
 def noted_period(table, z, code, tally, duration):
-    """(state, number of its mode, legs, contacts) of a motion from z (2n,) in the mode of code (1,) after a period.
+    """(state, number of its mode, legs, contacts) of a motion from z (2n,) in the mode of code (1,) after ``duration``.
 
-    Or after a part of it; all legs and contacts as of through_modes, the motion's tally in place. Where a mode is
-    missing there are none.
+    ``duration`` is at most a period. Legs and contacts are complete, as of through_modes; the tally changes in place.
+    If a mode is missing, there are no legs.
     """
     size, room = len(z), LEGS
     flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
@@ -269,7 +270,7 @@ def noted_period(table, z, code, tally, duration):
 
 @kernel
 def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
-    """Add legs that lead to the state ``end`` (2n,); see read_leg."""
+    """Add legs up to the state ``end`` (2n,); see read_leg."""
     before = -1
     for i in range(len(legs)):
         last = i + 1 == len(legs)
@@ -281,9 +282,9 @@ def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
 
 @kernel
 def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
-    """Take a motion from state z (2n,) and its mode in code (1,) through a period, or a part of it, and add its legs.
+    """Take a motion from state z (2n,) and its mode in code (1,) through a period or a part of it, and add its legs.
 
-    In place; see read_leg. Where a mode is missing it stays where it was, and nothing is added.
+    In place; see read_leg. If a mode is missing, the motion stays put and nothing is added.
     """
     there, number, legs, _ = noted_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
@@ -295,11 +296,11 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
 
 @kernel
 def read_motions(oscillators, meters, readings, states, codes, done, periods, closes, allowance, cells):
-    """Take motions on through the periods that they have to go, and add what they show to ``readings``; how each ends.
+    """Advance motions by their remaining periods and add their readings to ``readings``; returns the status of each.
 
     In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
-    (N,): 1 where these are a turn of an orbit, of which an impact at the section counts once. allowance (N,): the
-    evaluations that they may take. Of these machines with modes; a motion that misses a mode goes on when called again.
+    (N,): 1 if these are one turn of an orbit, where an impact at the section counts once. allowance (N,): evaluations
+    allowed. Only for ``cells``, of machines with modes; a motion that misses a mode continues at the next call.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:

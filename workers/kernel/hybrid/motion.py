@@ -16,7 +16,7 @@ from workers.model.oscillator import HEAD, Mode
 
 @kernel
 def first_event(pieces, k, h, phase, begun, H, scratch, tally):
-    """(time, signal, side) of the first guard that is reached in [0, H]; signal -1 where none is."""
+    """(time, signal, side) of the first guard reached in [0, H]; signal -1 for none."""
     s, hit, side = H, -1, 0
     for g in range(pieces.ends.shape[1]):
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
@@ -34,15 +34,15 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
 
 @kernel
 def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, duration):
-    """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
+    """Advance a physical state z (2n,) and tangent vectors W (m, 2n) from a section by ``duration`` <= one period.
 
     All in place:
     code (1,)                   number of their mode
-    growth (m,), triangle       see tangent.orthonormalise; of no length where the vectors are not to be orthonormal.
-                                Else the first vector is what drifts, if anything does, see take_up
+    growth (m,), triangle       see tangent.orthonormalise; empty for vectors that stay as they are. Otherwise the first
+                                vector is the drift direction, if a coordinate drifts, see take_up
     hits (K, 3)                 the first K contacts: time, +-(1 + contact) with the side's sign, speed
     legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.Leg
-    Stops early with tally[STATUS] set where it cannot go on.
+    Stops early with tally[STATUS] set if the motion cannot continue.
     """
     trips = trips_for(only_row(table), 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
     take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration)
@@ -50,7 +50,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
 
 @kernel
 def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration):
-    """through_modes with room for it. Its own kernel, since what is lent lives as long as the caller."""
+    """through_modes with work arrays. A separate kernel, since lent arrays live as long as the caller."""
     trip = row_in(lend(trips), 0)
     copy_into(trip.z, z)
     copy_into(trip.W, W)
@@ -67,7 +67,7 @@ def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, 
 
 @kernel
 def go_through(table, trip, number, hits, legs, duration):
-    """Take a trip on from a section, in the mode of this number; that of the mode it ends in. See through_modes."""
+    """Advance a trip from a section, beginning in the mode of this number; returns its last mode. See through_modes."""
     tally, scratch = trip.tally, np.empty_like(trip.h)
     legs[:] = np.nan
     begin_trip(table, trip, number)
@@ -86,10 +86,10 @@ def go_through(table, trip, number, hits, legs, duration):
 
 @kernel
 def take_up(to_physical, motion, trip, more):
-    """Put a motion at a section into a trip, as its physical state and tangent vectors, with what it has counted.
+    """Copy a motion at a section into a trip: physical state, tangent vectors and counts.
 
-    ``more`` is 1 where the direction that drifts comes before all others, growth 0: what these have of it says where
-    they are, and counts for nothing. As the first vector of a frame it is taken off them, however little else is left.
+    ``more`` is 1 if the drift direction precedes all others, with growth 0: components along it only tell the position
+    and do not count. As the first vector of the frame it is removed from all others, however short they become.
     """
     size, V = len(trip.z), motion.V
     for i in range(size):
@@ -112,7 +112,7 @@ def take_up(to_physical, motion, trip, more):
 
 @kernel
 def put_down(to_blocks, omega, motion, trip, more, resets):
-    """Take a motion to the end of its trip; ``resets`` says that a coordinate drifts which is to be 0 there."""
+    """Copy the end of a trip back into its motion; ``resets`` says that a drifting coordinate is reset to 0."""
     size, V, h = len(trip.z), motion.V, trip.h
     for i in range(size):
         h[i // 2, i % 2] = product(to_blocks[i], trip.z, 0)
@@ -132,7 +132,7 @@ def put_down(to_blocks, omega, motion, trip, more, resets):
 
 @kernel
 def propagate_hybrid(osc, motion, duration):
-    """period.propagate of a machine with modes. Where a mode is missing the motion stays where it was."""
+    """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if osc.table.drifts > 0.0 and framed else 0
     n, m = motion.h.shape[0], motion.V.shape[0] + more
@@ -141,7 +141,7 @@ def propagate_hybrid(osc, motion, duration):
 
 @kernel
 def take_on(osc, motion, trips, more, duration):
-    """propagate_hybrid with room for it. Its own kernel, since what is lent lives as long as the caller."""
+    """propagate_hybrid with work arrays. A separate kernel, since lent arrays live as long as the caller."""
     table, motion, trip = only_row(osc.table), only_row(motion), row_in(lend(trips), 0)
     take_up(osc.to_physical, motion, trip, more)
     go_through(table, trip, motion.contact[0] - FIRST_NUMBER, motion.impacts, np.empty((0, 0)), duration)

@@ -1,4 +1,4 @@
-"""Directions in which nothing pulls back: a coordinate that drifts, and what sticks for good wherever it is."""
+"""Neutral directions: a coordinate that drifts, and the position of friction that sticks for good."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from workers.model.hybrid_modes import ON
 
 @inline_always
 def keep_neighbours(elements, states, lost, V):
-    """Take off tangent vectors V (m, n, 2) what would move what is held or sticks: neighbours come to do so at once.
+    """Remove from tangent vectors V (m, n, 2) the motion of held and sticking coordinates: neighbours stop at once too.
 
-    The last blocks are those of what is held, then of what sticks, see hybrid_modes.
+    The last blocks are those of held coordinates, then of sticking ones, see hybrid_modes.
     """
     held = 0
     for c in range(len(states)):
@@ -29,7 +29,7 @@ def keep_neighbours(elements, states, lost, V):
 
 @inline_always
 def note_slips(slips, tally):
-    """Note which frictions slide: that of number e by the binary digit 2^e."""
+    """Record which frictions slide, as binary digits: 2^e for friction e."""
     slid = int(tally[SLID])
     for e in range(len(slips)):
         if slips[e] != 0:
@@ -39,9 +39,9 @@ def note_slips(slips, tally):
 
 @kernel
 def freeze(osc, motion):
-    """Take what has never slid on a motion's way as a parameter of it: of tangent vectors, what would move its place.
+    """Treat friction that has never slid as a parameter of the motion: remove changes of its position from all vectors.
 
-    It could rest anywhere near as well: that direction is neutral, its multiplier 1. It counts as lost besides.
+    It could rest anywhere nearby: the direction is neutral, with multiplier 1, and counts as lost.
     """
     table, elements = osc.table, osc.table.elements
     n, m = motion.h.shape[0], motion.V.shape[0]
@@ -71,7 +71,7 @@ def freeze(osc, motion):
 
 @inline_always
 def rests_on_stop(elements, e, states):
-    """Whether friction e sticks on the row of a rigid contact that is held, which decides of it."""
+    """Whether friction e sticks on the row of a held rigid contact, which then holds it."""
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0 and elements.along[e, c] != 0.0:
             return True
@@ -80,7 +80,7 @@ def rests_on_stop(elements, e, states):
 
 @inline_always
 def count_progress(motion, h, omega):
-    """Reset the coordinate that drifts, of a motion that a period took to block state h (n, 2): see Oscillator."""
+    """Reset the drifting coordinate of a motion that a period took to block state h (n, 2): see Oscillator."""
     last = h.shape[0] - 1
     motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega
     h[last, 1] = 0.0

@@ -1,4 +1,4 @@
-"""What the one loop of motion.py writes down of a period: its legs, each with the event that it begins with."""
+"""Records of a period by the one loop of motion.py: its legs, each with the event that begins it."""
 
 from typing import NamedTuple
 
@@ -6,16 +6,16 @@ from workers.kernel.jit import inline_always, named_constants
 
 
 class LegRecord(NamedTuple):
-    """What is written down of a motion in one mode, as columns of legs (K, LEG_STATE + 2n + G); NaN after the last one.
+    """One leg of a motion, within one mode, as columns of legs (K, LEG_STATE + 2n + G); NaN after the last leg.
 
     start            time since the section
-    signal, side     signal that has reached an end of its range then, and which: -1 and 0 at the start and where the
-                     phase changes
+    signal, side     signal at an end of its range at the start of the leg, and which end; -1 and 0 at the start of a
+                     motion or phase
     rate             of that signal
-    number, mode     of the mode: see hybrid_modes.Code; its place in the table
+    number, mode     number of the mode, see hybrid_modes.Code, and its slot in the table
     duration         until the next leg
-    chatter          the first part of that which it spends hopping, where it begins at the end of a chatter
-    The state (2n,) that it starts from follows, and how each of its G signals begins: see events.py.
+    chatter          the first part of the duration, spent hopping, if it begins at the end of a chatter
+    Then follow the initial state (2n,) and the beginning of each of the G signals: see events.py.
     """
 
     start: int
@@ -31,12 +31,12 @@ class LegRecord(NamedTuple):
 LEG = LegRecord(*range(len(LegRecord._fields)))
 named_constants(LegRecord)
 LEG_STATE = len(LEG)
-"""Column of the first component of the state that a leg starts from."""
+"""Column of the first component of a leg's initial state."""
 
 
 @inline_always
 def note(row, t, signal, side, rate, number, mode, duration, chatter, z, begun):
-    """Write a leg down, see Leg."""
+    """Record a leg, see LegRecord."""
     row[LEG.start], row[LEG.signal], row[LEG.side], row[LEG.rate] = t, signal, side, rate
     row[LEG.number], row[LEG.mode], row[LEG.duration], row[LEG.chatter] = number, mode, duration, chatter
     for i in range(len(z)):

@@ -1,4 +1,4 @@
-"""Outputs of a mode, sums of exponentials and harmonics: their extremes, and steps for which Gauss points are exact."""
+"""Outputs of a mode, sums of exponentials and harmonics: extremes, and step lengths for exact Gauss integration."""
 
 import math
 
@@ -11,28 +11,28 @@ from workers.kernel.motion import MARCH_GAVE_UP, STATUS, spend
 from workers.kernel.signal import derivative_bounds, evaluate
 from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, OF_GUARD, Mode
 
-NODES, WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(10))
+NODES, WEIGHTS = (np.ascontiguousarray(array) for array in np.polynomial.legendre.leggauss(10))
 """Gauss points and weights on [-1, 1], exact for polynomials of degree 19."""
 
 REACH = 2.0
-"""Rate times step up to which they are exact to rounding. Of a product of two exponentials, each of at most that rate,
-the rule leaves (2 REACH)^20 (10!)^4 / (21 (20!)^3) = 6e-19 of the greatest value."""
+"""Largest rate times step for which the points are exact to rounding. For a product of two exponentials of at most that
+rate the error of the rule is (2 REACH)^20 (10!)^4 / (21 (20!)^3) = 6e-19 of the greatest value."""
 
 DEGREE = 20
-"""Order of the derivative that the rule leaves: what has decayed by e^-x allows for steps longer by e^(x / DEGREE)."""
+"""Order of the derivative in the error of the rule: after a decay by e^-x steps may be longer by e^(x / DEGREE)."""
 
 LEVEL = 1e-15
-"""Share of an output's terms by which it may change on a leg and count as constant."""
+"""Relative change on a leg, as a share of its terms, below which an output counts as constant."""
 
 POSITION, RATE, ACCELERATION = range(3)
-"""Which derivative of the displacements an output is a row on."""
+"""The derivative of the displacements that an output acts on."""
 
 
 @kernel
 def longest_panel(blocks, top, since):
-    """The longest step for which Gauss points are exact, a time ``since`` after a leg has begun; see REACH.
+    """The longest step for which Gauss points are exact, at a time ``since`` after the start of a leg; see REACH.
 
-    Each exponential of rate r that decays at rate q has decayed by e^(-q since). top: the greatest forcing frequency.
+    An exponential of rate r and decay rate q has decayed by e^(-q since). top: the greatest forcing frequency.
     """
     longest = REACH / top
     for j in range(len(blocks)):
@@ -48,23 +48,23 @@ def longest_panel(blocks, top, since):
 
 @kernel
 def mode_with(pieces, k, row, direct):
-    """Mode k with the output for a guard that a row (2n + 1,) on (x, v, 1) and the force by ``direct`` (H, 2) make.
+    """Mode k with an output as its guard: a row (2n + 1,) on (x, v, 1), and ``direct`` (H, 2) of the force.
 
-    And what the output is while the blocks are at rest, the forced response taken off.
+    Also returns the output with the blocks at rest, without forced response.
     """
     blocks, forced, waves = pieces.blocks[k, 0].copy(), pieces.forced[k], direct.copy()
     size = 2 * len(blocks)
     blocks[:, OF_FLOW:OF_GUARD] = 0.0
     offset = row[size]
     for i in range(size):
-        seen = 0.0
+        weight = 0.0
         for j in range(size):
-            seen += row[j] * pieces.to_physical[k, j, i]
-        blocks[i // 2, COLUMN.c0 + i % 2] = seen
-        offset += seen * blocks[i // 2, COLUMN.rest0 + i % 2]
+            weight += row[j] * pieces.to_physical[k, j, i]
+        blocks[i // 2, COLUMN.c0 + i % 2] = weight
+        offset += weight * blocks[i // 2, COLUMN.rest0 + i % 2]
         for w in range(len(waves)):
-            waves[w, 0] += seen * forced[i // 2, i % 2, w, 0]
-            waves[w, 1] += seen * forced[i // 2, i % 2, w, 1]
+            waves[w, 0] += weight * forced[i // 2, i % 2, w, 0]
+            waves[w, 1] += weight * forced[i // 2, i % 2, w, 1]
     for j in range(len(blocks)):
         eta, lam, block = blocks[j, COLUMN.eta], blocks[j, COLUMN.lam], blocks[j]
         block[COLUMN.cA0], block[COLUMN.cA1] = -lam * block[COLUMN.c1], block[COLUMN.c0] - 2.0 * eta * block[COLUMN.c1]
@@ -76,7 +76,7 @@ def mode_with(pieces, k, row, direct):
 
 @kernel
 def output_row(pieces, k, row, order):
-    """The row (2n + 1,) on (x, v, 1) of an output row . x of this derivative in mode k, and what the force adds."""
+    """The row (2n + 1,) on (x, v, 1) of an output row . x of this derivative in mode k, and its force part."""
     n = len(row)
     full, direct = np.zeros(2 * n + 1), np.zeros(pieces.direct.shape[2:])
     for i in range(n):
@@ -93,9 +93,9 @@ def output_row(pieces, k, row, order):
 
 @kernel
 def extremes(pieces, k, row, direct, h, phase, s, tally):
-    """The least and the greatest value of an output, see mode_with, in a flight of s from block state h (n, 2).
+    """The least and greatest value of an output, see mode_with, in a flight of duration s from block state h (n, 2).
 
-    It is taken for constant where a bound of its rate says that it changes by no more than LEVEL.
+    The output counts as constant if a bound of its rate limits its change to LEVEL.
     """
     mode, offset = mode_with(pieces, k, row, direct)
     omega = mode.numbers[NUMBER.omega]

@@ -1,4 +1,4 @@
-"""A state of a hybrid machine: physical between modes, z = (x, v), in blocks within one; its guards and its rates."""
+"""States of a hybrid machine, physical z = (x, v) between modes and in blocks within one; guards and their rates."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 @inlined
 def number_of(elements, states, slips, where):
-    """The number of the mode of these contacts and slips in this phase, see model.hybrid.Code."""
+    """Number of the mode of these contacts and slips in this phase, see model.hybrid_modes.Code."""
     number, half, most = where, 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for state in states:
         number = (2 * half + 1) * number + state + half
@@ -27,7 +27,7 @@ def number_of(elements, states, slips, where):
 
 @inlined
 def read_number(elements, number, states, slips):
-    """Write what contacts and slips do in the mode of this number; its phase."""
+    """Write the states of contacts and slips in the mode of this number; returns its phase."""
     half, most = 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for f in range(len(slips) - 1, -1, -1):
         slips[f] = number % (2 * most + 1) - most
@@ -40,7 +40,7 @@ def read_number(elements, number, states, slips):
 
 @inlined
 def segment_of(starts, at):
-    """The segment that an argument of a law is in, of those that begin at ``starts`` (S,): the first one is 0."""
+    """Segment of a law at an argument, for segments beginning at ``starts`` (S,); 0 is the first."""
     i = 0
     while i + 1 < len(starts) and starts[i + 1] < at:
         i += 1
@@ -49,13 +49,13 @@ def segment_of(starts, at):
 
 @inlined
 def slip_of(elements, e, sliding):
-    """How friction e slides at this velocity, which is not 0: see model.hybrid_modes.Code."""
+    """State of friction e that slides at this nonzero velocity: see model.hybrid_modes.Code."""
     return (1 if sliding > 0.0 else -1) * (1 + segment_of(elements.speeds[e], abs(sliding)))
 
 
 @inline_always
 def slot_of(codes, number):
-    """Where the mode of this number is among those built, -1 where it is not."""
+    """Slot of the mode of this number among those built, -1 if it is not built."""
     for k in range(len(codes)):
         if codes[k] == number:
             return k
@@ -71,7 +71,7 @@ def turn_to(phase, turn):
 
 @kernel
 def turned(phase, harmonics):
-    """Sine and cosine (H, 2) of each of so many harmonics of the force at a phase."""
+    """Sine and cosine (H, 2) of this many harmonics of the force at a phase."""
     turn = np.empty((harmonics, 2))
     turn_to(phase, turn)
     return turn
@@ -90,7 +90,7 @@ def wave(parts, turn):
 
 @inlined
 def guard_value(pieces, k, g, z, turn):
-    """Signal g of mode k at a physical state z (2n,), and the sum of the moduli that add up to it; see turned."""
+    """Signal g of mode k at a physical state z (2n,), and the sum of moduli of its terms; see turned."""
     row = pieces.rows[k, g]
     value, _ = wave(pieces.direct[k, g], turn)
     size = abs(value) + abs(row[len(z)])
@@ -103,7 +103,7 @@ def guard_value(pieces, k, g, z, turn):
 
 @inlined
 def guard_rate(pieces, k, g, f, omega, turn):
-    """The rate of signal g of mode k where the state has the rates f (2n,)."""
+    """Rate of signal g of mode k for a state with rates f (2n,)."""
     _, rate = wave(pieces.direct[k, g], turn)
     rate *= omega
     for i in range(len(f)):
@@ -139,7 +139,7 @@ def enter(pieces, k, z, W, turn, h, V):
 
 @inlined
 def leave(pieces, k, h, V, turn, z, W):
-    """Write the physical state z (2n,) and the tangent vectors W (m, 2n) of those of mode k."""
+    """Write the physical state z (2n,) and tangent vectors W (m, 2n) of h (n, 2) and V (m, n, 2) in mode k."""
     matrix, blocks, forced = pieces.to_physical[k], pieces.blocks[k, 0], pieces.forced[k]
     size = len(z)
     z[:] = 0.0
@@ -153,7 +153,7 @@ def leave(pieces, k, h, V, turn, z, W):
 
 @inline_always
 def enter_from_section(osc, k, h, at):
-    """Write the block state ``at`` (n, 2) in mode k of a motion at a section, in the section's blocks h (n, 2)."""
+    """Write the block state ``at`` (n, 2) in mode k of a motion at a section, from section blocks h (n, 2)."""
     n = h.shape[0]
     z = np.empty((1, 2 * n))
     leave_frame(osc.to_physical, h.copy().reshape((1, n, 2)), z)
@@ -163,7 +163,7 @@ def enter_from_section(osc, k, h, at):
 
 @inlined
 def enter_frame(matrix, W, V):
-    """Write the vectors V (m, n, 2) in blocks that a matrix (2n, 2n) makes of physical ones W (m, 2n)."""
+    """Write the block vectors V (m, n, 2) that a matrix (2n, 2n) makes of physical vectors W (m, 2n)."""
     for e in range(len(V)):
         for i in range(len(matrix)):
             V[e, i // 2, i % 2] = product(matrix[i], W[e], 0)
@@ -171,7 +171,7 @@ def enter_frame(matrix, W, V):
 
 @inlined
 def leave_frame(matrix, V, W):
-    """Write the physical vectors W (m, 2n) that a matrix (2n, 2n) makes of those in blocks V (m, n, 2)."""
+    """Write the physical vectors W (m, 2n) that a matrix (2n, 2n) makes of block vectors V (m, n, 2)."""
     for e in range(len(V)):
         for i in range(len(matrix)):
             W[e, i] = product_of_blocks(matrix[i], V[e])
@@ -179,7 +179,7 @@ def leave_frame(matrix, V, W):
 
 @inlined
 def row_product(row, z):
-    """row . z of as many terms as z has."""
+    """row . z over the length of z."""
     total = 0.0
     for i in range(len(z)):
         total += row[i] * z[i]
@@ -188,7 +188,7 @@ def row_product(row, z):
 
 @inlined
 def product(row, z, first):
-    """row . z[first:], as many terms as the row has."""
+    """row . z[first:] over the length of the row."""
     total = 0.0
     for i in range(len(row)):
         total += row[i] * z[first + i]
@@ -197,7 +197,7 @@ def product(row, z, first):
 
 @inlined
 def product_of_blocks(row, h):
-    """row . h, of blocks h (n, 2), as product has it."""
+    """row . h for blocks h (n, 2), summed like ``product``."""
     total = 0.0
     for j in range(len(h)):
         total += row[2 * j] * h[j, 0]
@@ -207,7 +207,7 @@ def product_of_blocks(row, h):
 
 @kernel
 def size_of(row, z, first):
-    """The sum of the moduli that add up to row . z[first:]."""
+    """The sum of the moduli of the terms of row . z[first:]."""
     total = 0.0
     for i in range(len(row)):
         total += abs(row[i] * z[first + i])
@@ -216,7 +216,7 @@ def size_of(row, z, first):
 
 @inlined
 def reset(z, first, row, kick, target, factor):
-    """Take row . z[first:] by ``factor`` of its distance to ``target`` nearer to it, along ``kick``, row . kick = 1."""
+    """Reduce the distance of row . z[first:] to ``target`` by the share ``factor``, along ``kick``, row . kick = 1."""
     change = factor * (target - product(row, z, first))
     for i in range(len(row)):
         z[first + i] += change * kick[i]
@@ -224,7 +224,7 @@ def reset(z, first, row, kick, target, factor):
 
 @kernel
 def damping_along(acceleration, row, kick):
-    """cA^2k: minus the rate at which a velocity along ``kick`` (n,) decays, as y = row . x sees it."""
+    """cA^2k: minus the decay rate of a velocity along ``kick`` (n,) as seen by y = row . x."""
     n, total = len(row), 0.0
     for i in range(n):
         for j in range(n):
@@ -234,10 +234,10 @@ def damping_along(acceleration, row, kick):
 
 @kernel
 def shown_number(elements, z):
-    """The number of the mode that a physical section state z (2n,) shows, in the first phase; -1 beyond a rigid stop.
+    """Number of the mode of a physical section state z (2n,) in the first phase; -1 beyond a rigid stop.
 
-    On a rigid stop with v = 0, to ROUNDING, it is held; friction sticks where nothing slides. Forces that say otherwise
-    are heeded at once, see events.follow_jumps.
+    A contact on a rigid stop with v = 0, to ROUNDING, is held; friction sticks at sliding velocity zero. Forces that
+    contradict this take effect at once, see events.follow_jumps.
     """
     n = elements.row.shape[1]
     states = np.zeros(elements.row.shape[0], dtype=np.int64)
@@ -264,9 +264,9 @@ def shown_number(elements, z):
 
 @kernel
 def show(elements, number, z):
-    """Take off a physical state z (2n,) in the mode of this number what rounding hides of it: see shown_number.
+    """Remove deviations of rounding size from a physical state z (2n,) in this mode: see shown_number.
 
-    What a rigid stop holds is on it with v = 0, and what sticks does not slide.
+    A held contact is on its stop with v = 0; sticking friction does not slide.
     """
     C, F, n = len(elements.row), len(elements.slide), elements.row.shape[1]
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)
@@ -289,10 +289,10 @@ def show(elements, number, z):
 
 @kernel
 def meet(rows, values, x):
-    """Set one coordinate of x (n,) for each row (r, n), the one that weighs most, so that rows x = values.
+    """Set one coordinate of x (n,) for each row (r, n), the one with the largest weight, so that rows x = values.
 
-    Exactly where these rows are coordinates with weights +-1, or differences of two. A row that depends on those before
-    it, as that of friction on the row of a contact may, is left out.
+    Exact for rows that are coordinates with weights +-1, or differences of two. Rows that depend on earlier ones, such
+    as friction on the row of a contact, are left out.
     """
     A, right, pivots = rows.copy(), values.copy(), np.full(len(rows), -1)
     for i in range(len(rows)):

@@ -1,4 +1,4 @@
-"""A motion of a hybrid machine between its events: what begins a period, a leg, and what ends it."""
+"""A motion of a hybrid machine between its events: the start of a period and of a leg, and the end of a leg."""
 
 import math
 from typing import NamedTuple
@@ -64,20 +64,20 @@ from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Array
 
 AT_SECTION = 1e-13
-"""Share of a period after a section within which an event counts as at the section, and past there: rounding would
-decide, from turn to turn, in which mode an orbit is where it changes its mode."""
+"""Share of a period around a section within which an event counts as at the section and past it. Otherwise rounding
+would decide, from turn to turn, the mode of an orbit that changes its mode there."""
 
 
 class TripClock(NamedTuple):
     """Numbers of a trip.
 
     time, phase   since the section, and of the force, where the leg begins
-    until         when the phase of the machine ends, or the trip
-    horizon       for how long the leg's first event is sought
+    until         end of the phase of the machine, or of the trip
+    horizon       longest time in which to seek the leg's first event
     rate          of the signal that the leg begins with
-    end1 ... end3 the last estimates of when a chatter ends, see chatter.chatter_end
-    chatter       how long the leg still hops, where it begins at the end of a chatter
-    hop           speed of the rebound that the leg begins with in a chatter, 0 elsewhere
+    end1 ... end3 the last estimates of a chatter's end, see chatter.chatter_end
+    chatter       remaining time of hops, if the leg begins at the end of a chatter
+    hop           speed of the rebound at the start of the leg in a chatter, else 0
     """
 
     time: int
@@ -95,9 +95,9 @@ class TripClock(NamedTuple):
 class TripPlace(NamedTuple):
     """Whole numbers of a trip.
 
-    mode, number  where the mode is in the table, or why it is none, see events.mode_of; its number
+    mode, number  slot of the mode in the table, or why there is none, see events.mode_of; its number
     where         the phase of the machine
-    hit, side     signal that the leg begins with, -1 for none, and the end of its range
+    hit, side     signal whose event begins the leg, -1 for none, and the end of its range
     legs          legs so far
     """
 
@@ -118,15 +118,15 @@ class Trip(NamedTuple):
     """A motion of n coordinates on its way from a section, with m tangent vectors; G signals.
 
     clock, place              see TripClock and TripPlace
-    h (n, 2), V (m, n, 2)     where the leg begins, in the blocks of its mode
+    h (n, 2), V (m, n, 2)     at the start of the leg, in the blocks of its mode
     flow (n, 6)               of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
     z (2n,), W (m, 2n)        at an event, physical
     turn (H, 2)               of the force there, see state.turned
     before, after (2n,)       rates of z there
-    slopes (m,)               by how much each vector is early there
-    states (C,), slips (F,)   what contacts and friction do
-    begun (G,)                how each signal begins, see events.py
-    growth (m,), triangle     see tangent.orthonormalise; of no length where the vectors are not to be orthonormal
+    slopes (m,)               time by which each vector is early there
+    states (C,), slips (F,)   of contacts and of friction
+    begun (G,)                start of each signal, see events.py
+    growth (m,), triangle     see tangent.orthonormalise; empty for vectors that stay as they are
     tally (TALLIES,)          see motion.Motion
     """
 
@@ -151,7 +151,7 @@ class Trip(NamedTuple):
 
 @inline_always
 def trips_for(table, N, n, m, framed, square):
-    """Trips (N, ...) of n coordinates with m tangent vectors, for machines of which ``table`` is one; see Trip.
+    """Trips (N, ...) of n coordinates with m tangent vectors, for machines like the one of ``table``; see Trip.
 
     ``framed`` and ``square`` say whether they have growth and triangle.
     """
@@ -169,7 +169,7 @@ def trips_for(table, N, n, m, framed, square):
 
 @inline_always
 def stop_at(table, tally, k, number):
-    """Write why a motion cannot go on into a mode that is none, see events.mode_of."""
+    """Set the status of a motion whose next mode is none, see events.mode_of."""
     if k == MISSING:
         tally[STATUS] = MODE_MISSING
         table.missing[0] = number
@@ -179,10 +179,10 @@ def stop_at(table, tally, k, number):
 
 @inlined
 def fly(pieces, k, s, trip, drifts, flown):
-    """Move the block state and the tangent vectors on by s in mode k; ``flown`` says that trip.flow is that flow.
+    """Advance the block state and tangent vectors by s in mode k; ``flown`` says that trip.flow holds this flow.
 
-    A frame is orthonormal before it flies: what an event has taken of it is seen before the flight turns rounding into
-    directions, and multipliers are known to rounding.
+    The frame is made orthonormal before the flight: directions removed by an event are detected before the flight turns
+    rounding into directions, and multipliers are known to rounding.
     """
     blocks, h, V, growth, flows = pieces.blocks[k, 0], trip.h, trip.V, trip.growth, trip.flow
     if growth.shape[0] > 0:
@@ -206,7 +206,7 @@ def fly(pieces, k, s, trip, drifts, flown):
 
 @inline_always
 def count_rest(elements, states, lost, s, chatter, tally):
-    """Count a flight of s in a mode that has lost dimensions as time at rest, but for the end of a chatter in it."""
+    """Count a flight of duration s in a mode with lost dimensions as rest, except the end of a chatter in it."""
     held = 0.0
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
@@ -219,7 +219,7 @@ def count_rest(elements, states, lost, s, chatter, tally):
 
 @inline_always
 def keep_held(elements, states, slips, z):
-    """Take off what rounding has moved of what a stop holds or of what sticks."""
+    """Remove rounding from held and sticking coordinates."""
     n = len(z) // 2
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
@@ -233,7 +233,7 @@ def keep_held(elements, states, slips, z):
 
 @kernel
 def follow(table, trip):
-    """Find the mode that the motion goes on in, see events.follow_jumps."""
+    """Find the next mode of the motion, see events.follow_jumps."""
     place = trip.place
     k, number = follow_jumps(
         table, trip.states, trip.slips, place[PLACE.where], trip.z, trip.turn, trip.begun
@@ -259,9 +259,9 @@ def begin_trip(table, trip, number):
 
 @inlined
 def begin_leg(table, trip, duration):
-    """Begin a leg, of a trip that takes ``duration``; for how long its first event is to be sought.
+    """Begin a leg of a trip of this duration; sets the horizon for its first event.
 
-    tally[STATUS] says where it cannot go on.
+    tally[STATUS] tells a trip that cannot continue.
     """
     clock, place, tally = trip.clock, trip.place, trip.tally
     k, t, period = place[PLACE.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
@@ -282,9 +282,9 @@ def begin_leg(table, trip, duration):
 
 @inlined
 def leave_leg(table, trip, s, reached, end, duration, legs, flown):
-    """End a leg after s, where signal ``reached`` is at this end of its range, -1 for none; see motion.through_modes.
+    """End a leg after s, with signal ``reached`` at this end of its range, -1 for none; see motion.through_modes.
 
-    Whether the trip is over. An event is yet to be passed, see strike_soft. flown: trip.flow is that over s.
+    Returns whether the trip is over. The event itself follows, see strike_soft. flown: trip.flow is the flow over s.
     """
     clock, place, tally, pieces, h = trip.clock, trip.place, trip.tally, table.pieces, trip.h
     k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
@@ -297,10 +297,10 @@ def leave_leg(table, trip, s, reached, end, duration, legs, flown):
     else:
         clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     s = min(s, until - t)
-    seen, chatter = place[PLACE.legs], clock[CLOCK.chatter]
-    if seen < legs.shape[0]:
+    count, chatter = place[PLACE.legs], clock[CLOCK.chatter]
+    if count < legs.shape[0]:
         rate, number = clock[CLOCK.rate], place[PLACE.number]
-        note(legs[seen], t, hit, place[PLACE.side], rate, number, k, s, chatter, trip.z, trip.begun)
+        note(legs[count], t, hit, place[PLACE.side], rate, number, k, s, chatter, trip.z, trip.begun)
         place[PLACE.legs] += 1
     fly(pieces, k, s, trip, table.drifts, flown and s == searched)
     tally[CONTRACTION] -= pieces.trace[k] * s
@@ -331,7 +331,7 @@ def leave_leg(table, trip, s, reached, end, duration, legs, flown):
 
 @inlined
 def is_soft(table, reached):
-    """Whether a signal is that of a soft contact."""
+    """Whether a signal belongs to a soft contact."""
     c = reached // SIGNALS
     return c < len(table.elements.soft) and table.elements.soft[c] > 0.0
 
@@ -377,7 +377,7 @@ def strike_hard(table, trip, hits):
 
 @inline_always
 def strike_stop(table, trip, g, c, side, hits):
-    """Pass an impact on a rigid contact: what is counted of it, and what is left of a chatter that it is part of."""
+    """Pass an impact on a rigid contact: its counts, and the remaining time of a chatter."""
     clock, tally, t, rate = trip.clock, trip.tally, trip.clock[CLOCK.time], trip.clock[CLOCK.rate]
     R, energy = table.elements.R[c], table.elements.weight[c] * rate * rate
     following, left = impact(
@@ -389,7 +389,7 @@ def strike_stop(table, trip, g, c, side, hits):
     clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = ends
     if following != REBOUND:
         tally[LOST] = max(tally[LOST], 1.0 + table.drifts)
-    if following == REST:  # at the end of a chatter, whose impacts cannot be counted
+    if following == REST:  # the impacts at the end of a chatter cannot be counted
         tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
         clock[CLOCK.chatter] = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
@@ -403,7 +403,7 @@ def strike_stop(table, trip, g, c, side, hits):
 
 @kernel
 def carry(table, trip, mode):
-    """Carry tangent vectors from ``mode`` through the event that has been passed, by its saltation matrix."""
+    """Carry tangent vectors from ``mode`` through the passed event by its saltation matrix."""
     place, pieces = trip.place, table.pieces
     f, after, k, g = trip.before, trip.after, place[PLACE.mode], place[PLACE.hit]
     if k < 0:
@@ -421,9 +421,9 @@ def carry(table, trip, mode):
 
 @kernel
 def end_leg(table, trip, s, reached, end, duration, hits, legs, flown):
-    """End a leg after s and go through the event that it ends with, if there is one: see leave_leg.
+    """End a leg after s and pass the event at its end, if any: see leave_leg.
 
-    Whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is that over s.
+    Returns whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is the flow over s.
     """
     mode = trip.place[PLACE.mode]
     over = leave_leg(table, trip, s, reached, end, duration, legs, flown)

@@ -1,10 +1,10 @@
-"""The tangent frames of a batch's lanes: through flights and impacts, and made orthonormal again.
+"""The tangent frames of a batch's lanes: flights, impacts and orthonormalisation.
 
-Loops over the first n lanes, all of them in every round: a lane whose flight goes on keeps its frame by a mask, which
-costs less than to pick the others out. u are the fields of one vector, see entry.
-Sums over blocks go two blocks at a time: those before the last two add up in ``partial``; the last two finish the sum
-and use it at once, and the others use it after them. Where there are two blocks it is one loop. Blocks are even in
-number: see layout.padded_blocks. Frames of four vectors of two blocks go another way, see two_blocks.py.
+Every round loops over the first n lanes. A lane still in flight keeps its frame by a mask, which costs less than
+gathering the others. u are the fields of one vector, see entry.
+Sums over blocks take two blocks at a time: those before the last two add up in ``partial``; the last two complete the
+sum and use it at once, the others use it after them. Two blocks make one loop. The number of blocks is even: see
+layout.padded_blocks. Frames of four vectors of two blocks are handled by two_blocks.py.
 """
 
 import math
@@ -35,11 +35,11 @@ from workers.kernel.tangent import MAX_SPREAD, graded_flow, impact_spread, needs
 from workers.model.oscillator import Array
 
 MAX_SPREAD_OF_ONE = 100.0
-"""MAX_SPREAD of a frame of one vector, which no other can drown: its square stays in range."""
+"""MAX_SPREAD of a frame of one vector: no other vector can drown it, and its square stays in range."""
 
 
 class Workspace(NamedTuple):
-    """Where the frames of some lanes are made orthonormal, as normalise_pass takes them; lanes are which.
+    """Work arrays in which the frames of some lanes are made orthonormal by normalise_pass; ``lanes`` lists the lanes.
 
     frames (m, 2 n STRIDE) and growths (m, STRIDE) as those of the lanes, metric (2 n STRIDE,), rank (STRIDE,);
     partial (2 STRIDE,) for two sums over blocks.
@@ -55,29 +55,29 @@ class Workspace(NamedTuple):
 
 @inlined
 def entry(j, c, i):
-    """Where number c (0 or 1) of block j of frame i is in the numbers of one vector of many frames.
+    """Index of number c (0 or 1) of block j of frame i within the numbers of one vector of many frames.
 
-    Unsigned: the check of a negative index would keep a loop over i from becoming vector instructions.
+    Unsigned: a check for negative indices would prevent vector instructions in a loop over i.
     """
     return np.uint64((2 * j + c) * STRIDE + i)
 
 
 @inlined
 def last_two(u):
-    """The block that the last two begin with."""
+    """The first of the last two blocks."""
     return len(u) // (2 * STRIDE) - 2
 
 
 @kernel
 def clear(partial, count):
-    """Begin the sums over blocks."""
+    """Zero the sums over blocks."""
     for i in range(count):
         partial[entry(0, 0, i)] = partial[entry(0, 1, i)] = 0.0
 
 
 @inlined
 def product_of_two(metric, u, w, j, i, total):
-    """The total with the share of blocks j and j + 1 in the product of ``tangent.inner``."""
+    """Add blocks j and j + 1 of the product of ``tangent.inner`` to the total."""
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     total = fma(u[e1], w[e1], fma(metric[e0] * u[e0], w[e0], total))
     return fma(u[e3], w[e3], fma(metric[e2] * u[e2], w[e2], total))
@@ -94,7 +94,7 @@ def scale_two(u, j, i, factor):
 
 @inlined
 def subtract_two(u, w, j, i, factor):
-    """Take the multiple of u out of blocks j and j + 1 of w."""
+    """Subtract a multiple of u from blocks j and j + 1 of w."""
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     w[e0] = fma(-factor, u[e0], w[e0])
     w[e1] = fma(-factor, u[e1], w[e1])
@@ -104,7 +104,7 @@ def subtract_two(u, w, j, i, factor):
 
 @kernel
 def products(metric, u, w, partial, count):
-    """The products of u and w over all blocks but the last two."""
+    """Partial products of u and w over all blocks except the last two."""
     clear(partial, count)
     for j in range(0, last_two(u), 2):
         for i in range(count):
@@ -113,10 +113,10 @@ def products(metric, u, w, partial, count):
 
 @kernel
 def normalise_pass(metric, rank, k, u, growth, partial, count):
-    """The part of tangent.orthonormalise that makes vector k a unit vector, for ``count`` frames at once.
+    """Make vector k of ``count`` frames a unit vector: one part of tangent.orthonormalise.
 
-    u (2 n STRIDE,) are its numbers, see entry, and metric (2 n STRIDE,) stands where the first of each two does; rank
-    and growth (STRIDE,) have one number for each frame.
+    u (2 n STRIDE,) are its numbers, see entry; metric (2 n STRIDE,) lies at the first number of each block; rank and
+    growth (STRIDE,) have one number per frame.
     """
     products(metric, u, u, partial, count)
     last = last_two(u)
@@ -134,7 +134,7 @@ def normalise_pass(metric, rank, k, u, growth, partial, count):
 
 @kernel
 def project_pass(metric, u, w, partial, count):
-    """The part of tangent.orthonormalise that takes the unit vector u out of the later vector w; see normalise_pass."""
+    """Project the unit vector u out of the later vector w: one part of tangent.orthonormalise; see normalise_pass."""
     products(metric, u, w, partial, count)
     last = last_two(u)
     for i in range(count):
@@ -148,7 +148,7 @@ def project_pass(metric, u, w, partial, count):
 
 @inlined
 def at(j, field, i):
-    """Where a field of block j of lane i is; unsigned as entry is."""
+    """Index of a field of block j of lane i; unsigned, as in entry."""
     return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
 
 
@@ -168,7 +168,7 @@ def workspace(m, n):
 
 @kernel
 def spread_pass(a, limit, n):
-    """What happens to each frame; how many are to be orthonormal first, also those that the flight spreads far."""
+    """Set the task of each frame; returns how many must be made orthonormal first, also because of a long flight."""
     count = 0
     for i in range(n):
         side, v, before = a[LANE.event + i], a[LANE.v + i], a[LANE.frame_spread + i]
@@ -195,7 +195,7 @@ def spread_pass(a, limit, n):
 
 @inlined
 def is_whole(vectors, blocks):
-    """Whether a frame is one that two_blocks.py takes as a whole."""
+    """Whether two_blocks.py handles a frame as a whole."""
     return vectors == VECTORS and blocks == BLOCKS
 
 
@@ -224,7 +224,7 @@ def orthonormalise_due(a, count, frames, growths, space, blocks):
 
 @kernel
 def gather_vector(lanes, count, blocks, u, growth, w, growing):
-    """Copy a vector, and its growth, of the first ``count`` of these lanes to w one after another."""
+    """Copy one vector and its growth from the first ``count`` of these lanes to w, contiguously."""
     for e in range(count):
         growing[e] = growth[lanes[e]]
     for j in range(blocks):
@@ -235,7 +235,7 @@ def gather_vector(lanes, count, blocks, u, growth, w, growing):
 
 @kernel
 def scatter_vector(lanes, count, blocks, w, growing, u, growth):
-    """Copy it back."""
+    """Inverse of gather_vector."""
     for e in range(count):
         growth[lanes[e]] = growing[e]
     for j in range(blocks):
@@ -246,7 +246,7 @@ def scatter_vector(lanes, count, blocks, w, growing, u, growth):
 
 @inlined
 def fly_block(a, u, j, i, dy, dv):
-    """Take block j of vector i through a flight that has ended; (dy, dv) with its share, for an impact."""
+    """Carry block j of vector i through a completed flight; returns (dy, dv) plus its share, for an impact."""
     flows, e0, e1 = a[LANE.flows + i] > 0.0, entry(j, 0, i), entry(j, 1, i)
     u0, u1 = u[e0], u[e1]
     w0 = fma(a[at(j, BLOCK.f11, i)], u0, a[at(j, BLOCK.f12, i)] * u1)
@@ -259,7 +259,7 @@ def fly_block(a, u, j, i, dy, dv):
 
 @inlined
 def kick_block(a, u, j, i, along_k, along_Ak):
-    """Add what an impact does to block j of vector i; see contact.saltation."""
+    """Add the change by an impact to block j of vector i; see contact.saltation."""
     e0, e1 = entry(j, 0, i), entry(j, 1, i)
     u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
     u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
@@ -267,7 +267,7 @@ def kick_block(a, u, j, i, along_k, along_Ak):
 
 @kernel
 def transfer_pass(a, u, partial, n):
-    """Take one vector through the flights that have ended, and through the impacts, as contact.saltation does."""
+    """Carry one vector through completed flights, and through impacts, as contact.saltation does."""
     last = last_two(u)
     clear(partial, n)
     for j in range(0, last, 2):
@@ -293,7 +293,7 @@ def transfer_pass(a, u, partial, n):
 
 @inline_always
 def fly_frame_far(a, i, blocks, frames, growths):
-    """As transfer_pass for the flight of lane i, which spreads its frame far; blocks (N, n, columns): of all cells."""
+    """transfer_pass for a long flight of lane i, which spreads its frame far; blocks (N, n, columns): of all cells."""
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
     V, growth, no_triangle = np.empty((m, n, 2)), np.empty(m), np.zeros((0, 0))
@@ -305,7 +305,7 @@ def fly_frame_far(a, i, blocks, frames, growths):
 
 @inline_always
 def move_frames(a, n, blocks, frames, growths, space):
-    """Take the tangent vectors of all lanes through the flights and impacts just ended, as period.propagate does.
+    """Carry the tangent vectors of all lanes through the flights and impacts just completed, as period.propagate does.
 
     blocks (N, n, columns) are those of all cells.
     """
@@ -324,16 +324,16 @@ def move_frames(a, n, blocks, frames, growths, space):
 
 @inlined
 def square_of_block(a, u, j, i, total):
-    """The total with the share of block j in the square of a vector's length."""
+    """Add block j of the squared length of a vector to the total."""
     u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
     return fma(u1, u1, fma(a[at(j, BLOCK.metric, i)] * u0, u0, total))
 
 
 @kernel
 def measure_pass(a, u, growth, partial, n):
-    """The growth over the period of the first vector, where a lane is at its section or has just begun.
+    """Growth over the period of the first vector, in lanes at their section or at their first start.
 
-    LANE.log_length, NaN where it is yet unknown, is tangent.log_length at the last section.
+    LANE.log_length, NaN if unknown, is tangent.log_length at the last section.
     """
     last = last_two(u)
     clear(partial, n)
@@ -350,7 +350,7 @@ def measure_pass(a, u, growth, partial, n):
 
 @inlined
 def give_frame(V, growth, frames, growths, i):
-    """Put tangent vectors V (m, n, 2) with their growth (m,) into lane i."""
+    """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i."""
     for k in range(V.shape[0]):
         growths[k, i] = growth[k]
         for j in range(V.shape[1]):

@@ -1,8 +1,8 @@
-"""Legs of many motions side by side: the fields of lanes, and rounds that search for the first signal of each.
+"""Legs of many motions side by side: fields of lanes, and rounds that search for each lane's first signal.
 
-Every signal of a lane has the fields that lanes have of a gap, see layout.py: it is searched by the same passes,
-as if its ends were stops. ``records`` (U, size) are those of U signals, the first of which holds the blocks' flow and
-the time. Events, which few lanes have, are passed by the kernels of one motion.
+Every signal of a lane has the fields of a gap, see layout.py: the same passes search it, with the ends of its range as
+stops. ``records`` (U, size) are those of U signals; the first also holds the blocks' flow and the time. Events, which
+few lanes have, are passed by the kernels of one motion.
 """
 
 import math
@@ -43,19 +43,20 @@ from workers.kernel.lanes.signal import (
 from workers.model.oscillator import COLUMN, NUMBER
 
 REACHED, OVER = 1.0, 2.0
-"""Events of a lane, besides FLYING and LEFT: a signal has reached an end of its range; the leg is over without that."""
+"""Events of a lane besides FLYING and LEFT: a signal has reached an end of its range; the leg ended without an
+event."""
 
 RENEWAL = float(REFRESH)
 
 
 class LegFields(NamedTuple):
-    """Fields of a lane besides those of its signals."""
+    """Fields of a lane apart from its signals."""
 
     event: int  # FLYING, REACHED, OVER, or LEFT: the search needs very many steps
-    hit: int  # which of the signals is first to reach an end of its range, -1 for none
-    side: int  # which end, +-1
+    hit: int  # the first signal to reach an end of its range, -1 for none
+    side: int  # the end reached, +-1
     step: int  # the least step
-    oscillates: int  # 1 where all blocks are underdamped, else 0
+    oscillates: int  # 1 if all blocks are underdamped, else 0
 
 
 LEG_FIELD = LegFields(*(k * STRIDE for k in range(len(LegFields._fields))))
@@ -65,13 +66,13 @@ LEG_SIZE = len(LegFields._fields) * STRIDE
 
 @inline_always
 def record_size(blocks, harmonics):
-    """Numbers of one signal of all lanes, of machines with these numbers of blocks and harmonics."""
+    """Size of the record of one signal of all lanes, for these numbers of blocks and harmonics."""
     return LANE_SIZE + padded_blocks(blocks) * BLOCK_SIZE + (harmonics - 1) * HARMONIC_SIZE
 
 
 @kernel
 def empty_lane(records, i):
-    """Park a lane that no motion needs."""
+    """Park an unused lane."""
     records = borrowed(records)
     for u in range(records.shape[0]):
         park(records[u], i)
@@ -87,7 +88,7 @@ def copy_lane(records, source, target):
 
 @inlined
 def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
-    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); whether all of its blocks oscillate.
+    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); returns whether all blocks oscillate.
 
     turn (H, 2) of the force at its phase, see state.turned.
     """
@@ -124,7 +125,7 @@ def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
 
 @inlined
 def read_flow(records, i, flow):
-    """Write the flow of each block from the leg's start to where lane i is, and its state there: see trip.Trip."""
+    """Copy the flow of each block from the leg's start to the present of lane i, and the state there: see trip.Trip."""
     for j in range(len(flow)):
         first = LANE_SIZE + j * BLOCK_SIZE + i
         flow[j, 0], flow[j, 1] = records[0, first + BLOCK.f11], records[0, first + BLOCK.f12]
@@ -134,7 +135,7 @@ def read_flow(records, i, flow):
 
 @kernel
 def least_pass(legs, a, u, n):
-    """Take the step of signal u, the fields of which are a, where it is the least one so far."""
+    """Take the step of signal u, with fields a, if it is the smallest so far."""
     for i in range(n):
         contact, before, hit = a[LANE.contact_time + i], legs[LEG_FIELD.step + i], legs[LEG_FIELD.hit + i]
         met = contact < np.inf
@@ -148,9 +149,9 @@ def least_pass(legs, a, u, n):
 
 @kernel
 def move_pass(legs, a, n):
-    """The event and the time that each lane goes to next; a are the fields of the first signal.
+    """Next event and time of each lane; a are the fields of the first signal.
 
-    Returns how many lanes want bounds anew there.
+    Returns how many lanes need new bounds there.
     """
     renewing = 0
     for i in range(n):
@@ -176,7 +177,7 @@ def move_pass(legs, a, n):
 
 @kernel
 def copy_pass(a, first, n):
-    """Take from the first signal to another one what is the same for all after a step."""
+    """Copy the fields common to all signals after a step from the first signal to another."""
     for i in range(n):
         a[LANE.time + i] = first[LANE.time + i]
         a[LANE.renews + i] = first[LANE.renews + i]
@@ -186,7 +187,7 @@ def copy_pass(a, first, n):
 
 @kernel
 def share_pass(a, q, moved, n):
-    """Add the share of a block to a signal, which the first signal's fields ``moved`` of it have at LANE.time."""
+    """Add the share of a block to a signal; ``moved`` are the fields of the block in the first signal, at LANE.time."""
     for i in range(n):
         h0, h1 = moved[BLOCK.h0 + i], moved[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, loaded_output_of(q, i, h0, h1))
@@ -194,7 +195,7 @@ def share_pass(a, q, moved, n):
 
 @kernel
 def oscillating_share_pass(a, q, moved, n):
-    """As share_pass; the block is underdamped in every lane."""
+    """share_pass for a block that is underdamped in every lane."""
     for i in range(n):
         h0, h1 = moved[BLOCK.h0 + i], moved[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
@@ -202,10 +203,10 @@ def oscillating_share_pass(a, q, moved, n):
 
 @inline_always
 def take_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, c):
-    """One round of the first n lanes: the next certified step, or arrival, of each.
+    """One round of the first n lanes: the next certified step, or the arrival, of each.
 
-    oscillates says that all blocks of all lanes are underdamped, renews that one may want bounds anew; it is returned
-    whether one does in the next round. Either way of an underdamped block gives the same bits.
+    oscillates: all blocks of all lanes are underdamped; renews: a lane may need new bounds. Returns whether one needs
+    new bounds in the next round. Both ways to treat an underdamped block give the same bits.
     """
     signals, first = records.shape[0], records[0]
     for i in range(n):

@@ -1,7 +1,7 @@
-"""Many motions of hybrid machines at a time: each lane takes the next cell of the queue when its own is through.
+"""Many motions of hybrid machines at once: a lane whose cell has finished takes the next cell of the queue.
 
-Lanes search for the events of legs; what an event does, trip.py says, for one motion at a time. A leg that begins at
-rest at an end of a signal's range, hops in a chatter, or may grow, is searched as motion.py does.
+Lanes search for the events of legs; trip.py passes the events, one motion at a time. A leg is searched as in motion.py
+if it begins at rest at an end of a signal's range, hops in a chatter, or may grow.
 """
 
 from typing import NamedTuple
@@ -41,17 +41,17 @@ from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import Array, Rows
 
 BEGINS, ARRIVES = 0, 1
-"""Where a turn of a lane begins: with a period, or where its search has ended."""
+"""Start of a lane's turn: at the beginning of a period, or after its search."""
 
 
 class LegSearch(NamedTuple):
-    """What lanes need to search for the events of legs of machines with n coordinates.
+    """Work arrays for the search for events of legs, for machines with n coordinates.
 
     records, legs   fields of the lanes, see legs.py
     signals (U,)    those that end a mode
-    held, slots     the cell of each lane (LANES,), and where its trip is
+    held, slots     the cell of each lane (LANES,), and the slot of its trip
     before          log of the length of the first tangent vector of each trip, at its last section
-    gathered, chosen, scratch (n, 2), none (0, 0): to overwrite
+    gathered, chosen, scratch (n, 2), none (0, 0): overwritten
     """
 
     records: Array
@@ -68,7 +68,7 @@ class LegSearch(NamedTuple):
 
 @inline_always
 def search_for(n, harmonics, signals):
-    """A search of lanes that no cell is in yet."""
+    """A search of empty lanes."""
     U, size = len(signals), record_size(n, harmonics)
     records = room_for_vectors(U * size).reshape((U, size))
     for i in range(LANES):
@@ -82,11 +82,11 @@ def search_for(n, harmonics, signals):
 
 @kernel
 def run_through_modes(batch, cells, signals, enough, lanes):
-    """Advance these cells of a batch by their periods, or to where their motion or their work ends.
+    """Advance these cells of a batch by their periods, or until their motion or their work ends.
 
-    Changes the arrays of the batch, see lanes.run.Batch. signals (U,): those of the machines that end a mode, one at
-    least. At most ``lanes`` <= LANES cells are under way at a time; once fewer than ``enough`` are, each stops at its
-    next section. A motion that misses a mode stays at its section; it has that mode when it is called again.
+    Changes the arrays of the batch, see lanes.run.Batch. signals (U,): signals of the machines that end a mode, at
+    least one. At most ``lanes`` <= LANES cells are active; once fewer than ``enough`` are, each stops at its next
+    section. A motion that misses a mode stays at its section; the mode is built before the next call.
     """
     n, m = batch.motions.h.shape[1], batch.motions.V.shape[1]
     framed = batch.motions.growth.shape[1] > 0
@@ -98,12 +98,12 @@ def run_through_modes(batch, cells, signals, enough, lanes):
 
 @kernel
 def take_along(batch, cells, trips, search, enough, lanes, more):
-    """run_through_modes with room for it. Its own kernel, since what is lent lives as long as the caller."""
+    """run_through_modes with work arrays. A separate kernel, since lent arrays live as long as the caller."""
     batch, trips, search = lend(batch), lend(trips), lend(search)
     periods, done, tally = batch.periods, batch.done, batch.motions.tally
     legs, held, slots = search.legs, search.held, search.slots
     n, harmonics = batch.motions.h.shape[1], batch.oscillators.gap.waves.shape[1]
-    active = queued = np.int64(0)  # no literal, as in lanes.run_batch
+    active = queued = np.int64(0)  # typed: a literal would compile the callees once more
     renewing = False
     while True:
         while active < lanes and queued < len(cells):
@@ -131,7 +131,7 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
             search.records, legs, n, harmonics, smooth, renewing, padded(active), search.chosen, search.gathered
         )  # fmt: skip
         count = list_lanes(legs, LEG_FIELD.event, active, search.chosen)
-        for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
+        for e in range(count - 1, -1, -1):  # backwards: the lane that moves into a freed one has been processed
             lane = np.int64(search.chosen[e])
             if turn(batch, trips, search, held[lane], lane, np.int64(ARRIVES), ending, more):
                 renewing = True
@@ -162,7 +162,7 @@ def begin_period(batch, trips, r, slot, more):
 
 @kernel
 def pass_leg(batch, trips, search, r, slot):
-    """Take cell r through the leg that it has begun, by itself; whether its period is over."""
+    """Take cell r through its current leg on its own; returns whether its period is over."""
     trip, table = row_in(trips, slot), row_in(batch.oscillators.table, r)
     clock, k = trip.clock, trip.place[PLACE.mode]
     s, reached, end = first_event(
@@ -177,7 +177,7 @@ def pass_leg(batch, trips, search, r, slot):
 
 @inline_always
 def pass_found(batch, trips, search, r, slot, i):
-    """Take cell r through the end of the leg that lane i has found; whether its period is over."""
+    """Take cell r through the end of the leg that lane i has found; returns whether its period is over."""
     trip, table, legs = row_in(trips, slot), row_in(batch.oscillators.table, r), search.legs
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / table.omega
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
@@ -188,7 +188,7 @@ def pass_found(batch, trips, search, r, slot, i):
 
 @kernel
 def end_period(batch, trips, r, slot, ending, before, more):
-    """Take cell r to the section that its trip has reached, and begin its next period; whether there is one."""
+    """Take cell r to the section at the end of its trip and begin its next period; returns whether there is one."""
     oscillators, periods, done = batch.oscillators, batch.periods, batch.done
     motion, trip, k = row_in(batch.motions, r), row_in(trips, slot), done[r]
     table = oscillators.table
@@ -207,9 +207,9 @@ def end_period(batch, trips, r, slot, ending, before, more):
 
 @kernel
 def turn(batch, trips, search, r, i, stage, ending, more):
-    """Take cell r on, from the end of the leg that lane i has searched, until it has begun another one to search.
+    """Advance cell r from the end of the leg that lane i has searched until its next leg to search has begun.
 
-    Or from a period's begin, see BEGINS; whether there is one. ``ending`` says that it is to stop at a section.
+    Or from the beginning of a period, see BEGINS. Returns whether there is such a leg. ``ending``: stop at a section.
     """
     slot, through = search.slots[i], False
     trip, table = row_in(trips, slot), row_in(batch.oscillators.table, r)
@@ -240,7 +240,7 @@ def turn(batch, trips, search, r, i, stage, ending, more):
 
 @inline_always
 def begins_at_rest(trip):
-    """Whether a leg hops in a chatter, or a signal begins at an end of its range at no rate."""
+    """Whether a leg hops in a chatter, or a signal begins at an end of its range with zero rate."""
     rests = trip.clock[CLOCK.hop] > 0.0
     for order in trip.begun:
         rests = rests or abs(order) > 1
@@ -249,5 +249,5 @@ def begins_at_rest(trip):
 
 @inlined
 def grows(pieces, k):
-    """Whether a block of mode k grows: bounds hold for a while only then, see crossing.next_crossing."""
+    """Whether a block of mode k grows: its bounds hold only for a while, see crossing.next_crossing."""
     return growth_rate(pieces.blocks[k, 0]) > 0.0

@@ -1,6 +1,6 @@
-"""One round of a batch: each lane takes its next certified step, or goes through the impact or section it has reached.
+"""One round of a batch: each lane takes its next certified step, or passes the impact or section it has reached.
 
-A lane's results are the same bits whatever the other lanes hold, how many there are, and which of them it is.
+A lane's results do not depend, to the bit, on the number and content of other lanes or on its position.
 """
 
 import math
@@ -23,14 +23,14 @@ from workers.kernel.lanes.signal import (
 RENEWAL = float(REFRESH)
 
 LONGEST_PERIOD = 2000.0
-"""Evaluations in one period after which a lane is left to the kernels of one cell, in which every period ends."""
+"""Evaluations in one period after which the kernels of one cell take over a lane; they complete every period."""
 
 
 @kernel
 def arrival_pass(a, n):
-    """The event that each lane has reached: an impact's kick and counts, and the start of the next flight.
+    """Process the event that each lane has reached: kick and counts of an impact, and the start of the next flight.
 
-    Returns how many lanes stop at a section or have left, and how many want bounds anew.
+    Returns how many lanes stop at a section or have left, and how many need new bounds.
     """
     stopping, renewing = 0, 0
     for i in range(n):
@@ -92,10 +92,10 @@ def arrival_pass(a, n):
 
 @inline_always
 def take_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
-    """One round of the first n lanes, a multiple of VECTOR_WIDTH; ``harmonics``: those besides the first.
+    """One round of the first n lanes, a multiple of VECTOR_WIDTH; ``harmonics`` counts those after the first.
 
-    oscillates says that all blocks of all cells are underdamped, renews that a lane may want bounds anew; chosen and c
-    are overwritten. Returns what arrival_pass does.
+    oscillates: all blocks of all cells are underdamped; renews: a lane may need new bounds; chosen and c are
+    overwritten. Returns the counts of arrival_pass.
     """
     if renews:
         renewal_pass(a, blocks, oscillates, n)

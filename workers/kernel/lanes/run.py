@@ -1,4 +1,4 @@
-"""Many cells at a time through whole periods: each lane takes the next cell of the queue when its own is through."""
+"""Many cells at once through whole periods: a lane whose cell has finished takes the next cell of the queue."""
 
 from typing import NamedTuple
 
@@ -54,12 +54,12 @@ NUMBERS = len(NUMBER)
 
 
 class Batch(NamedTuple):
-    """N cells that are to go on by some periods each: every field stacked along its first axis.
+    """N cells to advance by some periods each: every field stacked along its first axis.
 
     oscillators, motions  records of many
     periods      (N,)     wanted; done (N,) completed, before and after
     levels       (N, LEVELS, 4), weighted (N, 2): the averages of growth, as in add_growth
-    sections     (N, K, n, 2)             the last K states
+    sections     (N, K, n, 2)             the last K section states
     """
 
     oscillators: Oscillator
@@ -73,7 +73,7 @@ class Batch(NamedTuple):
 
 @inline_always
 def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
-    """Put the state of cell r into lane i, at its section, with the constants of its mode."""
+    """Load cell r into lane i, at its section, with the constants of its mode."""
     for f in range(NUMBERS):
         a[LANE.omega + f * STRIDE + i] = numbers[r, f]
     for f in range(OF_LANE):
@@ -124,7 +124,7 @@ def save(a, i, r, h, tally):
 
 @inlined
 def record(a, i, impacts):
-    """Write the impact that lane i has reached down, while there is room in impacts (K, 3)."""
+    """Record the impact that lane i has reached if impacts (K, 3) has room."""
     row = int(a[LANE.recorded + i])
     if row < impacts.shape[0]:
         impacts[row, 0], impacts[row, 1] = a[LANE.flight_start + i], a[LANE.event + i]
@@ -134,7 +134,7 @@ def record(a, i, impacts):
 
 @inlined
 def keep_section(h, r, k, periods, sections):
-    """Keep the state after period k if it is one of the last that are asked for."""
+    """Keep the state after period k if it is among the last ones wanted."""
     row = k - (periods - sections.shape[1])
     if row >= 0:
         for j in range(h.shape[1]):
@@ -150,7 +150,7 @@ def move_lane(a, source, target):
 
 @kernel
 def park(a, i):
-    """Give a lane that no cell needs a mass that nothing moves, for the passes to run over."""
+    """Fill an unused lane with a mass at rest without forces, for the passes to run over."""
     for f in range(len(a) // STRIDE):
         a[f * STRIDE + i] = 0.0
     a[LANE.upper + i], a[LANE.lower + i], a[LANE.period + i] = 1.0, -1.0, 1.0
@@ -158,7 +158,7 @@ def park(a, i):
 
 @inlined
 def over(r, done, periods, tally):
-    """Whether nothing is left to do for cell r: it is through, or its motion ends, or its work is spent."""
+    """Whether cell r is finished: its periods, its motion or its work have ended."""
     return done[r] >= periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
 
 
@@ -185,7 +185,7 @@ def go_alone(batch, r):
 
 @kernel
 def run_alone(batch, cells):
-    """Advance these cells of a batch by their periods, one after the other, as run_batch does: those that may grow."""
+    """run_batch for cells that may grow, one after the other."""
     batch = lend(batch)
     for r in cells:
         if batch.done[r] == 0:
@@ -196,10 +196,10 @@ def run_alone(batch, cells):
 
 @kernel
 def run_batch(batch, cells, enough, lanes, oscillates):
-    """Advance these cells of a batch by their periods, or to where their motion or their work ends.
+    """Advance these cells of a batch by their periods, or until their motion or their work ends.
 
-    Changes the arrays of the batch, see there. At most ``lanes`` <= LANES cells are under way at a time; once fewer
-    than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped.
+    Changes the arrays of the batch, see Batch. At most ``lanes`` <= LANES cells are active; once fewer than ``enough``
+    are, each stops at its next section. oscillates: all blocks of all these cells are underdamped.
     """
     batch = lend(batch)
     gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau
@@ -220,7 +220,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     left = np.empty(LANES, dtype=np.uint32)  # the cells that have left their lanes
     for i in range(LANES):
         park(a, i)
-    active = queued = leaving = np.int64(0)  # no literal, or Numba compiles for it what is called with it
+    active = queued = leaving = np.int64(0)  # typed: a literal would compile the callees once more
     begun, ending, renewing = False, False, 0
     while True:
         while leaving > 0 or (active < lanes and queued < len(cells)):
@@ -260,7 +260,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
         if m > 0:
             measure_pass(a, frames[0], growths[0], space.partial, padded(active))
         count = list_lanes(a, LANE.stops, active, chosen)
-        for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
+        for e in range(count - 1, -1, -1):  # backwards: the lane that moves into a freed one has been processed
             lane = np.int64(chosen[e])
             r = np.int64(a[LANE.cell + lane])
             leaves = a[LANE.event + lane] == LEFT

@@ -1,7 +1,7 @@
 """The next time of every lane, certified or an arrival: one turn of the loop of crossing.next_crossing.
 
-Each function is a loop over the first n lanes; a holds the fields of all lanes (see layout.py). What few lanes need is
-done for those alone, gathered in c (see GapFields).
+Each function is a loop over the first n lanes; a holds the fields of all lanes (see layout.py). Work for few lanes is
+gathered in c (see GapFields).
 """
 
 import numpy as np
@@ -11,17 +11,17 @@ from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import AT_SECTION, FLYING, GAP, LANE, LEFT, VECTOR_WIDTH
 
 LONGEST_MARCH = 64
-"""Steps of one flight after which a lane is left to the kernels of one cell."""
+"""Steps of one flight after which the kernels of one cell take over a lane."""
 
 LANE_TRIALS = 2
-"""Trial lengths at the end of a safe step: crossing.TRIALS cost more than they spare but at a graze."""
+"""Trial lengths at the end of a safe step: except at a graze, crossing.TRIALS trials cost more than they save."""
 
 
 @kernel
 def approach_pass(a, n):
-    """The stop that each mass moves towards: the time after which it is certain to have just met it, or a safe one.
+    """The stop ahead of each mass: the time of certain contact if known, else a safe one.
 
-    The gap, and bounds of the longest step that is safe from the stop.
+    Sets the gap, and bounds of the longest step that is safe from the stop.
     """
     for i in range(n):
         upper, lower = a[LANE.upper + i], a[LANE.lower + i]
@@ -46,7 +46,7 @@ def approach_pass(a, n):
 
 @kernel
 def retreat_pass(a, n):
-    """The stop that each mass moves away from: the gap, and a time safe from it; how many lanes seek a longer one."""
+    """The stop behind each mass: the gap and a safe time; returns how many lanes seek a longer one."""
     count = 0
     for i in range(n):
         step, ahead, upper, lower = a[LANE.step + i], a[LANE.side + i], a[LANE.upper + i], a[LANE.lower + i]
@@ -68,13 +68,13 @@ def retreat_pass(a, n):
 
 @inlined
 def padded(count):
-    """The next multiple of VECTOR_WIDTH: how far loops over ``count`` lanes run."""
+    """The next multiple of VECTOR_WIDTH: the length of loops over ``count`` lanes."""
     return -(-count // VECTOR_WIDTH) * VECTOR_WIDTH
 
 
 @kernel
 def list_lanes(a, field, n, chosen):
-    """How many lanes have this field set, and which: without a branch, which the processor would often mispredict."""
+    """Number and list of the lanes with this field set: branch-free, since the processor would often mispredict."""
     count = 0
     for i in range(n):
         chosen[count] = i
@@ -84,7 +84,7 @@ def list_lanes(a, field, n, chosen):
 
 @inline_always
 def gather(a, chosen, count, c):
-    """The gaps of lanes chosen[:count] to the stop on their side, as GapFields in c; how far loops over them run."""
+    """Gather the gaps of lanes chosen[:count] to their stops as GapFields in c; the length of loops over them."""
     for e in range(count):
         i = chosen[e]
         side = a[LANE.side + i]
@@ -109,7 +109,7 @@ def advance_pass(a, n):
 
 @kernel
 def close_in_pass(c, n):
-    """The time for which each gap stays open, from bounds of it."""
+    """The time for which each gap stays open, within its bounds."""
     for e in range(n):
         g, v, push, jerk = c[GAP.gap + e], c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e]
         M2_, M3_, M4_ = c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e]
@@ -125,7 +125,7 @@ def scatter(a, chosen, count, c):
 
 @inline_always
 def safe_steps(a, n, chosen, c):
-    """A step that is safe from both stops, for every lane that is not certain to meet one."""
+    """A step that is safe from both stops, for every lane without certain contact."""
     approach_pass(a, n)
     advance_pass(a, n)
     if retreat_pass(a, n) > 0:
@@ -136,7 +136,7 @@ def safe_steps(a, n, chosen, c):
 
 @kernel
 def step_pass(a, n):
-    """The event and the time that each lane goes to next."""
+    """The next event and time of each lane."""
     for i in range(n):
         s, step, contact, ahead = a[LANE.time + i], a[LANE.step + i], a[LANE.contact_time + i], -a[LANE.side + i]
         reach = a[LANE.bound0 + i] * (1.0 + 1e-12)

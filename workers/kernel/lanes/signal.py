@@ -1,6 +1,7 @@
 """The signal y(t) of every lane with its derivatives, and bounds of them for all later times: sums over blocks.
 
-Each function is a loop over the first n lanes; a holds the fields of all lanes, q those of one block (see layout.py).
+Each function is a loop over the first n lanes; a holds the fields of all lanes, q the fields of one block (see
+layout.py).
 """
 
 from workers.kernel.flow import fall, flow_entries, oscillating_flow
@@ -18,14 +19,14 @@ def fields_of(a, j):
 
 @kernel
 def fields_of_harmonic(a, blocks, k):
-    """The fields of harmonic k + 2 of all lanes, which lie behind those of all ``blocks``."""
+    """The fields of harmonic k + 2 of all lanes, which lie behind the fields of all ``blocks``."""
     first = LANE_SIZE + blocks * BLOCK_SIZE
     return a[first + k * HARMONIC_SIZE : first + (k + 1) * HARMONIC_SIZE]
 
 
 @kernel
 def forced_pass(a, n):
-    """Begin the sums of the signal and its derivatives at LANE.time with the forced part."""
+    """Start the sums of the signal and its derivatives at LANE.time with the forced part."""
     for i in range(n):
         w = a[LANE.omega + i]
         phase = fma(w, a[LANE.time + i], a[LANE.flight_phase + i])
@@ -43,7 +44,7 @@ def forced_pass(a, n):
 
 @inlined
 def absent(q, n):
-    """Whether no lane has a harmonic of these fields: most orders between those of a force are nobody's."""
+    """Whether no lane has this harmonic: a force lacks most orders below its highest."""
     for i in range(n):  # noqa: SIM110 - a kernel has no generators
         if q[HARMONIC.sin_part + i] != 0.0 or q[HARMONIC.cos_part + i] != 0.0:
             return False
@@ -52,7 +53,7 @@ def absent(q, n):
 
 @kernel
 def harmonic_pass(a, q, order, n):
-    """Add the harmonic of this order, the fields of which are q, to those sums."""
+    """Add the harmonic of this order, with fields q, to those sums."""
     if absent(q, n):
         return
     for i in range(n):
@@ -87,8 +88,8 @@ def loaded_output_of(q, i, h0, h1):
 
 
 @inlined
-def moved(q, i, flow):
-    """The state of one block of lane i at the flight's start, taken on by a flow, which is kept."""
+def state_after(q, i, flow):
+    """State of one block of lane i after a flow from the flight's start; stores the flow."""
     f11, f12, f21, f22 = flow
     q[BLOCK.f11 + i] = f11
     q[BLOCK.f12 + i] = f12
@@ -113,28 +114,28 @@ def add_share(a, q, i, h0, h1, share):
 
 @kernel
 def oscillating_block_pass(a, q, n):
-    """Take one block to LANE.time and add its share of the signal; it is underdamped in every lane."""
+    """Advance one block to LANE.time and add its share of the signal; underdamped in every lane."""
     for i in range(n):
         eta, lam, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
-        h0, h1 = moved(q, i, oscillating_flow(a[LANE.time + i], eta, lam, w, inv_w))
+        h0, h1 = state_after(q, i, oscillating_flow(a[LANE.time + i], eta, lam, w, inv_w))
         add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
 
 
 @kernel
 def block_pass(a, q, n):
-    """Take one block to LANE.time and add its share of the signal, whatever its damping and its load."""
+    """Advance one block to LANE.time and add its share of the signal, for any damping and load."""
     for i in range(n):
         s, load = a[LANE.time + i], q[BLOCK.load + i]
         eta, lam, d, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.d + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
         flow = flow_entries(s, eta, lam, d, w, inv_w, q[BLOCK.slow + i], q[BLOCK.fast + i])
-        h0, h1 = moved(q, i, flow)
+        h0, h1 = state_after(q, i, flow)
         h0, h1 = fma(load, fall(s, eta), h0), fma(load, flow[1], h1)
         add_share(a, q, i, h0, h1, loaded_output_of(q, i, h0, h1))
 
 
 @kernel
 def restart_pass(a, n):
-    """Begin the sums of signal and bounds anew: the signal where a flight starts, the bounds there and now and then."""
+    """Restart the sums of signal and bounds: the signal at the start of a flight, the bounds there and at renewals."""
     for i in range(n):
         y, v, second, third = (
             a[LANE.forced + i],
@@ -159,7 +160,7 @@ def restart_pass(a, n):
 
 @inlined
 def state_at_start(a, q, i):
-    """A block's state where bounds are wanted; where a flight starts there, after the impact's kick."""
+    """State of a block for new bounds; at the start of a flight after the kick of the impact."""
     fresh = a[LANE.starts + i] > 0.0
     g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
     dv, dy = a[LANE.kick + i], a[LANE.shift + i]
@@ -173,7 +174,7 @@ def state_at_start(a, q, i):
 
 @inlined
 def share_at_start(a, i, share):
-    """Add a block's share to the sums where a flight starts."""
+    """Add a block's share to the sums at the start of a flight."""
     fresh = a[LANE.starts + i] > 0.0
     q0, q1, q2, q3 = share
     a[LANE.y + i] = a[LANE.y + i] + q0 if fresh else a[LANE.y + i]
@@ -185,13 +186,13 @@ def share_at_start(a, i, share):
 
 @inlined
 def amplitude_factors(q, i):
-    """What kernel.signal.amplitude_bounds needs of one block of lane i."""
+    """Factors of kernel.signal.amplitude_bounds for one block of lane i."""
     return q[BLOCK.tilt + i], q[BLOCK.weight + i], q[BLOCK.grow2 + i], q[BLOCK.grow3 + i], q[BLOCK.grow4 + i]
 
 
 @inlined
 def add_bounds(a, i, bounds):
-    """Add a block's bounds to the sums where they are computed anew."""
+    """Add a block's bounds to the sums that are computed anew."""
     renew = a[LANE.renews + i] > 0.0
     b0, b2, b3, b4 = bounds
     a[LANE.bound0 + i] = a[LANE.bound0 + i] + b0 if renew else a[LANE.bound0 + i]
@@ -213,7 +214,7 @@ def oscillating_bounds_pass(a, q, n):
 
 @kernel
 def bounds_pass(a, q, n):
-    """Add one block's share to the sums that restart_pass began, whatever its damping."""
+    """Add one block's share to the sums that restart_pass began, for any damping."""
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = loaded_output_of(q, i, h0, h1)
@@ -227,7 +228,7 @@ def bounds_pass(a, q, n):
 
 @inline_always
 def renewal_pass(a, blocks, oscillates, n):
-    """The signal where a flight starts, and its bounds there and now and then; see rounds.take_round."""
+    """The signal at the start of a flight, and its bounds there and at renewals; see rounds.take_round."""
     restart_pass(a, n)
     for j in range(blocks):
         if oscillates:

@@ -1,7 +1,7 @@
-"""Frames of four vectors of two blocks, those of two masses: a whole frame at a time, its numbers in registers.
+"""Frames of four vectors of two blocks (two masses): a whole frame at a time, its numbers in registers.
 
-Each function is a loop over lanes, or over gathered frames. It gives the same bits as the passes of frames.py, which
-take one vector at a time. Arrays are flat, with constant offsets, for the reason that layout.py gives.
+Each function is a loop over lanes, or over gathered frames, with the same bits as the passes of frames.py, which take
+one vector at a time. Arrays are flat with constant offsets, see layout.py.
 """
 
 import math
@@ -19,19 +19,19 @@ VECTOR = 4 * STRIDE
 
 @inlined
 def read(U, e):
-    """The numbers of a vector of a frame, the first of which is number e."""
+    """Read the numbers of a vector of a frame, beginning with number e."""
     return U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE]
 
 
 @inlined
 def write(U, e, u):
-    """Replace them."""
+    """Write the numbers of a vector of a frame, beginning with number e."""
     U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE] = u
 
 
 @inlined
 def product(p, q, u, w):
-    """``tangent.inner`` of two vectors, where p and q are the blocks' metric."""
+    """``tangent.inner`` of two vectors, with p and q the metric of the blocks."""
     return fma(u[3], w[3], fma(q * u[2], w[2], fma(u[1], w[1], fma(p * u[0], w[0], 0.0))))
 
 
@@ -77,7 +77,7 @@ def orthonormalise_frames(metric, rank, U, growth, count):
 
 @inlined
 def flown(a, i, flows, u):
-    """The vector u after the flight of lane i, if one has ended."""
+    """The vector u after the flight of lane i, if one has completed."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     w0 = fma(a[first + BLOCK.f11], u[0], a[first + BLOCK.f12] * u[1])
     w1 = fma(a[first + BLOCK.f21], u[0], a[first + BLOCK.f22] * u[1])
@@ -88,7 +88,7 @@ def flown(a, i, flows, u):
 
 @inlined
 def along(a, i, column0, column1, w):
-    """A row of the gap's guard, of which these are the columns of a block, times the vector w."""
+    """Product of the vector w with a row of the gap's guard, given by the block columns of the row."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     total = fma(a[first + column1], w[1], fma(a[first + column0], w[0], 0.0))
     return fma(a[second + column1], w[3], fma(a[second + column0], w[2], total))
@@ -96,7 +96,7 @@ def along(a, i, column0, column1, w):
 
 @inlined
 def kicked(a, i, w):
-    """The vector w after the impact of lane i, as contact.saltation has it; the same where there is none."""
+    """The vector w after the impact of lane i, as in contact.saltation; unchanged without an impact."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     dy, dv = along(a, i, BLOCK.c0, BLOCK.c1, w), along(a, i, BLOCK.cA0, BLOCK.cA1, w)
     along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
@@ -111,7 +111,7 @@ def kicked(a, i, w):
 
 @kernel
 def transfer_frames(a, frames, n):
-    """frames.transfer_pass of all four vectors of the first n lanes: what a lane holds is read once."""
+    """frames.transfer_pass of all four vectors of the first n lanes: the fields of a lane are read once."""
     for i in range(n):
         flows = a[LANE.flows + i] > 0.0
         u, v = read(frames, i), read(frames, VECTOR + i)
