@@ -138,7 +138,7 @@ def cell_orbit(
     osc = one_of(record.build_many(_given(record, parameters, cycle))[0], 0)
     gap = section[:, : osc.gap_row.size] @ osc.gap_row
     long = math.ceil(2.0 * modulation(gap)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
-    times, states, impacts = _path(record, here, closes or min(max(OPEN_PATH, long), LONGEST_PATH), cycle)
+    times, states, impacts = path_of(record, here, closes or min(max(OPEN_PATH, long), LONGEST_PATH), cycle)
     return CellOrbit(
         system=record,
         parameters=parameters,
@@ -193,7 +193,7 @@ def _running(system: System, parameters: Mapping[str, float], settings: Settings
     raise InputError(f"this cell cannot be followed: {reason}")
 
 
-def _path(
+def path_of(
     system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
 ) -> tuple[Array, Array, Array]:
     """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""

@@ -37,7 +37,7 @@ from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
 from atlas.spec.json_schema import spec_schema
 from atlas.spec.system import checked_system, unused_lines
-from atlas.task.compile import ATTRACTORS, kernels_for
+from atlas.task.compile import ATTRACTORS, PATHS, kernels_for
 from workers.attractors.starts import Starts
 from workers.model.system import System, find_system, system_names
 
@@ -111,7 +111,7 @@ def portrait(
         else:
             ds = opened(store, read_pairs("--select", select, read_number))
             cell = solved_cell(ds, read_pairs("--at", point, read_number))
-        prepare_kernels(show, *kernels_for(cell.system))
+        prepare_kernels(show, *kernels_for(cell.system, PATHS))
         show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
     click.echo(str(out))

@@ -21,16 +21,15 @@ from atlas.task.child import watched_together
 from workers.model.system import DEFAULT, System, find_system
 from workers.settings import Settings
 
-CELLS, ATTRACTORS, ORBITS, MEASURES, OBSERVED = "", "attractors", "orbits", "measures", "observed"
-MODES, MODES_ATTRACTORS, MODES_ORBITS = "modes", "modes-attractors", "modes-orbits"
+CELLS, ATTRACTORS, ORBITS, PATHS, MEASURES, OBSERVED = "", "attractors", "orbits", "paths", "measures", "observed"
+MODES, MODES_ATTRACTORS, MODES_ORBITS, MODES_PATHS = "modes", "modes-attractors", "modes-orbits", "modes-paths"
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
-as equations of their impacts, for branches, curves and labels; those that measure motions; those that observe them;
-and those that solve cells of machines whose law changes, in place of the first ones, find their attractors, and follow
-their orbits."""
+as equations of their impacts, for branches, curves and labels; those of motion between events, for portraits; those
+that measure motions; those that observe them; and those of the first four for machines whose law changes."""
 
 SECONDS = {
-    CELLS: 45, ATTRACTORS: 10, ORBITS: 15, MEASURES: 20, OBSERVED: 25,
-    MODES: 80, MODES_ATTRACTORS: 10, MODES_ORBITS: 20,
+    CELLS: 45, ATTRACTORS: 10, ORBITS: 15, PATHS: 2, MEASURES: 20, OBSERVED: 25,
+    MODES: 80, MODES_ATTRACTORS: 10, MODES_ORBITS: 20, MODES_PATHS: 18,
 }  # fmt: skip
 """What each part takes, roughly: processors differ by a factor of two."""
 FUNCTIONS = {
@@ -79,7 +78,7 @@ WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
 }
 """A machine that is measured, with one rigid contact that it does not reach."""
 
-_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS, ORBITS: MODES_ORBITS}
+_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS, ORBITS: MODES_ORBITS, PATHS: MODES_PATHS}
 """The parts of machines whose law changes, in place of others."""
 
 YOUNG_OBJECTS = 50_000
@@ -257,6 +256,8 @@ def warm_up(*parts: str) -> None:
         scale_of(np.zeros((1, len(COLUMN))), np.zeros((1, 2)))
     if ORBITS in parts:
         _follow_an_orbit(find_system(DEFAULT), AN_ORBIT)
+    if PATHS in parts:
+        _move_within_a_period(find_system(DEFAULT))
     if MEASURES in parts:
         solve_tile(System.from_mapping(WITH_MEASURES), {}, Settings(max_periods=1))
 
@@ -274,6 +275,8 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
         solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
     if MODES_ORBITS in parts:
         _follow_an_orbit(system, {})
+    if MODES_PATHS in parts:
+        _move_within_a_period(system)
 
 
 def _end_no_cells(record: System) -> None:
@@ -315,6 +318,13 @@ def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
     orbit, omega = orbit_from_state(record, values, cell["state"], int(cell["period"])), values["omega"]
     branch(family_of(record, values, ("omega",)), orbit, omega, (0.999 * omega, 1.001 * omega))
     section_state(record, values, orbit)
+
+
+def _move_within_a_period(record: System) -> None:
+    """The motion of a portrait, from its initial state on."""
+    from atlas.cell.orbit import path_of
+
+    path_of(record, {p.name: p.default for p in record.parameters}, 1, None)
 
 
 def _wait_for(lock: FileLock, report: Report | None) -> None:

@@ -67,6 +67,7 @@ def observed(
     seen = Seen(np.full((N, M, most), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
     seen.course[..., COURSE.value] = np.nan
     states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
+    periods = periods.astype(np.int64)  # as results periods are int32, which kernels would be compiled for once more
     allowance = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64)
     meters = Meters(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.grip)
 
