@@ -4,9 +4,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from atlas.cell.coexisting import attractor_in_words
+from atlas.cell.coexisting import attractors_listed
 from atlas.explore.known import Cell
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Question
@@ -59,9 +57,7 @@ def _found(subject: Subject, arrays: Arrays) -> KeptAttractors:
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
     many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
-    kept = min(int(cell["attractors"]), subject.starts.keep)
-    listed = [attractor_in_words({name: np.asarray(cell[name][k]).tolist() for name in many}) for k in range(kept)]
-    return _answer(listed, {name: cell[name] for name in cell.keys() - set(many)}, stored=False)
+    return _answer(attractors_listed(cell, many), cell, stored=False)
 
 
 def _answer(each: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> KeptAttractors:

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_atlas
-from atlas.cell.coexisting import attractor_in_words
+from atlas.cell.coexisting import attractors_listed
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.store.groups import LABELS, group_attributes
@@ -62,13 +62,6 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
-    """The attractors of one cell, read, as entries of all their numbers; the regime and the reason by name.
-
-    None where no initial state is decided. States, spectra and sections are lists.
-    """
-    names = [str(name) for name in cell.data_vars if ATTRACTOR in cell[name].dims]
-    found = []
-    for k in range(min(int(cell["attractors"]), cell.sizes[ATTRACTOR])):
-        values = {name: cell[name].isel({ATTRACTOR: k}).values.tolist() for name in names}
-        found.append(attractor_in_words(values))
-    return found
+    """The attractors of one cell, read: see ``attractors_listed``."""
+    many = [str(name) for name in cell.data_vars if ATTRACTOR in cell[name].dims]
+    return attractors_listed({name: cell[name].values for name in ("attractors", *many)}, many)

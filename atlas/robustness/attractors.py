@@ -1,9 +1,11 @@
-"""All attractors of one cell, solved in this process."""
+"""All attractors of one cell, found in this process: the search that attractors, measures and saddles start from."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
 
-from atlas.cell.coexisting import attractor_in_words
+from atlas.cell.coexisting import attractors_listed
 from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system
@@ -11,6 +13,62 @@ from workers import Settings
 from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
 from workers.results import ATTRACTOR, REASON, REGIME, in_words
+
+if TYPE_CHECKING:
+    from workers.attractors.basins import AttractorTable
+
+
+@dataclass(frozen=True, eq=False)
+class AttractorSearch:
+    """A search for all attractors of one cell: all that decides it, and what it finds when that is asked for."""
+
+    record: System
+    parameters: Mapping[str, float]
+    settings: Settings
+    starts: Starts
+
+    @classmethod
+    def of(
+        cls,
+        given: Mapping[str, Any],
+        system: str | Mapping[str, Any] | System,
+        settings: Settings | None,
+        starts: int,
+    ) -> Self:
+        """The search of a question; InputError for a parameter that does not exist or is out of range, and so on."""
+        record, settings = checked_system(system), given_settings(settings)
+        return cls(record, checked_parameters(record, given), settings, cell_attractors(starts, record, settings))
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """System, parameters, settings and search in full, as plain JSON."""
+        return resolved_search(self.record, self.parameters, self.settings, self.starts)
+
+    @cached_property
+    def table(self) -> "AttractorTable":
+        """The attractors themselves, the largest share first."""
+        from workers.attractors.basins import AttractorTable
+
+        return AttractorTable(self.record, self.parameters, self.settings, self.starts)
+
+    @cached_property
+    def results(self) -> dict[str, Any]:
+        """The numbers of the cell, and ``coexisting``, the attractors that are kept with all of theirs.
+
+        Where there is none, the regime and the reason of the cell's own initial state.
+        """
+        from workers.tile import result_arrays
+
+        variables, size = self.record.variables(self.settings, attractors=True), len(self.record.states)
+        arrays = result_arrays(variables, self.settings, 1, size, self.starts.keep, self.record.exponents)
+        self.table.write(arrays)
+        cell = {name: array[0] for name, array in arrays.items()}
+        many = [each.name for each in variables if ATTRACTOR in each.extra]
+        found = {name: values.tolist() for name, values in cell.items() if name not in many}
+        listed = attractors_listed(cell, many)
+        if not listed:
+            found |= in_words({name: cell[name][0] for name in (REGIME.name, REASON.name)})
+        return found | {"coexisting": listed}
 
 
 def attractors(
@@ -38,16 +96,5 @@ def attractors(
     >>> [(each["regime"], each["period"], each["share"]) for each in found["coexisting"]]
     [('periodic', 1, 0.625), ('periodic', 3, 0.375)]
     """
-    from workers.attractors.waves import solve_attractors
-
-    record, settings = checked_system(system), given_settings(settings)
-    parameters = checked_parameters(record, given_values(given, named))
-    search = cell_attractors(starts, record, settings)
-    arrays = solve_attractors(record, parameters, settings, search)
-    many = [each.name for each in record.variables(settings, attractors=True) if ATTRACTOR in each.extra]
-    found = {name: array.tolist() for name, array in arrays.items() if name not in many}
-    kept = min(found["attractors"], search.keep)
-    each = [attractor_in_words({name: arrays[name][place].tolist() for name in many}) for place in range(kept)]
-    if not each:  # then the first place has what became of the cell's own initial state
-        found |= in_words({name: arrays[name][0] for name in (REGIME.name, REASON.name)})
-    return resolved_search(record, parameters, settings, search) | found | {"coexisting": each}
+    asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
+    return asked.described | asked.results

@@ -7,18 +7,22 @@ import numpy as np
 
 from atlas.arguments import checked_flag
 from atlas.errors import InputError
+from atlas.robustness.attractors import AttractorSearch
 from atlas.robustness.norm import checked_weights, weights_of
-from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters, given_settings, given_values
-from atlas.spec.system import checked_system
+from atlas.spec.spec import given_values
 from workers import Settings
-from workers.attractors.starts import Starts, unseen_share, wilson
+from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
-from workers.results import REGIME, in_words
+from workers.results import LARGEST, REASON, REGIME
 
 if TYPE_CHECKING:
     from workers.attractors.basins import AttractorTable
     from workers.model.oscillator import Array
+
+COUNTS = ("attractors", "starts", "undecided", "unseen_share", "periods_used")
+"""What is said of the cell."""
+SHOWN = (REGIME.name, "share", "share_low", "share_high", "period", LARGEST.name)
+"""What is said of an attractor before its measures."""
 
 
 def stability(
@@ -54,53 +58,35 @@ def stability(
     >>> [(each["period"], round(each["return_time"], 3)) for each in found["coexisting"]]
     [(1, 4.245), (3, 4.276)]
     """
-    from workers.attractors.basins import AttractorTable
-
-    record, settings = checked_system(system), given_settings(settings)
     checked_flag("shocks", shocks)
-    if settings.exponents == "none":
+    asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
+    if asked.settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
-    parameters, weights = checked_parameters(record, given_values(given, named)), checked_weights(norm, record)
-    search = cell_attractors(starts, record, settings)
-    table = AttractorTable(record, parameters, settings, search)
-    w = weights_of(weights, record, float(table.oscillators.period[0]))
-    tried = int(table.tried[0])
-    found: dict[str, Any] = {
-        "norm": dict(zip(record.states, w.tolist(), strict=True)),
-        "attractors": len(table.attractors),
-        "starts": tried,
-        "undecided": len(table.cell.undecided),
-        "unseen_share": float(unseen_share(tried)) if tried else np.nan,
-        "periods_used": int(table.used[0]),
-    }
-    if not table.attractors:  # then the cell's own initial state says why
-        found |= in_words(table.own.result(0))
-    each = [_measured(table, place, w, shocks) for place in range(len(table.attractors))]
-    return resolved_search(record, parameters, settings, search) | found | {"coexisting": each}
+    weights = checked_weights(norm, asked.record)
+    w = weights_of(weights, asked.record, float(asked.table.oscillators.period[0]))
+    found = {"norm": dict(zip(asked.record.states, w.tolist(), strict=True))}
+    found |= {name: asked.results[name] for name in (*COUNTS, REGIME.name, REASON.name) if name in asked.results}
+    each = [
+        {name: entry[name] for name in SHOWN}
+        | _measured(asked.table, place, w)
+        | {"state": entry["state"]}
+        | (_shocked(asked.table, place, w) if shocks else {})
+        for place, entry in enumerate(asked.results["coexisting"])
+    ]
+    return asked.described | found | {"coexisting": each}
 
 
-def _measured(table: "AttractorTable", place: int, weights: "Array", shocks: bool) -> dict[str, Any]:
-    """The known measures of the attractor in this place of the table."""
+def _measured(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:
+    """The linear measures of the attractor in this place of the table."""
     from atlas.robustness.linear import measures_of
 
-    attractor, tried = table.attractors[place], int(table.tried[0])
-    hits = len(attractor.starts)
-    low, high = wilson(hits, tried)
-    linear = measures_of(table.cell.oscillator, attractor, weights)
+    linear = measures_of(table.cell.oscillator, table.attractors[place], weights)
     return {
-        "regime": REGIME.meaning(attractor.regime).name,
-        "share": hits / tried,
-        "share_low": float(low),
-        "share_high": float(high),
-        "period": int(attractor.result["period"]),
-        "largest": float(attractor.result["largest"]),
         "return_time": linear.return_time,
         "reactivity": linear.reactivity,
         "amplification": linear.amplification,
         "amplified_after": linear.after,
         **({"reason": linear.reason} if linear.reason else {}),
-        "state": attractor.result["state"].tolist(),
-        **(_shocked(table, place, weights) if shocks else {}),
     }
 
 

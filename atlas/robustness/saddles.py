@@ -8,10 +8,10 @@ import numpy as np
 from atlas.arguments import checked_ends, checked_flag, checked_kind
 from atlas.errors import InputError
 from atlas.query.basins import of_basins
+from atlas.robustness.attractors import AttractorSearch
 from atlas.robustness.norm import checked_weights, weights_of
-from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters, given_settings, given_values
-from atlas.spec.system import checked_system, must_offer
+from atlas.spec.spec import given_values
+from atlas.spec.system import must_offer
 from workers import Settings
 from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
@@ -63,30 +63,22 @@ def saddles(
     >>> [(each["period"], each["between"]) for each in found["saddles"]]
     [(1, [0, 1])]
     """
-    record, settings = checked_system(system), given_settings(settings)
-    parameters, weights = checked_parameters(record, given_values(given, named)), checked_weights(norm, record)
-    search = cell_attractors(starts, record, settings)
     checked_flag("manifolds", manifolds)
-    return saddles_between(record, parameters, settings, search, weights, manifolds, box)
+    asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
+    return saddles_between(asked, checked_weights(norm, asked.record), manifolds, box)
 
 
 def saddles_between(
-    record: System,
-    parameters: Mapping[str, float],
-    settings: Settings,
-    search: Starts,
-    norm: Mapping[str, float] | None = None,
-    manifolds: bool = False,
-    box: Box | None = None,
+    asked: AttractorSearch, norm: Mapping[str, float] | None = None, manifolds: bool = False, box: Box | None = None
 ) -> dict[str, Any]:
-    """``saddles`` of checked values."""
+    """``saddles`` of a search."""
     from atlas.robustness.saddle import saddles_of
-    from workers.attractors.basins import AttractorTable
 
+    record = asked.record
     must_offer(record, "saddles")
     if manifolds and len(record.states) != 2:
         raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
-    table = AttractorTable(record, parameters, settings, search)
+    table = asked.table
     w = weights_of(norm or {}, record, float(table.oscillators.period[0]))
     tracked = saddles_of(table, w)
     each = [_described(saddle) for saddle in tracked.saddles]
@@ -97,9 +89,7 @@ def saddles_between(
             entry["manifold"] = [(piece / w).tolist() for branch in branches for piece in branch.pieces]
             entry["ends"] = [branch.end for branch in branches]
     found = {"norm": dict(zip(record.states, w.tolist(), strict=True)), "attractors": len(table.attractors)}
-    return (
-        resolved_search(record, parameters, settings, search) | found | {"saddles": each, "troubles": tracked.troubles}
-    )
+    return asked.described | found | {"saddles": each, "troubles": tracked.troubles}
 
 
 def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], list[Array]]":
@@ -114,7 +104,8 @@ def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], 
         raise InputError("overlay 'saddles' is drawn over basins of one mass")
     values, order = fixed_values(spec.record, spec.parameters), [spec.record.states.index(name) for name in box]
     wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
-    found = saddles_between(spec.record, values, spec.settings, spec.attractors, manifolds=True, box=wide)["saddles"]
+    asked = AttractorSearch(spec.record, values, spec.settings, spec.attractors)
+    found = saddles_between(asked, manifolds=True, box=wide)["saddles"]
     lines = [np.array(line)[:, order] for each in found for line in each["manifold"] if len(line) > 1]
     return [np.array(each["states"])[:, order] for each in found], lines
 
