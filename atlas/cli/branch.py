@@ -37,6 +37,7 @@ from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import plural
+from workers.results import CYCLE_PERIOD
 
 if TYPE_CHECKING:
     import pandas
@@ -166,11 +167,13 @@ def _seed(
 
 def _print(found: Branches) -> None:
     """A table of events, and how each branch ends."""
+    cycles = [CYCLE_PERIOD.name] if found.system.definition.unforced else []
     rows = [
         (
             str(each["branch"]),
             each["kind"].replace("_", " "),
             f"{each[found.along]:.12g}",
+            *(f"{each[name]:.10g}" for name in cycles),
             _name(each),
             str(each["unstable"]),
             str(each["leaving"]) if each["leaving"] >= 0 else "",
@@ -178,7 +181,19 @@ def _print(found: Branches) -> None:
         for each in _records(found.events)
     ]
     if rows:
-        print_table("", ["branch", "event", found.along, "orbit", "unstable", "leaving"], rows)
+        print_table(
+            "",
+            [
+                "branch",
+                "event",
+                found.along,
+                *(name.replace("_", " ") for name in cycles),
+                "orbit",
+                "unstable",
+                "leaving",
+            ],
+            rows,
+        )
     for number, each in enumerate(_records(found.branches)):
         left = f", leaves branch {each['leaves']}" if each["leaves"] >= 0 else ""
         first, *_, last = found.traced[number].values

@@ -83,7 +83,7 @@ class Here(NamedTuple):
     @property
     def multiplier(self) -> float:
         """The largest modulus of the multipliers of the orbit."""
-        return modulus(self.point, self.point.orbit.itinerary.periods)
+        return modulus(self.point, self.point.orbit.itinerary)
 
 
 @dataclass(frozen=True)
@@ -159,15 +159,15 @@ class FollowedBranch:
     def motion(self, here: Here) -> MotionPicture:
         """The motion of an orbit over all its periods, in closed form from event to event, so that unstable ones close.
 
-        Its even steps begin at the sections t = k T.
+        Its even steps begin at the sections t = k T, or at the first event of a cycle without a force.
         """
         from workers.continuation.equations import motion_of
         from workers.continuation.itinerary import many_orbits
 
         orbit = here.point.orbit
-        machine, periods = self._family.model(np.array([[here.value]])), orbit.itinerary.periods
+        machine, periods = self._family.model(np.array([[here.value]])), orbit.itinerary.periods or 1
         count = min(samples_of(self.table.system) // 2, POINTS // periods)
-        turn = float(orbit.itinerary.span(machine)[0])
+        turn = orbit.span(machine)
         period = turn * (1 + orbit.itinerary.symmetric) / periods
         events = np.concatenate([orbit.times + k * turn for k in range(1 + orbit.itinerary.symmetric)])
         events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may leave the turn

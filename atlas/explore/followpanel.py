@@ -7,6 +7,7 @@ from bokeh.layouts import column, row
 from bokeh.models import Arrow, Button, ColumnDataSource, Div, NormalHead, NumericInput, Select, Slider, Span
 from bokeh.plotting import figure
 
+from atlas.branches.table import cycle_period
 from atlas.explore.background import Background
 from atlas.explore.branches import Arrow as Reach
 from atlas.explore.branches import Drawn, FollowedBranch, Here, arrows, beginning, branch_asked, distance
@@ -249,7 +250,10 @@ class _Shown:
         outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if here.point.unstable else "stable"
         largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
-        period = plural(here.point.orbit.itinerary.periods, "forcing period")
+        orbit = here.point.orbit.itinerary
+        period = plural(orbit.periods, "forcing period")
+        if orbit.is_cycle:
+            period = f"cycle of {number(cycle_period(here.point, orbit), 8)}"
         rows = [
             (self._symbol, number(here.value, 8)), ("period", period),
             ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from workers.continuation import Family, Orbit
 from workers.continuation.orbits import alike, continued_to, many_of
 from workers.continuation.recording import halved, recorded
-from workers.results import NO_IMPACT, REGIME
+from workers.results import CYCLE_PERIOD, NO_IMPACT, REGIME
 
 Array = NDArray[np.float64]
 
 NEEDED = (REGIME.name, "period", "symmetric", "state")
-"""The variables that an orbit is made of, besides the cell's parameters."""
+"""The variables that an orbit is made of, besides the cell's parameters; without a force also CYCLE_PERIOD."""
 
 
 def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) -> list[Orbit | str]:
@@ -33,7 +33,8 @@ def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) 
         return []
     machines, still = family.model(points), cells[REGIME.name] == NO_IMPACT
     symmetric = np.where(still, machines.mirrored, cells["symmetric"]).astype(bool)
-    turns = zip(cells["state"], np.maximum(cells["period"], 1).tolist(), symmetric.tolist(), strict=True)
+    lengths = cells[CYCLE_PERIOD.name].tolist() if CYCLE_PERIOD.name in cells else [None] * len(points)
+    turns = zip(cells["state"], np.maximum(cells["period"], 1).tolist(), symmetric.tolist(), lengths, strict=True)
     found = list[Orbit | str]()
     for k, turn in enumerate(turns):
         try:

@@ -1,7 +1,7 @@
 """The system of a spec, of a store, or of a command: by name, by file, or in full."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -78,13 +78,10 @@ def unused_lines(record: System) -> list[str]:
     return [f"no entry of {record.name} uses {', '.join(record.unused)}"] if record.unused else []
 
 
-def must_offer(record: System, what: str) -> None:
-    """InputError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force."""
-    _refused(record.must_offer, what)
-
-
-def _refused(refuse: Callable[[str], None], what: str) -> None:
+def must_offer(record: System, what: str, unforced: bool = False) -> None:
+    """InputError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force;
+    ``unforced``: whether it exists without one."""
     try:
-        refuse(what)
+        record.must_offer(what, unforced)
     except ValueError as error:
         raise InputError(str(error)) from None

@@ -11,6 +11,7 @@ from atlas.cell.orbit import cell_orbit, describe
 from atlas.cell.shown import periods
 from atlas.errors import InputError
 from atlas.render.drawing import figure
+from atlas.spec.system import checked_system, must_offer
 from workers import trace
 
 FAST = atlas.Settings(survival=0, max_periods=2000)
@@ -55,8 +56,8 @@ def test_a_plane_of_belts_is_solved_asked_and_drawn(tmp_path: Path, client: Clie
 
 
 def test_what_is_not_there_without_a_force_is_refused_in_a_line() -> None:
-    line = "system 'belt': branches are not there for a machine without a force"
+    line = "system 'belt': saddles are not there for a machine without a force"
     with pytest.raises(InputError, match=line):
-        atlas.branch({"u": 0.3}, along="u", window=(0.2, 0.4), system="belt")
+        must_offer(checked_system("belt"), "saddles")
     with pytest.raises(InputError, match="attractors: are not searched for machines without a force, as 'belt'"):
         atlas.Spec("belt", {"u": [0.3, 0.6]}, attractors={"starts": 4})

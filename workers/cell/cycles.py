@@ -176,7 +176,7 @@ def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] |
     before = passed_by(machine, rows[first - 1]).code
     rows, keys = np.roll(rows, -first, axis=0), np.roll(keys, -first)
     rows[:, LEG.start] = np.mod(rows[:, LEG.start] - rows[0, LEG.start], T)
-    turn = turned_orbit([passed_by(machine, row) for row in rows], before, 1)
+    turn = turned_orbit([passed_by(machine, row) for row in rows], before, 0, T)
     own = with_modes(machine.table.machines._replace(omega=np.array([2.0 * np.pi / T])))
     try:
         half = halved(own, turn, ASKED)

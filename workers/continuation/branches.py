@@ -128,9 +128,11 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     square = Extended(family, orbit, event.conditions, values, widths)
     critical = square.critical(square.pack(orbit, none, values))
     critical = critical * np.copysign(1.0, critical[0])  # either sign is a null vector
-    whole = doubled(orbit, float(orbit.itinerary.span(square.model(values))[0]))
+    whole = doubled(orbit, orbit.span(square.model(values)))
     equations = Extended(family, whole, (), values, widths)
     unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])
+    if whole.itinerary.is_cycle:  # times count from the first event, and a turn is as long
+        unit[len(critical) - square.m : -1] -= unit[len(critical) - square.m]
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
     found = solve(equations, X, unit / equations.scale)

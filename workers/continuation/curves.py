@@ -70,4 +70,4 @@ def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
     legs = tuple(own.chains[i] for i in kept) or (still,)
     rest = own._replace(sides=tuple(own.sides[i] for i in kept), legs=legs).bare
     graze = Condition(GRAZE, side=leg.side, signal=leg.signal)
-    return Orbit(rest, orbit.times[kept], orbit.speeds[kept]), graze, time
+    return Orbit(rest, orbit.times[kept], orbit.speeds[kept], orbit.length), graze, time

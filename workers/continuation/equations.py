@@ -1,6 +1,7 @@
 """Orbits for which the equations hold; motions of unknowns, or of the times of events alone."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,9 +28,10 @@ def admit(lin: OrbitMachines, itinerary: Itinerary) -> Mask:
 
 def _faults(lin: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
     """For which machines (N,) the equations do not hold, and why."""
-    unknown = itinerary.periods < 1 or (not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides))
+    unknown = itinerary.periods < (0 if itinerary.sides else 1)
+    unknown |= not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides)
     yield np.array(unknown), f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1"
-    even = itinerary.symmetric and itinerary.periods % 2 == 0
+    even = itinerary.symmetric and itinerary.periods % 2 == 0 and not itinerary.is_cycle
     yield np.array(even), f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}"
     if itinerary.symmetric:
         uneven = "a symmetric orbit needs equal stops, odd harmonics only, no constant load and no moving belt"
@@ -46,10 +48,19 @@ def _faults(lin: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, st
         yield ~np.isfinite(stop), f"an impact at the {name} stop, which is not there: b_{name} = {abs(stop[0])}"
 
 
+def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) -> OrbitMachines:
+    """Machines without a force, of such a frequency that turns of this itinerary have these lengths (N,): nothing in
+    them depends on it."""
+    return replace(machines, omega=2.0 * np.pi * itinerary.turn / lengths, known=machines.known)
+
+
 def motion_of_unknowns(lin: OrbitMachines, itinerary: Itinerary, X: Array) -> OrbitMotion:
-    """Motions of unknowns X (N, ...), of which states and times come first."""
+    """Motions of unknowns X (N, ...), of which states and times come first; see ``Orbit.unknown_times``."""
     size = lin.dimension
     start, times = np.split(X[:, : size + len(itinerary.sides)], [size], axis=1)
+    if itinerary.is_cycle:
+        lin, times = at_lengths(lin, itinerary, times[:, 0]), times.copy()
+        times[:, 0] = 0.0
     return OrbitMotion(lin, itinerary, np.ascontiguousarray(times), np.ascontiguousarray(start))
 
 
@@ -59,6 +70,8 @@ def motion_of(lin: OrbitMachines, orbits: Orbit) -> OrbitMotion:
     For given times these are linear in the state, 2n + m equations for 2n numbers.
     """
     times, size = np.ascontiguousarray(orbits.times), lin.dimension
+    if orbits.itinerary.is_cycle:
+        lin = at_lengths(lin, orbits.itinerary, orbits.length)
     still = OrbitMotion(lin, orbits.itinerary, times, np.zeros((len(times), size)))
     J, right = still.linearised()[:, :, :size], still.turn.residuals[..., None]
     start = -stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right

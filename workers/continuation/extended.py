@@ -102,7 +102,7 @@ class Extended:
         motion = motion_of(lin, many_orbits([orbit]))
         self.m, self.free, self.states = len(orbit.itinerary.sides), len(family.free), motion.unknowns.shape[1]
         self.grazes = sum(condition.kind == GRAZE for condition in conditions)
-        time = 1.0 / float(lin.omega[0])
+        time = float(motion.span[0]) if orbit.itinerary.is_cycle else 1.0 / float(lin.omega[0])
         (size,), (guards,) = motion.scale()
         size, root = FOLLOWS * math.sqrt(len(size)) * size, math.sqrt(max(1, self.m))
         times = np.repeat([root * time, time], [self.m, self.grazes])
@@ -202,10 +202,10 @@ class Extended:
         """J_z of a condition on a multiplier where all events are impacts, else DP - z, each in units of the unknowns.
 
         J_z has no poles where an impact has no speed. Where a soft contact is hardly touched it is nearly singular
-        whatever the multipliers are, and DP is not.
+        whatever the multipliers are, and DP is not; but of a cycle DP has the multiplier 1 always, and J_1 has not.
         """
         z = 1.0 if condition.kind == UNIT else -1.0
-        if motion.plan.impacts:
+        if motion.plan.impacts or motion.itinerary.is_cycle:
             return np.asarray(motion.linearised(z) * self.scale[: self.states] / self.unit[:, None])
         size = self.scale[: motion.start.shape[1]]
         return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
@@ -217,7 +217,7 @@ class Extended:
 
     def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
         """The direction (B, states) of unknowns that a null vector of ``_bordered_matrix`` is, in units of scale."""
-        if motion.plan.impacts:
+        if motion.plan.impacts or motion.itinerary.is_cycle:
             return along
         size = self.scale[: motion.start.shape[1]]
         found = motion.unknowns_along(along * size) / self.scale[: self.states]

@@ -1,6 +1,7 @@
 """Itineraries: the events in order, length and modes that stay fixed along a branch."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -53,7 +54,7 @@ class Itinerary(NamedTuple):
     """Events in order, and length.
 
     sides    (m,) in one turn, see Leg.label: +1 for an impact at the upper stop, -1 at the lower
-    periods  of the force in the whole orbit
+    periods  of the force in the whole orbit; 0 of a cycle without a force, whose length is its own
     symmetric  a turn is half the orbit
     legs     from each event to the next one; without events, of the turn; none where all are flights from impact to
              impact with a lone rigid contact, see ``chains``
@@ -82,10 +83,28 @@ class Itinerary(NamedTuple):
         other = self._replace(legs=())
         return other if other.chains == self.legs else self
 
+    @property
+    def is_cycle(self) -> bool:
+        """Whether its length is its own, since no force tells it."""
+        return self.periods == 0
+
+    @property
+    def turn(self) -> float:
+        """The length of a turn in periods of the machine, one of which a whole cycle takes."""
+        return (0.5 if self.symmetric else 1.0) * (self.periods or 1)
+
     def span(self, lin: OrbitMachines) -> Array:
         """The length (N,) of a turn of machines."""
-        found: Array = (0.5 if self.symmetric else 1.0) * self.periods * 2.0 * math.pi / lin.omega
+        found: Array = self.turn * 2.0 * math.pi / lin.omega
         return found
+
+    @property
+    def sections(self) -> int:
+        """How many sections the whole orbit has: periods of the force, or passages of the rarest event of a cycle."""
+        if not self.is_cycle:
+            return self.periods
+        whole = self.twice if self.symmetric else self
+        return min(Counter((leg.signal, leg.side, leg.code) for leg, *_ in whole.chains).values())
 
     def impacts(self, side: int) -> int:
         """How often a stop on this side is reached in the whole orbit."""
@@ -115,17 +134,31 @@ class Orbit(NamedTuple):
     """A periodic orbit: times (m,) of its events in one turn after a section, signed speeds (m,) before them.
 
     The times alone define it, see ``equations.motion_of``; the speeds distinguish orbits. They are the rates of the
-    signals that reach the end of their range, with the signs of the labels. Many orbits of one itinerary are one record
-    with another axis in front of both.
+    signals that reach the end of their range, with the signs of the labels. Times of a cycle are counted from its first
+    event, and ``length`` is that of a turn; NaN where the force tells it. Many orbits of one itinerary are one record
+    with another axis in front of all.
     """
 
     itinerary: Itinerary
     times: Array
     speeds: Array
+    length: Array = np.array(np.nan)
 
     def taken(self, rows: Any) -> "Orbit":
         """These rows of a record of many, in their order; of a number, that one orbit."""
-        return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in self[1:]))
+        fields = self.times, self.speeds, np.broadcast_to(self.length, self.times.shape[:1])
+        return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in fields))
+
+    @property
+    def unknown_times(self) -> Array:
+        """The times that are unknown: of a cycle the length of a turn in place of the first one, which is 0."""
+        if not self.itinerary.is_cycle:
+            return self.times
+        return np.concatenate([np.asarray(self.length)[..., None], self.times[..., 1:]], axis=-1)
+
+    def span(self, lin: OrbitMachines) -> float:
+        """The length of a turn of this one orbit of one machine."""
+        return float(self.length if self.itinerary.is_cycle else self.itinerary.span(lin)[0])
 
 
 def many_orbits(orbits: Sequence[Orbit]) -> Orbit:

@@ -3,8 +3,9 @@
     sign z(t_0 + L) - z(t_0) = 0,  r_i(z(t_i^-), t_i) = its end
 
 Unknown are the physical state z = (x, v) just before the first event, counted from where the machine rests, and the
-times t_i of all. Of a symmetric orbit, z(t + L/2) = -z(t), only the events of one half are unknown: a turn is half the
-orbit, and sign is -1. Phases change at given times, which are no unknowns.
+times t_i of all; of a cycle without a force L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) = -z(t),
+only the events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times, which
+are no unknowns.
 """
 
 import math
@@ -149,8 +150,9 @@ class OrbitMotion:
 
     @property
     def unknowns(self) -> Array:
-        """States, then times (N, 2n + m)."""
-        return np.concatenate([self.start, self.times], axis=1)
+        """States, then times (N, 2n + m), see ``Orbit.unknown_times``."""
+        times = Orbit(self.itinerary, self.times, self.times, self.span).unknown_times
+        return np.concatenate([self.start, times], axis=1)
 
     @cached_property
     def plan(self) -> TurnPlan:
@@ -160,7 +162,8 @@ class OrbitMotion:
     @property
     def orbits(self) -> Orbit:
         """The orbits as a record of many."""
-        return Orbit(self.itinerary, self.times, self.plan.signs * self.turn.signals[:, 1])
+        speeds = self.plan.signs * self.turn.signals[:, 1]
+        return Orbit(self.itinerary, self.times, speeds, *[self.span][: self.itinerary.is_cycle])
 
     @cached_property
     def pieces(self) -> Pieces:
@@ -229,9 +232,13 @@ class OrbitMotion:
 
             det J_z = det(DP - z I) prod_i r'_i:
 
-        zero where z is a multiplier, and without poles.
+        zero where z is a multiplier, and without poles. Of a cycle 1 is one: for z = 1 the length of a turn is unknown
+        in place of the time of the first event, and the others are those of the map of its section,
+        det J_1 = -det(P - I) prod_i r'_i.
         """
         found: Table = self.turn.tangents - z * self.turn.shifts
+        if z == 1 and self.itinerary.is_cycle:
+            found[:, :, self.start.shape[1]] = -self.turn.shifts[:, :, self.start.shape[1]]
         return found
 
     def at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from workers.continuation.equations import motion_of
 from workers.continuation.events import CONTACT_LOST, GRAZING, GRAZING_SLIDING, STICK_END, STICK_ONSET, Event
 from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
-from workers.continuation.orbits import continued_to, many_of, states_at_sections
+from workers.continuation.orbits import continued_to, known_states, many_of, states_at_sections
 from workers.continuation.oscillator import Family
 from workers.continuation.recording import halved, recorded
 from workers.continuation.stability import multipliers, pair_near
@@ -184,8 +184,10 @@ def _recorded(family: Family, beside: _Beside, share: float, bounds: Array) -> O
         moved_on = continued_to(family, many_of([orbit], here[None]), values[None])
         known, at = (moved_on.orbits, values) if moved_on.found[0] else (many_orbits([orbit]), here)
         state = states_at_sections(family.model(at[None]), known)[0, 0]
-        machine = family.model(values[None])
-        found = recorded(machine, state, orbit.itinerary.periods)
+        machine, cycle = family.model(values[None]), None
+        if orbit.itinerary.is_cycle:
+            cycle = float(known.length[0]) / orbit.itinerary.turn
+        found = recorded(machine, state, orbit.itinerary.periods, cycle=cycle)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not found.itinerary.sides and not orbit.itinerary.sides:
@@ -206,11 +208,11 @@ def _solved(
     (here, orbit, contacts, *_), free, values = event.point, equations.free, beside.values + beside.away
     own = [each._replace(kappa=event.kappa) if each.kind == PAIR else each for each in event.conditions[:-1]]
     try:
-        conditions = conditions_on(far, tuple(own), orbit, float(orbit.itinerary.span(equations.model(here))[0]))
+        conditions = conditions_on(far, tuple(own), orbit, orbit.span(equations.model(here)))
         if conditions is None:
             return None
         there = Extended(equations.family, far, conditions, values, equations.width)
-        row, changes = np.zeros(len(there.scale)), far.times - near.times
+        row, changes = np.zeros(len(there.scale)), far.unknown_times - near.unknown_times
         if free > 1 or not np.any(changes) or is_same_sequence(far.itinerary, orbit.itinerary):
             row[len(row) - free :] = beside.along / equations.width
         else:
@@ -240,6 +242,6 @@ def is_same_event(equations: Extended, one: Event, other: Event) -> bool:
     """Whether two events of any kinds are at one orbit of one parameter."""
     if np.any(np.abs(one.point.values - other.point.values) > SAME * equations.width):
         return False
-    a, b = (states_at_sections(equations.model(e.point.values), many_orbits([e.point.orbit]))[0] for e in (one, other))
-    apart = np.max(np.abs(a[:1] - b), axis=1)
+    a, b = (known_states(equations.model(e.point.values), many_orbits([e.point.orbit]))[0] for e in (one, other))
+    apart = np.max(np.abs(a[:, None] - b), axis=2)
     return bool(np.min(apart) <= SAME_STATE * max(1e-300, float(np.max(np.abs(a)))))

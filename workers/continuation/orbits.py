@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
 from workers.continuation.equations import admit, check_orbits, motion_of, motion_of_unknowns
-from workers.continuation.itinerary import Orbit, many_orbits
+from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
+from workers.continuation.legs import EVENT, NO_EVENT
 from workers.continuation.motion import OrbitMotion
 from workers.continuation.newton import newton
 from workers.continuation.oscillator import Family, family_of
@@ -62,9 +63,11 @@ def continued_to(family: Family, orbits: Many, values: Array) -> Many:
         return orbits._replace(values=values, found=may_be)
     known = np.flatnonzero(may_be)
     own, here = lin.taken(known), orbits.orbits.taken(known)
-    phases = here.times * family.model(orbits.values[known]).omega[:, None]
-    start = motion_of(own, here._replace(times=phases / own.omega[:, None]))
-    scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / own.omega[:, None]], axis=1)
+    if not itinerary.is_cycle:
+        phases = here.times * family.model(orbits.values[known]).omega[:, None]
+        here = here._replace(times=phases / own.omega[:, None])
+    start = motion_of(own, here)
+    scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / start.lin.omega[:, None]], axis=1)
 
     def motion(X: Array, rows: Rows) -> OrbitMotion:
         return motion_of_unknowns(own.taken(rows), itinerary, X)
@@ -77,7 +80,8 @@ def continued_to(family: Family, orbits: Many, values: Array) -> Many:
         lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST
     )
     after, found = orbits.orbits.taken(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
-    _, after.times[known], after.speeds[known] = motion_of_unknowns(own, itinerary, solved.X).orbits
+    fields = motion_of_unknowns(own, itinerary, solved.X).orbits[1:]
+    after.times[known], after.speeds[known], after.length[known] = fields
     found[known] = solved.converged
     return Many(after, values, found)
 
@@ -97,19 +101,24 @@ def attract(family: Family, orbits: Many) -> Mask:
 
 
 def orbit_from_state(
-    system: System, values: Mapping[str, float], state: Array, periods: int, symmetric: bool = False
+    system: System,
+    values: Mapping[str, float],
+    state: Array,
+    periods: int,
+    symmetric: bool = False,
+    cycle: float | None = None,
 ) -> Orbit:
     """The periodic orbit through (or next to) a physical section state, by Newton's method.
 
     values   parameters by name; those left out have their defaults
-    periods  of the force in the whole orbit
+    periods  of the force in the whole orbit; ``cycle``: the period of that of a machine without a force
     Raises ValueError where the motion from there rests on a rigid stop, where R = 0, or where no orbit is found.
     """
     if periods < 1:
         raise ValueError(f"periods: found {periods}, an orbit takes 1 or more")
     family, none = family_of(system, values, ()), np.zeros(0)
     machine = family.model(none[None])
-    orbit = refined(family, recorded(machine, state, periods, symmetric), none)
+    orbit = refined(family, recorded(machine, state, periods, symmetric, cycle), none)
     half = halved(machine, orbit)
     return orbit if half is orbit else refined(family, half, none)
 
@@ -143,22 +152,55 @@ def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> 
     return found
 
 
-def section_states(system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0) -> Array:
+def section_states(
+    system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0, known: bool = False
+) -> Array:
     """The physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T of a turn.
 
     values   parameters (N,) by name; those left out have their defaults
     shift    of the section, in forcing periods: -states at 1/2 are those of the mirror images in a symmetric machine
+    known    of cycles, the states after all events, see ``known_states``
     An event at a section counts as past, also one that rounding puts up to AT_SECTION T after it.
     """
     rows = np.stack(list(values.values()), axis=1) if values else np.zeros((len(orbits), 0))
     machines, _ = machines_over(system, {}, tuple(values))(rows)
-    return states_at_sections(machines, many_orbits(orbits), shift)
+    return (known_states if known else states_at_sections)(machines, many_orbits(orbits), shift)
 
 
 def states_at_sections(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
-    """The physical states (N, n, 2d) of orbits at the sections of a turn: see ``section_states``."""
+    """The physical states (N, n, 2d) of orbits at the sections of a turn: see ``section_states``.
+
+    Those of cycles are the passages of an event, just after it: that which occurs least often, of several the first by
+    signal, side and mode. With a ``shift`` the passages of that event of the mirror images.
+    """
+    if many.itinerary.is_cycle:
+        return _states_after(lin, many, _rarest(lin, many.itinerary, shift > 0.0))
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
     many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
     found, _ = motion_of(lin, many).at((np.arange(many.itinerary.periods) + shift) * period)
     return np.asarray(found + lin.rest[:, None])
+
+
+def known_states(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
+    """Physical states (N, K, 2d) that two orbits share if they are one: at sections; of cycles after all events."""
+    if not many.itinerary.is_cycle:
+        return states_at_sections(lin, many, shift)
+    return _states_after(lin, many, range(len(many.itinerary.sides) * (1 + many.itinerary.symmetric)))
+
+
+def _states_after(lin: OrbitMachines, many: Orbit, events: Sequence[int]) -> Array:
+    """The states just after some events of a whole cycle, its second half included if it is symmetric."""
+    motion, m = motion_of(lin, many), len(many.itinerary.sides)
+    legs = 1 + np.searchsorted(np.cumsum(motion.plan.table[:, EVENT] != NO_EVENT), np.arange(1, m + 1))
+    after = motion.turn.states[:, legs]
+    return np.asarray(np.concatenate([after, -after], axis=1)[:, list(events)] + lin.rest[:, None])
+
+
+def _rarest(lin: OrbitMachines, itinerary: Itinerary, mirrored: bool) -> list[int]:
+    """The sections of a cycle among its events, see ``states_at_sections``; or of the mirror image."""
+    chains = (itinerary.twice if itinerary.symmetric else itinerary).chains
+    legs = [leg.mirrored if mirrored else leg for leg, *_ in chains]
+    keys = [(leg.signal, leg.side, leg.code.number_of(*lin.machines.segments)) for leg in legs]
+    rarest = min(keys, key=lambda key: (keys.count(key), key))
+    return [i for i, key in enumerate(keys) if key == rarest]

@@ -33,7 +33,7 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     """
     for name in (*values, *free):
         system.parameter(name)
-    system.must_offer("branches and curves")
+    system.must_offer("branches and curves", unforced=True)
     machines = machines_over(system, values, free)
 
     def model(rows: Array) -> OrbitMachines:

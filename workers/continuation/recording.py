@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
-from workers.model.family import OrbitMachines
+from workers.model.family import OrbitMachines, with_modes
 from workers.model.hybrid_modes import Code
 from workers.model.oscillator import Array
 from workers.orbit.passed import Passed, passed
@@ -15,11 +15,16 @@ ALIKE, ASKED = 1e-6, 1e-2
 to be symmetric."""
 
 
-def recorded(machine: OrbitMachines, state: Array, periods: int, symmetric: bool = False) -> Orbit:
-    """The orbit of one machine as its events are passed in some periods from a physical section state.
+def recorded(
+    machine: OrbitMachines, state: Array, periods: int, symmetric: bool = False, cycle: float | None = None
+) -> Orbit:
+    """The orbit of one machine as its events are passed in some periods from a physical section state; or in the
+    period of a ``cycle`` without a force from any of its states.
 
     A symmetric one where the second half is the mirror image of the first. ValueError where it cannot be followed.
     """
+    if cycle is not None:
+        return halved(machine, _cycle(machine, state, cycle), ASKED if symmetric else ALIKE)
     motions = passed(machine.oscillators, state, periods)
     legs = [Leg(each.code, each.begun, each.signal, each.side) for each in motions]
     phases = machine.elements.starts.shape[1] > 2  # the section is nothing to a machine without them
@@ -32,8 +37,22 @@ def recorded(machine: OrbitMachines, state: Array, periods: int, symmetric: bool
     return halved(machine, turned_orbit(turn, legs[first - 1].code, periods), ASKED if symmetric else ALIKE)
 
 
-def turned_orbit(turn: Sequence[Passed], before: Code, periods: int) -> Orbit:
-    """The orbit of a turn from its first event on, in a mode until then."""
+def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
+    """A cycle from the event after its longest leg on, in whose middle it is cut: it may not close quite yet."""
+    own = with_modes(machine.machines._replace(omega=np.array([2.0 * np.pi / period])))
+    motions = [each for each in passed(own.oscillators, state, 3) if each.signal >= 0]
+    times = np.array([each.time for each in motions])
+    lengths = np.diff(times)[: np.sum(times < 1.5 * period)]
+    if not len(lengths):
+        raise ValueError(f"nothing happens in {period:g} units of time, the period of the cycle")
+    longest = int(np.argmax(lengths))
+    ends = 0.5 * (times[longest] + times[longest + 1]) + period
+    turn = [each._replace(time=each.time - times[longest + 1]) for each in motions[longest + 1 :] if each.time < ends]
+    return turned_orbit(turn, motions[longest].code, 0, period)
+
+
+def turned_orbit(turn: Sequence[Passed], before: Code, periods: int, length: float = np.nan) -> Orbit:
+    """The orbit of a turn from its first event on, in a mode until then; of periods 0 a cycle of a length."""
     chains, sides, times, speeds = list[list[Leg]](), list[int](), list[float](), list[float]()
     for each in turn:
         leg = Leg(each.code, each.begun, each.signal, each.side)
@@ -45,7 +64,7 @@ def turned_orbit(turn: Sequence[Passed], before: Code, periods: int) -> Orbit:
         chains[-1].append(leg)
         before = leg.code
     itinerary = Itinerary(tuple(sides), periods, legs=tuple(map(tuple, chains))).bare
-    return Orbit(itinerary, np.array(times), np.array(speeds))
+    return Orbit(itinerary, np.array(times), np.array(speeds), np.array(length))
 
 
 def halved(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:
@@ -54,12 +73,13 @@ def halved(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:
     Times of events of both halves may differ by the share ``alike`` of a turn.
     """
     (sides, periods, symmetric, legs), half = orbit.itinerary, len(orbit.times) // 2
-    span = float(orbit.itinerary.span(machine)[0])
+    span = orbit.span(machine)
     if symmetric or not sides:
         return orbit
-    if len(sides) % 2 or periods % 2 == 0 or not machine.mirrored[0] or not orbit.itinerary.repeats(half, -1):
+    whole = orbit.itinerary.is_cycle or periods % 2 == 1
+    if len(sides) % 2 or not whole or not machine.mirrored[0] or not orbit.itinerary.repeats(half, -1):
         return orbit
     if np.max(np.abs(orbit.times[half:] - orbit.times[:half] - 0.5 * span)) > alike * span:
         return orbit
     itinerary = Itinerary(sides[:half], periods, True, legs[:half])
-    return Orbit(itinerary, orbit.times[:half], orbit.speeds[:half])
+    return Orbit(itinerary, orbit.times[:half], orbit.speeds[:half], 0.5 * orbit.length)

@@ -44,19 +44,20 @@ def same_orbit(one: Orbit, other: Orbit, omega: float, tolerance: float = SAME) 
 def doubled(orbit: Orbit, span: float) -> Orbit:
     """Two turns of length ``span`` of an orbit as one: of a symmetric orbit the whole of it, of others it twice."""
     times = np.append(orbit.times, orbit.times + span)
-    return Orbit(orbit.itinerary.twice, times, np.append(orbit.speeds, orbit.itinerary.sign * orbit.speeds))
+    speeds = np.append(orbit.speeds, orbit.itinerary.sign * orbit.speeds)
+    return Orbit(orbit.itinerary.twice, times, speeds, 2.0 * orbit.length)
 
 
 @cache
 def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
     """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
     sides, m, found = itinerary.sides, len(itinerary.sides), list[Itinerary]()
-    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn
+    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn, which a cycle has not
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
         k, length = m // parts, halves // parts
         for sign in (1, -1):
-            closes = sign**parts == itinerary.sign and length % 2 == (sign < 0)
-            if closes and itinerary.repeats(k, sign):
+            fits = itinerary.is_cycle or length % 2 == (sign < 0)
+            if fits and sign**parts == itinerary.sign and itinerary.repeats(k, sign):
                 periods = length if sign < 0 else length // 2
                 found.append(Itinerary(sides[:k], periods, sign < 0, itinerary.legs[:k]))
     return tuple(found)
@@ -64,7 +65,7 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
 
 def difference(motion: OrbitMotion, to: Itinerary) -> Array:
     """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
-    itinerary, t, v = motion.orbits.taken(0)
+    itinerary, t, v, _ = motion.orbits.taken(0)
     k, span = len(to.sides), motion.span[0]
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
     speeds = np.concatenate([v[k:], itinerary.sign * v[:k]])
@@ -79,4 +80,5 @@ def is_minimal(motion: OrbitMotion) -> bool:
 def reduced(orbit: Orbit, to: Itinerary) -> Orbit:
     """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
     k = len(to.sides)
-    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy())
+    length = orbit.length * k / len(orbit.times)
+    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), length)

@@ -16,7 +16,7 @@ def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
     turned = tuple(sign * side for side in sides[:k])
     itinerary = Itinerary(sides[k:] + turned, periods, symmetric, legs[k:] + orbit.itinerary.legs_after(0, sign)[:k])
     times = np.append(orbit.times[k:], orbit.times[:k] + span)
-    return Orbit(itinerary, times, np.append(orbit.speeds[k:], sign * orbit.speeds[:k]))
+    return Orbit(itinerary, times, np.append(orbit.speeds[k:], sign * orbit.speeds[:k]), orbit.length)
 
 
 def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, float] | None:
@@ -38,6 +38,9 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
     if not found:
         return None
     _, shorter, leg, time = min(found, key=lambda each: each[0])
+    if shorter.itinerary.is_cycle and shorter.itinerary.sides:  # times count from the first event
+        first = float(shorter.times[0])
+        shorter, time = shorter._replace(times=shorter.times - first), time - first
     turns = 0.0 if shorter.itinerary.sides else math.floor(time / span)
     mirrored = turns % 2 != 0 and orbit.itinerary.symmetric
     return shorter, leg.mirrored if mirrored else leg, time - turns * span
@@ -55,7 +58,7 @@ def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
     chain = before + legs[lost][-1][1:]
     after = (*legs[: lost.start - 1], chain, *legs[lost.stop :]) if kept else (_of_phases(chain),)
     itinerary = Itinerary(tuple(sides[i] for i in kept), periods, symmetric, after)
-    return Orbit(itinerary, orbit.times[kept], orbit.speeds[kept])
+    return Orbit(itinerary, orbit.times[kept], orbit.speeds[kept], orbit.length)
 
 
 def _of_phases(chain: tuple[Leg, ...]) -> tuple[Leg, ...]:

@@ -154,9 +154,10 @@ class System:
         refuse_ambiguous((("observe", variable) for variable in results), names)
         return observables
 
-    def must_offer(self, what: str) -> None:
-        """DefinitionError in one line that ``what`` does not exist with a drifting coordinate, or without a force."""
-        if self.definition.unforced:
+    def must_offer(self, what: str, unforced: bool = False) -> None:
+        """DefinitionError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force;
+        ``unforced``: whether it exists without one."""
+        if self.definition.unforced and not unforced:
             raise DefinitionError(f"system {self.name!r}: {what} are not there for a machine without a force")
         if self.definition.drift:
             raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")

@@ -12,7 +12,7 @@ from atlas.spec.spec import checked_parameters, given_settings
 from atlas.spec.system import checked_system, must_offer, resolved_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import NO_IMPACT, PERIODIC, REASON, REGIME, in_words
+from workers.results import CYCLE_PERIOD, NO_IMPACT, PERIODIC, REASON, REGIME, in_words
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,7 +60,8 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
     known = {p.name for p in record.parameters}
     values = {name: float(cell[name] if name in cell else ds[name]) for name in known if _has_value(ds, name, cell)}
     row = ds.sel(where)
-    stored = ("regime", "reason", "period", "symmetric", "sticks", "state")
+    stored = ["regime", "reason", "period", "symmetric", "sticks", "state"]
+    stored += [CYCLE_PERIOD.name] if record.definition.unforced else []
     missing = [name for name in stored if name not in ds and name != REASON.name]
     if missing:
         raise InputError(f"a branch starts from the variable {missing[0]!r} of a cell, which this atlas does not hold")
@@ -88,7 +89,7 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     from atlas.orbits.stored import NEEDED, orbits_of
     from workers.continuation import family_of
 
-    must_offer(record, "branches")
+    must_offer(record, "branches", unforced=True)
     regime = int(cell[REGIME.name])
     if regime not in (PERIODIC, NO_IMPACT):
         why = in_words(cell).get(REASON.name)
@@ -96,7 +97,10 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
         raise InputError(f"this cell is {found}: a branch starts from a periodic one")
     if bool(cell["sticks"]) and not record.has_modes:
         raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")
-    row = {name: np.asarray(cell[name])[None] for name in NEEDED}
+    unforced = record.definition.unforced
+    if unforced and regime == NO_IMPACT:
+        raise InputError("this cell is an equilibrium: a branch starts from a cycle")
+    row = {name: np.asarray(cell[name])[None] for name in (*NEEDED, *((CYCLE_PERIOD.name,) if unforced else ()))}
     (orbit,) = orbits_of(family_of(record, values, ()), np.zeros((1, 0)), row)
     if isinstance(orbit, str):
         raise InputError(f"this cell: {orbit}")

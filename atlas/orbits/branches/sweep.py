@@ -14,7 +14,7 @@ from atlas.orbits.branches.tree import Branch, Tree
 from atlas.query.window import axis_names, axis_values, columns
 from atlas.spec.system import must_offer
 from workers.continuation import Point
-from workers.results import PERIODIC, REGIME
+from workers.results import CYCLE_PERIOD, PERIODIC, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,13 +39,14 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds), axis_names(ds)
-    must_offer(system, "branches")
+    must_offer(system, "branches", unforced=True)
     for other in sweeps[1:]:
         if axis_names(other) != (along,):
             raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")
     if columns(ds) or along in system.states:
         raise InputError(f"branches follow orbits along a parameter that orbits depend on, not {along}")
-    for name in _STORED:
+    stored = (*_STORED, CYCLE_PERIOD.name) if system.definition.unforced else _STORED
+    for name in stored:
         if name not in ds:
             raise InputError(f"branches start from the variable {name!r} of cells, which this atlas does not hold")
     defaults = {p.name: p.default for p in system.parameters}
@@ -54,7 +55,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
     if low == high:
         raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
     tree: Tree | None = None
-    for cell in (cell for each in sweeps for cell in _cells(each, along, system.has_modes, longest)):
+    for cell in (cell for each in sweeps for cell in _cells(each, along, stored, system.has_modes, longest)):
         value = float(cell[along])
         if tree is not None and (len(tree.branches) >= MOST or _is_covered(tree, cell, value)):
             continue
@@ -69,13 +70,15 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
     return tree
 
 
-def _cells(ds: "xr.Dataset", along: str, with_modes: bool, longest: int) -> Iterator[dict[str, Any]]:
+def _cells(
+    ds: "xr.Dataset", along: str, stored: Sequence[str], with_modes: bool, longest: int
+) -> Iterator[dict[str, Any]]:
     """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first.
 
     Of machines with modes also orbits without impacts, and orbits that stick.
     """
-    read = ds[list(_STORED)].sortby(along).load()
-    columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *_STORED)}
+    read = ds[list(stored)].sortby(along).load()
+    columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *stored)}
     impacts = columns["impacts_upper"] + columns["impacts_lower"]
     moves = ~columns["sticks"].astype(bool) & (impacts > 0) | with_modes
     fits = (columns[REGIME.name] == PERIODIC) & moves & (impacts <= longest)

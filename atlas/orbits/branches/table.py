@@ -13,7 +13,9 @@ from atlas.query import machine
 from atlas.spec.resolved import digest_of
 from atlas.text import plural
 from workers.model.observables import Observable
+from workers.model.parameter import OMEGA
 from workers.model.system import System, identity
+from workers.results import CYCLE_PERIOD
 
 if TYPE_CHECKING:
     import pandas
@@ -57,7 +59,8 @@ class Branches:
     def branches(self) -> "pandas.DataFrame":
         """One row a branch, by its number ``branch``.
 
-        period, impacts_upper, impacts_lower, symmetric   of the orbit it was followed from
+        period, impacts_upper, impacts_lower, symmetric   of the orbit it was followed from; the period of a cycle
+                       without a force is the number of passages of its section
         leaves, at     the branch that it leaves, -1 for none, and the kind of event there
         points         how many
         first_end, last_end   why it ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
@@ -87,12 +90,13 @@ class Branches:
         multiplier    the largest modulus of the multipliers of an orbit
         unstable      number of multipliers with modulus above 1, not counting those of an event at 1
         period, impacts_upper, impacts_lower, symmetric   of its orbit; of an end at a shorter one, of the one before
+        cycle_period  of a cycle without a force, in units of time
         event         the kind of event that the point is, else empty
         impact_phase_stop_1, ...   values of the observable, if there is one, NaN where an orbit has fewer than others
         """
         import pandas
 
-        columns = ["branch", self.along, *self.system.states, "multiplier", "unstable", *_PATTERN, "event"]
+        columns = ["branch", self.along, *self.system.states, "multiplier", "unstable", *self._pattern, "event"]
         found = pandas.DataFrame(list(self._points()), columns=columns)
         if self.observable is None:
             return found
@@ -113,11 +117,12 @@ class Branches:
         unstable      multipliers with modulus above 1, not counting the event's own
         kappa         cos theta of the pair of a Neimark-Sacker point, else NaN
         period, impacts_upper, impacts_lower, symmetric   of the orbit there, which may be shorter than the branch's
+        cycle_period  of a cycle without a force, in units of time
         leaving       the branch that leaves there and is here, -1 for none
         """
         import pandas
 
-        columns = ["branch", "kind", self.along, *self.system.states, "unstable", "kappa", *_PATTERN, "leaving"]
+        columns = ["branch", "kind", self.along, *self.system.states, "unstable", "kappa", *self._pattern, "leaving"]
         return pandas.DataFrame(list(self._events()), columns=columns)
 
     def gap_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
@@ -139,6 +144,9 @@ class Branches:
 
         parameters: dict[str, Any] = {**self.parameters, self.along: branch.values}
         periods = np.array([own.periods for own in branch.itineraries])
+        if self.system.definition.unforced:
+            cycles = [cycle_period(p, own) for p, own in zip(branch.run.points, branch.itineraries, strict=True)]
+            periods, parameters[OMEGA] = np.ones_like(periods), 2.0 * np.pi / np.array(cycles)
         given = {name: np.broadcast_to(value, periods.shape).astype(float) for name, value in parameters.items()}
         for states in (branch.sections, branch.mirrored):
             if states is not None:
@@ -181,16 +189,24 @@ class Branches:
         for number, branch in enumerate(self.traced):
             kinds = {id(event.point): event.kind for event in branch.run.events}
             for point, states, own in zip(branch.run.points, branch.sections, branch.itineraries, strict=True):
-                size = modulus(point, own.periods)
-                event = kinds.get(id(point), "")
-                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *pattern(own), event)
+                size, event = modulus(point, own), kinds.get(id(point), "")
+                told = self._told(point, own)
+                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *told, event)
+
+    @property
+    def _pattern(self) -> tuple[str, ...]:
+        return (*_PATTERN, CYCLE_PERIOD.name) if self.system.definition.unforced else _PATTERN
+
+    def _told(self, point: "Point", own: "Itinerary") -> tuple[Any, ...]:
+        """The values of ``_pattern``."""
+        return (*pattern(own), *[cycle_period(point, own)][: self.system.definition.unforced])
 
     def _events(self) -> Iterator[tuple[Any, ...]]:
         leaving = {id(event): number for number, b in enumerate(self.traced) for _, event in b.origins if event}
         for number, branch in enumerate(self.traced):
             for k, event in zip(branch.places, branch.run.events, strict=True):
                 point, state = event.point, branch.sections[k, 0].tolist()
-                own = pattern(point.orbit.itinerary)
+                own = self._told(point, point.orbit.itinerary)
                 left = leaving.get(id(event), -1)
                 yield (
                     number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *own, left,
@@ -221,7 +237,7 @@ _PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
 
 def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
     """Period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
-    return itinerary.periods, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
+    return itinerary.sections, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
 
 
 def orbit_name(period: int, upper: int, lower: int, symmetric: bool) -> str:
@@ -229,12 +245,24 @@ def orbit_name(period: int, upper: int, lower: int, symmetric: bool) -> str:
     return f"{period}-{upper}-{lower}{' symmetric' if symmetric else ''}"
 
 
-def modulus(point: "Point", periods: int) -> float:
-    """The largest modulus of the multipliers of an orbit over ``periods`` periods of the force.
+def modulus(point: "Point", own: "Itinerary") -> float:
+    """The largest modulus of the multipliers of an orbit over a whole one of an itinerary, which may repeat it.
 
     Those of a point are of one turn, which is half the orbit where it is symmetric; inf where an impact has no speed.
+    Of a cycle without a force the multiplier 1 along it is none of them.
     """
-    itinerary = point.orbit.itinerary
-    turn = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
     with np.errstate(over="ignore"):
-        return float(np.max(np.abs(point.multipliers), initial=0.0) ** (periods / turn))
+        return float(np.max(np.abs(point.multipliers), initial=0.0) ** _turns(point, own))
+
+
+def cycle_period(point: "Point", own: "Itinerary") -> float:
+    """The time that a cycle takes, as a whole one of an itinerary; NaN of other orbits."""
+    return float(point.orbit.length) * _turns(point, own)
+
+
+def _turns(point: "Point", own: "Itinerary") -> float:
+    """How many turns of a point's orbit are a whole orbit of an itinerary."""
+    turn = point.orbit.itinerary
+    if own.is_cycle:
+        return len(own.sides) * (1 + own.symmetric) / len(turn.sides)
+    return own.periods / turn.turn

@@ -107,8 +107,8 @@ class Branch:
         one, other = self.run.points[k].orbit, self.run.points[k + 1].orbit
         if one.itinerary != other.itinerary:
             raise ValueError("the orbit changes between these points")
-        times, speeds = (here + share * (there - here) for here, there in zip(one[1:], other[1:], strict=True))
-        return refined(family, Orbit(one.itinerary, times, speeds), np.array([value]))
+        fields = (here + share * (there - here) for here, there in zip(one[1:], other[1:], strict=True))
+        return refined(family, Orbit(one.itinerary, *fields), np.array([value]))
 
     def orbits_at(self, family: Family, value: float) -> Iterator[Orbit]:
         """The orbits at a value of the parameter, each between two neighbouring points."""
@@ -171,9 +171,9 @@ class Tree:
                 self.untried.append(Untried(number, event, "no orbit found beside it"))
 
     def states(self, point: Point, shift: float = 0.0) -> Array:
-        """The section states (n, 2d) of a point."""
+        """The section states (n, 2d) of a point; of a cycle those after all its events."""
         given = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
-        return section_states(self.system, given, [point.orbit], shift)[0]
+        return section_states(self.system, given, [point.orbit], shift, known=True)[0]
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
         """The events of a branch at which another one leaves it, or it leaves another, or continues as another."""
@@ -191,12 +191,15 @@ class Tree:
     def _go_on(self, number: int, event: Event) -> bool:
         """Add the branch of the orbit with other events that a branch becomes at its end; whether one is found."""
         (low, high), here, state = self.window, float(event.point.values[0]), self.states(event.point)[0]
+        own, cycle = event.point.orbit.itinerary, None
+        if own.is_cycle:
+            cycle = float(event.point.orbit.length) / own.turn
         for beside in (here + share * sign * (high - low) for share in (BESIDE, 0.1 * BESIDE) for sign in (1.0, -1.0)):
             if not low < beside < high:
                 continue
             try:
                 given = {**self.values, self.along: beside}
-                start = orbit_from_state(self.system, given, state, event.point.orbit.itinerary.periods)
+                start = orbit_from_state(self.system, given, state, own.periods or 1, cycle=cycle)
                 run = branch(self.family, start, beside, self.window)
             except ValueError:
                 continue
@@ -279,4 +282,4 @@ class Tree:
             states = section_states(self.system, given, [run.points[k].orbit for k in rows], shift)
             found |= dict(zip(rows.tolist(), states, strict=True))
         n = max(map(len, found.values()))
-        return np.stack([np.tile(found[k], (n // len(found[k]), 1)) for k in range(len(run.points))])
+        return np.stack([np.resize(found[k], (n, found[k].shape[1])) for k in range(len(run.points))])

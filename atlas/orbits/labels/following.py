@@ -217,7 +217,7 @@ class _Follower:
 
 
 def _change(before: Many, after: Many, omega: Array) -> Array:
-    _, times, speeds = after.orbits
+    _, times, speeds, _ = after.orbits
     later = np.abs(times - before.orbits.times).max(axis=1, initial=0.0) * omega
     fastest = np.abs(speeds).max(axis=1, initial=1e-300)
     faster = np.abs(speeds - before.orbits.speeds).max(axis=1, initial=0.0) / fastest
