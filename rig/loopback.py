@@ -223,7 +223,7 @@ class ObjectStore:
     @property
     def requests(self) -> list[Request]:
         """All requests so far, those that failed too."""
-        return [Request(**each) for each in self._control(requests=True)["requests"]]
+        return [Request(**request) for request in self._control(requests=True)["requests"]]
 
     @property
     def counts(self) -> Counter[str]:

@@ -7,7 +7,6 @@ from bokeh.layouts import column, row
 from bokeh.models import Arrow, Button, ColumnDataSource, Div, NormalHead, NumericInput, Select, Slider, Span
 from bokeh.plotting import figure
 
-from atlas.branches.table import cycle_period
 from atlas.explore.background import Background
 from atlas.explore.branches import Arrow as Reach
 from atlas.explore.branches import Drawn, FollowedBranch, Here, arrows, beginning, branch_asked, distance
@@ -21,6 +20,7 @@ from atlas.explore.plot import quiet
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.words import compiled_first, number, symbol_of
+from atlas.orbits.branches.table import cycle_period
 from atlas.task.compile import ORBITS
 from atlas.text import plural
 

@@ -1,19 +1,19 @@
 """Coarsening by two: the values of an overview cell from the cells below it. Arrays in, arrays out.
 
 regime         the class with the largest area; a tie goes to the later one in the table of regimes, towards doubt
-regime_shown   the class a picture shows: failed if any cell below is, else pending if any is, else undetermined where
-               that is at least SHOWN of the area (always so up to 4 x 4 cells), else ``regime``
+regime_shown   the class in pictures: failed if any cell below is, else pending if any is, else undetermined if at least
+               SHOWN of the area is (always true up to 4 x 4 cells), else ``regime``
 regime_share   share of the area of every class
-measured numbers (exponents, errors, speeds)
-               mean over the finite values, and ``<name>_count``, their number; -inf where none is finite and some -inf
+measured numbers (exponents, errors, speeds) mean over the finite values, and ``<name>_count``, their number; -inf if
+none is finite and some are -inf
 largest_positive   share of the finite largest exponents that are positive
-period, impacts_upper, impacts_lower
-               the triple most frequent among the periodic cells, found in rounds of 2 x 2, with ``period_count`` cells
-               behind it; a tie goes to the smallest triple. No triple is made up. 0 where no cell is periodic
+period, impacts_upper, impacts_lower the triple most frequent among the periodic cells, found in rounds of 2 x 2, with
+``period_count`` cells behind it; a tie goes to the smallest triple. Every triple exists in a cell. 0 if no cell is
+periodic
 other numbers (flags, costs)
                mean over the solved cells; of a flag, the share. ``cells`` is the number of solved cells
 
-Means, counts and shares are exact at every level: they are those of the cells of the atlas.
+Means, counts and shares are exact at every level, for the cells of the atlas.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -41,7 +41,7 @@ from workers.results import (
 )
 
 SHOWN = 1 / 16
-"""Share of undetermined cells from which on a picture shows a coarse cell as such."""
+"""Share of undetermined cells from which on pictures show a coarse cell as undetermined."""
 
 CLASSES = ("period", "impacts_upper", "impacts_lower")
 SHARE = Variable("regime_share", "float64", 0.0, "share of the area of each regime", "1", ("class",))
@@ -53,45 +53,45 @@ CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
 """The regime of each entry along the dimension "class"."""
 _PLACES = {APERIODIC: CHAOTIC + 0.5, LOCKING: PERIODIC + 0.5}
 _TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: _PLACES.get(int(CODES[i]), float(CODES[i]))))
-"""The entries in the order of the table, but for later additions: ``aperiodic`` stands after ``chaotic``, ``locking``
-after ``periodic``."""
+"""The entries in the order of the table, except later additions: ``aperiodic`` follows ``chaotic``, ``locking`` follows
+``periodic``."""
 
 WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own", "mirror")
-"""Names of something, of which there is no mean."""
+"""Codes of names, which have no mean."""
 
 Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
 
 
 def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
-    """The variables of every level of an atlas that has these results; ``regime`` is the last, as it is written last.
+    """The variables of every level of an atlas with these results; ``regime`` comes last, since it is written last.
 
-    Codes of names, such as a reason, and variables with several values a cell have no mean, and are omitted.
+    Codes of names, such as a reason, and variables with several values per cell have no mean and are omitted.
     """
-    found: list[Variable] = []
+    variables: list[Variable] = []
     for variable in map(of_one, results):
         if variable.extra or variable.name in WITHOUT_MEAN:
             continue
         if variable.name in CLASSES:
-            found.append(variable)
+            variables.append(variable)
         else:
             name = "share of cells" if variable.dtype == "bool" else "mean"
-            found.append(replace(variable, dtype="float64", fill=np.nan, long_name=f"{variable.long_name}: {name}"))
+            variables.append(replace(variable, dtype="float64", fill=np.nan, long_name=f"{variable.long_name}: {name}"))
         if variable.dtype == "float64":
             counted = f"finite values of {variable.name}"
-            found.append(Variable(count_of(variable.name), "int32", 0, counted, "1"))
+            variables.append(Variable(count_of(variable.name), "int32", 0, counted, "1"))
         if variable.name == LARGEST.name:
-            found.append(POSITIVE)
-    return (*found, PERIOD_COUNT, CELLS, SHARE, REGIME_SHOWN, REGIME)
+            variables.append(POSITIVE)
+    return (*variables, PERIOD_COUNT, CELLS, SHARE, REGIME_SHOWN, REGIME)
 
 
 def count_of(name: str) -> str:
-    """The name of the count beside a measured number."""
+    """The name of the count of a measured number."""
     return f"{name}_count"
 
 
 def needed(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
-    """All variables of a level that coarsening the named ones takes, in their order."""
+    """All variables of a level needed to coarsen the named ones, in their order."""
     wanted = {*names, SHARE.name, REGIME.name}
     if wanted & {*CLASSES, PERIOD_COUNT.name}:
         wanted |= {*CLASSES, PERIOD_COUNT.name}
@@ -103,37 +103,37 @@ def needed(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
 
 
 def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cells:
-    """Cells of the atlas itself in the form of a level: means of one value, shares of 0 and 1.
+    """Cells of the atlas in the form of a level: means of one value, shares of 0 and 1.
 
-    Without a regime a cell has no result yet, even if a worker has written other variables.
+    A cell without a regime has no result yet, even if a worker has written other variables.
     """
     codes = arrays[REGIME.name]
     solved, periodic = codes != PENDING, codes == PERIODIC
-    made: Cells = {REGIME.name: codes, REGIME_SHOWN.name: codes}
-    for name in set(names) - made.keys():
+    level: Cells = {REGIME.name: codes, REGIME_SHOWN.name: codes}
+    for name in set(names) - level.keys():
         if name == SHARE.name:
-            made[name] = (codes[..., None] == CODES).astype(np.float64)
+            level[name] = (codes[..., None] == CODES).astype(np.float64)
         elif name == CELLS.name:
-            made[name] = solved.astype(np.int32)
+            level[name] = solved.astype(np.int32)
         elif name == PERIOD_COUNT.name:
-            made[name] = periodic.astype(np.int32)
+            level[name] = periodic.astype(np.int32)
         elif name == POSITIVE.name:
             largest = arrays[LARGEST.name]
-            made[name] = np.where(solved & np.isfinite(largest), (largest > 0).astype(np.float64), np.nan)
+            level[name] = np.where(solved & np.isfinite(largest), (largest > 0).astype(np.float64), np.nan)
         elif name in CLASSES:
-            made[name] = np.where(periodic, arrays[name], 0).astype(np.int32)
+            level[name] = np.where(periodic, arrays[name], 0).astype(np.int32)
         elif name in arrays:
-            made[name] = np.where(solved, arrays[name], np.nan).astype(np.float64)
+            level[name] = np.where(solved, arrays[name], np.nan).astype(np.float64)
         else:
-            made[name] = (solved & np.isfinite(arrays[name.removesuffix("_count")])).astype(np.int32)
-    return made
+            level[name] = (solved & np.isfinite(arrays[name.removesuffix("_count")])).astype(np.int32)
+    return level
 
 
 def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cells:
     """The next level of a block: half as many cells along the given dimensions, rounded up.
 
-    ``cells`` are closed under ``needed``. ``widths`` are those of the cells given, one array a dimension, in any unit:
-    only their ratios count.
+    ``cells`` are closed under ``needed``. ``widths`` of the cells: one array per dimension, in any unit; only their
+    ratios count.
     """
     area = np.ones(())
     for width in widths:
@@ -142,22 +142,22 @@ def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cell
     areas = _below(area, dims, 0.0)
     share = _below(cells[SHARE.name], dims, 0.0)
     solved = _below(cells[CELLS.name], dims, 0)
-    made: Cells = {
+    level: Cells = {
         SHARE.name: (share * areas[..., None]).sum(0) / areas.sum(0)[..., None],
         CELLS.name: solved.sum(0, dtype=np.int32),
     }
     if PERIOD_COUNT.name in cells:
-        made |= _most_frequent(cells, dims)
-    for name in cells.keys() - made.keys() - {REGIME.name, REGIME_SHOWN.name}:
+        level |= _most_frequent(cells, dims)
+    for name in cells.keys() - level.keys() - {REGIME.name, REGIME_SHOWN.name}:
         if name.endswith("_count"):
-            made[name] = _below(cells[name], dims, 0).sum(0, dtype=np.int32)
+            level[name] = _below(cells[name], dims, 0).sum(0, dtype=np.int32)
             continue
         counted = LARGEST.name if name == POSITIVE.name else name
         counts = _below(cells[count_of(counted)], dims, 0) if count_of(counted) in cells else solved
-        made[name] = _mean(_below(cells[name], dims, np.nan), counts)
-    made[REGIME.name] = _largest_class(made[SHARE.name])
-    made[REGIME_SHOWN.name] = _shown(made[SHARE.name], made[REGIME.name])
-    return made
+        level[name] = _mean(_below(cells[name], dims, np.nan), counts)
+    level[REGIME.name] = _largest_class(level[SHARE.name])
+    level[REGIME_SHOWN.name] = _shown(level[SHARE.name], level[REGIME.name])
+    return level
 
 
 def halved(width: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -166,12 +166,12 @@ def halved(width: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _below(values: NDArray[Any], dims: Sequence[int], fill: float) -> NDArray[Any]:
-    """The cells below each coarse cell along a new first axis: 2 for one dimension, 4 for two; ``fill`` where none."""
+    """The cells below each coarse cell along a new first axis, 2 for one dimension, 4 for two; ``fill`` if missing."""
     odd = [(0, n % 2 if dim in dims else 0) for dim, n in enumerate(values.shape)]
     below = [np.pad(values, odd, constant_values=fill) if any(after for _, after in odd) else values]
     for dim in dims:
         before = (slice(None),) * dim
-        below = [each[(*before, slice(start, None, 2))] for each in below for start in (0, 1)]
+        below = [block[(*before, slice(start, None, 2))] for block in below for start in (0, 1)]
     return np.stack(below)
 
 
@@ -184,25 +184,25 @@ def _mean(values: NDArray[Any], counts: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
-    """Of the triples below, the one with the most cells behind it."""
+    """The triple below with the most cells behind it."""
     counts = _below(cells[PERIOD_COUNT.name], dims, 0)
     triples = np.stack([_below(cells[name], dims, 0) for name in CLASSES])
     same = (triples[:, :, None] == triples[:, None, :]).all(0)
     votes = (same * counts[None]).sum(1) * (counts > 0)
     most = votes == votes.max(0)
-    # Among equals the smallest: first by period, then by impacts.
+    # Ties go to the smallest: first by period, then by impacts.
     for values in triples:
         least = np.where(most, values, np.iinfo(np.int32).max).min(0)
         most &= values == least
     chosen = most.argmax(0)[None]
-    made: Cells = {
+    frequent: Cells = {
         name: np.take_along_axis(values, chosen, 0)[0] for name, values in zip(CLASSES, triples, strict=True)
     }
-    return made | {PERIOD_COUNT.name: np.take_along_axis(votes, chosen, 0)[0].astype(np.int32)}
+    return frequent | {PERIOD_COUNT.name: np.take_along_axis(votes, chosen, 0)[0].astype(np.int32)}
 
 
 def _largest_class(share: NDArray[np.float64]) -> NDArray[np.int8]:
-    # Shares that differ by rounding alone are equal; the last of the largest wins.
+    # Shares that differ by rounding are equal; the last of the largest wins.
     tied = share >= share.max(-1, keepdims=True) - 1e-9
     last_first = _TOWARDS_DOUBT[::-1]
     return CODES[last_first[tied[..., last_first].argmax(-1)]]

@@ -1,7 +1,7 @@
 """The coordinates of the levels of overviews: middles and edges of coarse cells.
 
-Dimensions that a level coarsens have names of their own: below a group with an ``omega`` of other values no other
-``omega`` may lie in a tree of datasets, which ``xarray.open_datatree`` makes of a store.
+Coarsened dimensions have their own names: ``xarray.open_datatree`` makes a tree of datasets from a store, and a group
+below another one with an ``omega`` may not have an ``omega`` of different values.
 """
 
 from typing import Any
@@ -17,22 +17,22 @@ from workers.results import REGIMES
 
 
 def level_coordinates(handle: Atlas, level: int) -> dict[str, StoredArray]:
-    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
-    spec, base, made = handle.spec, handle.coordinates, {}
+    """The coordinates of a level by name: axes with bounds, fixed parameters, the names of the classes."""
+    spec, base, arrays = handle.spec, handle.coordinates, {}
     for axis in reversed(spec.axes):
         if axis.name in spec.dims[: spec.kept]:
-            made[axis.name] = base[axis.name]
+            arrays[axis.name] = base[axis.name]
             continue
         edges = edges_of(np.array(axis.values), axis.scale == "log")
         edges, own = np.append(edges[: -1 : 2**level], edges[-1]), coarse_name(axis.name)
         bounds = bounds_name(own)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
-        made[own] = StoredArray(centres(edges, axis.scale == "log"), (own,), attributes)
-        made[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (own, "bound"), {})
+        arrays[own] = StoredArray(centres(edges, axis.scale == "log"), (own,), attributes)
+        arrays[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (own, "bound"), {})
     for name in (name for name in spec.parameters if name in base):
-        made[name] = StoredArray(np.asarray(base[name].values), (), base[name].attributes)
+        arrays[name] = StoredArray(np.asarray(base[name].values), (), base[name].attributes)
     named = np.array([regime.name for regime in REGIMES], dtype="T")
-    return made | {"class": StoredArray(named, ("class",), {"long_name": "regime of motion"})}
+    return arrays | {"class": StoredArray(named, ("class",), {"long_name": "regime of motion"})}
 
 
 def coarse_name(axis: str) -> str:
@@ -46,7 +46,7 @@ def level_dims(spec: Spec) -> tuple[str, ...]:
 
 
 def multiscales(spec: Spec, levels: int) -> list[dict[str, Any]]:
-    """The attribute of the group of all levels by which viewers of pyramids find them, level 0 first."""
+    """The attribute of the group of all levels, level 0 first, by which viewers of pyramids find them."""
     scales = [[1 if k < spec.kept else 2**level for k in range(len(spec.dims))] for level in range(levels + 1)]
     paths = ["..", *map(str, range(1, levels + 1))]
     datasets = [{"path": path, "scale": scale} for path, scale in zip(paths, scales, strict=True)]
@@ -54,10 +54,10 @@ def multiscales(spec: Spec, levels: int) -> list[dict[str, Any]]:
 
 
 def bounds_name(axis: str) -> str:
-    """The name of the variable that holds the edges of an axis's coarse cells."""
+    """The name of the variable with the edges of an axis's coarse cells."""
     return f"{axis}_bounds"
 
 
 def centres(edges: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """The middles of cells: half way between their edges, on a log axis the geometric mean."""
+    """The centres of cells: midway between their edges, on a log axis the geometric mean."""
     return np.sqrt(edges[:-1] * edges[1:]) if log else 0.5 * (edges[:-1] + edges[1:])

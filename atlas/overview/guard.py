@@ -1,7 +1,7 @@
-"""A Zarr store for reading that raises, with its name, for each chunk that is missing or damaged.
+"""A Zarr store for reading that raises an error with the chunk's name for every missing or damaged chunk.
 
-Zarr alone takes a missing chunk for fill values, and does not say which chunk a wrong checksum belongs to. Here the
-chunks of finished tiles and of current overviews have to be there, and each checksum is compared as its chunk comes in.
+Zarr alone reads a missing chunk as fill values and does not name the chunk with a wrong checksum. Here chunks of
+finished tiles and current overviews must exist, and each checksum is compared when its chunk is read.
 """
 
 import asyncio
@@ -32,14 +32,14 @@ from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
 _FRAME = b"\x28\xb5\x2f\xfd"
-"""What a Zstandard frame begins with."""
+"""First bytes of a Zstandard frame."""
 _PATIENCE_SECONDS = 10.0
 _asked: ContextVar[set[tuple[Place, str]] | None] = ContextVar("asked", default=None)
 """Of ``unread``; Zarr's own thread works in the context of who asks."""
 
 
 class GuardedStore(WrapperStore[Any]):
-    """Zarr's own store of an atlas, read only; ``get`` raises ChunkError. It counts the chunks that it gives."""
+    """Zarr's store of an atlas, read only; ``get`` raises ChunkError. Counts the chunks read."""
 
     def __init__(self, handle: Atlas) -> None:
         super().__init__(zarr_store(handle.place, read_only=True))
@@ -50,12 +50,12 @@ class GuardedStore(WrapperStore[Any]):
         self._parts = {name: parts_of(array) for name, array in handle.arrays.items()}
         self._sizes = {name: chunk_bytes(array) for name, array in handle.arrays.items()}
         self._coordinates = {*coordinate_names(handle.spec)}
-        self._checked = {each.name for each in (*handle.variables, *ALLOWANCES)} | self._coordinates
+        self._checked = {variable.name for variable in (*handle.variables, *ALLOWANCES)} | self._coordinates
         own = ((name, node) for name, node in handle.nodes.items() if name.partition("/")[0] not in TABLES)
         self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-        """An object; None if it is absent and need not exist."""
+        """An object; None if it is absent and not required."""
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
             return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
@@ -64,47 +64,47 @@ class GuardedStore(WrapperStore[Any]):
             asked.add((self.place, array))
             return None
         try:
-            found = await self._store.get(key, prototype, byte_range)
-            if found is None and await self._must_exist(array, index):
-                # Once more: it may have been written since, and the regime, which comes last, with it.
-                found = await self._store.get(key, prototype, byte_range)
-                if found is None:
+            data = await self._store.get(key, prototype, byte_range)
+            if data is None and await self._must_exist(array, index):
+                # Again: it may have been written in the meantime, and the regime, which comes last, too.
+                data = await self._store.get(key, prototype, byte_range)
+                if data is None:
                     raise self._error(key, "is missing")
         except OSError as error:
             if error.errno != errno.EIO:  # a bad sector is the chunk's fault, a lost network is not
                 raise
             raise self._error(key, f"cannot be read ({error.strerror})") from None
-        if found is None:
+        if data is None:
             return None
         self.chunks_read += not isinstance(byte_range, SuffixByteRequest)  # the index of a shard
         parts = self._parts.get(array, 0) if byte_range is None else 0
-        whole = _is_whole_shard(found.to_bytes(), parts) if parts else _is_whole(found.to_bytes())
-        size, must = unpacked_size(found.to_bytes()), self._sizes.get(array, 0)
+        whole = _is_whole_shard(data.to_bytes(), parts) if parts else _is_whole(data.to_bytes())
+        size, must = unpacked_size(data.to_bytes()), self._sizes.get(array, 0)
         if whole and not parts and byte_range is None and None is not size != must > 0:  # a chunk of another array
             raise self._error(key, f"is damaged (it unpacks to {size} bytes, must be {must})")
         above, _, name = array.rpartition("/")
         names = self._complete if above.partition("/")[0] == OVERVIEWS else self._checked
         if (above in TABLES or name in names) and not whole:
             raise self._error(key, "is damaged (its checksum is wrong)")
-        return found
+        return data
 
-    def _checked_metadata(self, key: str, found: Any) -> Any:
-        """Metadata, unless they differ from their copy, or Zarr's own reader would fail halfway, so deep they nest."""
-        if found is not None and key.endswith(ROOT):
+    def _checked_metadata(self, key: str, data: Any) -> Any:
+        """Metadata; ChunkError if they differ from their copy, or are nested too deeply for Zarr's reader."""
+        if data is not None and key.endswith(ROOT):
             try:
-                own = json.loads(found.to_bytes())
+                own = json.loads(data.to_bytes())
             except RecursionError:
                 raise self._error(key, "is damaged (nested too deeply)") from None
             except ValueError:
-                return found  # Zarr says what it is
+                return data  # Zarr reports the fault
             if key in self._copies and (fault := unlike_copy(own, self._copies[key])):
                 raise self._error(key, fault)
-        return found
+        return data
 
     async def _must_exist(self, array: str, index: str) -> bool:
         """Whether the object written after a chunk exists."""
         above, _, name = array.rpartition("/")
-        if above in TABLES or (not above and name in self._coordinates):  # one chunk each, all of which are there
+        if above in TABLES or (not above and name in self._coordinates):  # single chunks, all of which exist
             return True
         if name not in self._complete or name == REGIME.name:
             return False
@@ -131,13 +131,13 @@ def unread() -> Iterator[set[tuple[Place, str]]]:
 
 
 def _is_whole(data: bytes) -> bool:
-    """Whether a chunk's last bytes are the CRC32C of those before."""
+    """Whether a chunk's last bytes are the CRC32C of the bytes before."""
     inner, checksum = data[:-_CHECKSUM_BYTES], data[-_CHECKSUM_BYTES:]
     return len(checksum) == _CHECKSUM_BYTES and google_crc32c.value(inner) == int.from_bytes(checksum, "little")
 
 
 def parts_of(metadata: Mapping[str, Any]) -> int:
-    """The chunks in a shard of an array, by its metadata; 0 where it has no shards."""
+    """Chunks per shard of an array, from its metadata; 0 without shards."""
     codec: Mapping[str, Any] = next(iter(metadata.get("codecs", ())), {})
     if codec.get("name") != "sharding_indexed":
         return 0
@@ -146,7 +146,7 @@ def parts_of(metadata: Mapping[str, Any]) -> int:
 
 
 def chunk_bytes(metadata: Mapping[str, Any]) -> int:
-    """The unpacked bytes of a chunk of an array, by its metadata; 0 where they are not fixed, or it has shards."""
+    """Unpacked bytes of a chunk of an array, from its metadata; 0 if they vary, or with shards."""
     try:
         size = np.dtype(metadata["data_type"]).itemsize
         return 0 if parts_of(metadata) else size * math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"])
@@ -166,7 +166,7 @@ def unpacked_size(data: bytes) -> int | None:
 
 
 def _is_whole_shard(data: bytes, parts: int) -> bool:
-    """Whether the chunks of a shard have their checksums, and the index at its end, which says where they lie."""
+    """Whether the chunks of a shard, and the index at its end, have correct checksums."""
     size = 16 * parts + _CHECKSUM_BYTES
     index, absent = data[-size:], 2**64 - 1
     if len(index) != size or not _is_whole(index):
@@ -176,9 +176,9 @@ def _is_whole_shard(data: bytes, parts: int) -> bool:
 
 
 def abandon_reads() -> None:
-    """End the reads that were under way when one failed, before a process exits.
+    """End the pending reads after a failed one, before a process exits.
 
-    At exit Zarr closes its event loop with all that waits in it, and Python complains about each on stderr.
+    At exit Zarr closes its event loop with everything pending, and Python reports each pending read on stderr.
     """
 
     async def cancel() -> None:
@@ -194,5 +194,5 @@ def abandon_reads() -> None:
 
 
 _loops: set[asyncio.AbstractEventLoop] = set()
-"""Those in which a read failed; Zarr has one."""
-atexit.register(abandon_reads)  # after Zarr's own function was, which is imported above, so called before it
+"""Event loops in which a read failed; Zarr has one."""
+atexit.register(abandon_reads)  # registered after Zarr's own function (imported above), so called before it

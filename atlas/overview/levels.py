@@ -1,8 +1,8 @@
 """The geometry of overviews: the levels of an atlas, their shapes, and the chunk over each tile.
 
 A cell of level L stands for a block of 2^L cells along each dimension, fewer at the far ends. Leading dimensions are
-kept as they are: the planes of a stack, the rows of a table. All levels have chunks of one shape, so that a chunk of
-level 1 lies over whole tiles and a chunk of a later level over two chunks of the level before, along each dimension.
+not coarsened: the planes of a stack, the rows of a table. All levels have chunks of the same shape: along each
+dimension a chunk of level 1 covers whole tiles, and a chunk of a later level two chunks of the level before.
 """
 
 import itertools
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from atlas.spec.spec import Slices
 
 SIDE = 256
-"""Cells along each side of a chunk, about: a picture of a whole plane reads some tens of such chunks."""
+"""Approximate cells per side of a chunk: a picture of a whole plane reads a few tens of such chunks."""
 LEAST = 128
-"""A level is coarsened again while one of its sides is longer: nobody looks at a smaller picture."""
+"""Longest side of a level that is not coarsened again: smaller pictures have no use."""
 
 Index = tuple[int, ...]
 
@@ -25,7 +25,7 @@ class Levels:
 
     shape   cells of the grid along each dimension, slowest first
     tile    cells of a tile along each dimension
-    side    about how many cells a chunk has along each side: a whole number of tiles
+    side    approximate cells of a chunk along each side: a whole number of tiles
     least   sides of this length or less are not coarsened again
     kept    leading dimensions that no level coarsens
     """
@@ -38,12 +38,12 @@ class Levels:
 
     @property
     def chunk(self) -> Index:
-        """Cells of a level in one chunk; the last chunks may hold fewer."""
+        """Cells of a level per chunk; the last chunks may hold fewer."""
         return tuple(t if dim < self.kept else self._chunk_side(t) for dim, t in enumerate(self.tile))
 
     def _chunk_side(self, tile: int) -> int:
         if tile > self.side and tile % 2 == 0:
-            return tile // 2  # a chunk of level 1 lies over one such tile
+            return tile // 2  # a chunk of level 1 covers one such tile
         return tile * max(1, self.side // tile)
 
     @property
@@ -52,7 +52,7 @@ class Levels:
         return tuple(range(self.kept, len(self.shape)))
 
     def halvings(self, level: int) -> tuple[int, ...]:
-        """How many times a level halves each dimension."""
+        """Halvings of each dimension in a level."""
         return tuple(0 if dim < self.kept else level for dim in range(len(self.shape)))
 
     @property
@@ -76,42 +76,42 @@ class Levels:
         return itertools.product(*(range(n) for n in self.grid(level)))
 
     def block(self, level: int, index: Index) -> Slices:
-        """The cells of its level that a chunk holds."""
+        """The cells of its level in a chunk."""
         shape = self.shape_of(level)
         return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, self.chunk, shape, strict=True))
 
     def over(self, tile: Index) -> Index:
-        """The chunk of level 1 that lies over a tile."""
+        """The chunk of level 1 over a tile."""
         ends = zip(tile, self.tile, self.chunk, self.halvings(1), strict=True)
         return tuple(i * t // (c << times) for i, t, c, times in ends)
 
     def over_alone(self, tile: Index) -> bool:
-        """Whether a tile is all that the chunk of level 1 over it lies over."""
+        """Whether the chunk of level 1 over a tile covers no other tile."""
         return bool(self.count) and list(self.children(1, self.over(tile))) == [tile]
 
     def above(self, index: Index) -> Index:
-        """The chunk of the next level that lies over a chunk of a level."""
+        """The chunk of the next level over a chunk of a level."""
         return tuple(i >> times for i, times in zip(index, self.halvings(1), strict=True))
 
     def children(self, level: int, index: Index) -> Iterator[Index]:
-        """What a chunk of a level is made of: of level 1, tiles; of a later one, chunks of the level before."""
+        """The sources of a chunk of a level: tiles for level 1, chunks of the previous level for others."""
         if level == 1:
             return itertools.product(*(range(s.start, s.stop) for s in self.tiles_below(1, self.block(1, index))))
         ends = zip(index, self.grid(level - 1), self.halvings(1), strict=True)
         return itertools.product(*(range(i << times, min(i + 1 << times, n)) for i, n, times in ends))
 
     def finer(self, level: int, part: Slices) -> Slices:
-        """The cells of the level before that make up a part of a level."""
+        """The cells of the previous level below a part of a level."""
         ends = zip(part, self.shape_of(level - 1), self.halvings(1), strict=True)
         return tuple(slice(s.start << times, min(s.stop << times, n)) for s, n, times in ends)
 
     def tiles_below(self, level: int, part: Slices) -> Slices:
-        """The tiles that have cells below a part of a level."""
+        """The tiles with cells below a part of a level."""
         ends = zip(part, self.tile, self.shape, self.halvings(level), strict=True)
         return tuple(slice((s.start << k) // t, -(-min(s.stop << k, n) // t)) for s, t, n, k in ends)
 
     def tiles_within(self, level: int, part: Slices) -> Slices:
-        """The tiles that have all their cells below a part of a level; where there are none, slices without a tile."""
+        """The tiles entirely below a part of a level; without any, slices without a tile."""
         ends = zip(part, self.tile, self.shape, self.halvings(level), strict=True)
         return tuple(
             slice(-(-(s.start << k) // t), -(-n // t) if s.stop << k >= n else (s.stop << k) // t)
@@ -119,7 +119,7 @@ class Levels:
         )
 
     def cells_of(self, tiles: Slices) -> Slices:
-        """The cells of the grid that tiles hold."""
+        """The cells of the grid in these tiles."""
         return tuple(
             slice(s.start * t, min(s.stop * t, n)) for s, t, n in zip(tiles, self.tile, self.shape, strict=True)
         )

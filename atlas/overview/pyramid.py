@@ -1,13 +1,13 @@
-"""Overviews on disk: every level a group of the store, ``overviews/1`` and on, that plain xarray opens.
+"""Overviews on disk: every level is a group of the store, ``overviews/1`` and on, that plain xarray opens.
 
-The workers of a run write them: a chunk of level 1 with the tile that is all that it lies over, any other as a job that
-the coordinator hands out (``upkeep``). They are a cache of finished work and never more than that:
+The workers of a run write them: a chunk of level 1 over a single tile with that tile, any other chunk as a job from the
+coordinator (``upkeep``). They are only a cache of finished work:
 
-- A chunk is written when every tile below it is done, all its arrays first and ``regime`` last. Its regimes are there,
-  none of them pending, if and only if the chunk is current.
-- Where a tile is lost, the chunks over it are dropped before it is written again: ``regime`` first.
+- A chunk is written when every tile below it is done, all its arrays first and ``regime`` last. Its regimes exist,
+  none pending, if and only if the chunk is current.
+- The chunks over a lost tile are dropped before it is written again, ``regime`` first.
 
-So a kill at any moment leaves a chunk current or missing, and a reader computes missing chunks from the level before
+A kill at any moment leaves a chunk current or missing, and a reader computes missing chunks from the previous level
 (``atlas.query.source``).
 """
 
@@ -46,26 +46,27 @@ from workers.results import PENDING, REGIME, Variable
 
 GROUP = OVERVIEWS
 MARKS = (REGIME, REGIME_SHOWN)
-"""Written last of a chunk, the first of them at the very end: either says that all else of it is there."""
+"""Written last of a chunk, the first of them at the very end: either one marks the rest as complete."""
 _LOOKS, _PAUSE = 10, 0.2
-"""A tile that a run before this one is still writing is unfinished for a moment: looks, and seconds between them."""
+"""A tile that an earlier run is still writing is unfinished for a moment: number of looks, and seconds between them."""
 
 _SHAPES = ("side", "least", "classes", "complete")
-"""Attributes of the group of all levels: those of ``Levels``, the number of regimes, and, written last, that all is."""
+"""Attributes of the group of all levels: the fields of ``Levels``, the number of regimes, and, written last,
+completeness."""
 
 
 class Pyramid:
-    """A store's cells, which are level 0, and overviews: read, made and dropped.
+    """A store's cells, which are level 0, and overviews: reading, writing, dropping.
 
-    root     its group, for reading; a chunk that is missing or damaged raises
-    made     whether there are overviews at all
-    levels   their geometry; ``side`` and ``least`` are those of overviews that are yet to be made
+    root     its group, for reading; raises for missing or damaged chunks
+    made     true if there are overviews
+    levels   their geometry; ``side`` and ``least`` are for overviews not made yet
     """
 
     def __init__(self, handle: Atlas, side: int = SIDE, least: int = LEAST) -> None:
         import zarr
 
-        from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
+        from atlas.overview.guard import GuardedStore  # imports Zarr, which is slow
 
         self.handle = handle
         self.root: Any = zarr.open_group(GuardedStore(handle), mode="r", use_consolidated=False, zarr_format=3)
@@ -80,7 +81,7 @@ class Pyramid:
 
     @property
     def chunks_read(self) -> int:
-        """Chunks found and read so far; one that does not exist is not counted."""
+        """Chunks read so far; missing chunks are not counted."""
         return int(self.root.store.chunks_read)
 
     @cached_property
@@ -90,12 +91,12 @@ class Pyramid:
 
     @cached_property
     def widths(self) -> list[Widths]:
-        """The widths of the cells of every level along each dimension, level 0 first; only ratios count."""
-        found = [widths_along(self.handle.spec)]
+        """The widths of the cells of every level along each dimension, level 0 first; only their ratios count."""
+        levels = [widths_along(self.handle.spec)]
         for _ in range(self.levels.count):
-            before, kept = found[-1], self.levels.kept
-            found.append((*before[:kept], *map(halved, before[kept:])))
-        return found
+            before, kept = levels[-1], self.levels.kept
+            levels.append((*before[:kept], *map(halved, before[kept:])))
+        return levels
 
     def array(self, level: int, name: str) -> Any:
         """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
@@ -109,19 +110,19 @@ class Pyramid:
         """A block of a variable of a level; ChunkError if a chunk of it is missing or damaged."""
         array = self.array(level, name)
         with _named(self.handle, array.path):
-            found = np.asarray(array[block])
+            values = np.asarray(array[block])
         if not level:
-            found = self.handle.leading({name: found})[name]
-        return found
+            values = self.handle.leading({name: values})[name]
+        return values
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
-        """Indices of the chunks of a level that exist, by one of MARKS; from one listing."""
+        """Indices of the existing chunks of a level, by one of MARKS; from one listing."""
         root, grid = f"{GROUP}/{level}/{mark.name}/c/", self.levels.grid(level)
-        found = (chunk_index(key.removeprefix(root), grid) for key in self.handle.place.list_keys(root))
-        return {index for index in found if index is not None}
+        indices = (chunk_index(key.removeprefix(root), grid) for key in self.handle.place.list_keys(root))
+        return {index for index in indices if index is not None}
 
     def create(self) -> None:
-        """Make the groups of all levels, without a value, unless they are there."""
+        """Make the groups of all levels, without values, unless they exist."""
         if self.made:
             return
         self._arrays.clear()
@@ -138,7 +139,7 @@ class Pyramid:
         self.made = True
 
     def make(self, level: int, index: Index) -> None:
-        """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending."""
+        """Compute a chunk of a level from the previous one and write it, ``regime`` last; no tile below is pending."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
@@ -153,7 +154,7 @@ class Pyramid:
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
     def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
-        """Write the chunk of level 1 over a tile that is written, of its arrays; False if it needs other tiles."""
+        """Write the chunk of level 1 over a finished tile from its arrays; False if the chunk needs other tiles."""
         if not (self.made and self.levels.over_alone(tile)):
             return False
         names = [variable.name for variable in self.variables]
@@ -162,11 +163,11 @@ class Pyramid:
         return True
 
     def _write(self, level: int, index: Index, below: Cells) -> None:
-        """Coarsen the cells of the level before that a chunk lies over, and write it, ``regime`` last."""
+        """Coarsen the cells of the previous level below a chunk and write the chunk, ``regime`` last."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
-        made, objects = coarsen(below, widths, self.levels.coarsened), dict[str, bytes]()
+        coarse, objects = coarsen(below, widths, self.levels.coarsened), dict[str, bytes]()
         for variable in self.variables:
             path = f"{GROUP}/{level}/{variable.name}"
             if path not in self._targets:
@@ -174,22 +175,22 @@ class Pyramid:
             if variable.name == REGIME.name:
                 self.handle.place.put_all(objects)
                 objects = {}
-            objects |= encoded(self._targets[path], block, made[variable.name])
+            objects |= encoded(self._targets[path], block, coarse[variable.name])
         self.handle.place.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
-        """Drop the overviews of these tiles: to be done before any of them is written."""
+        """Drop the overviews of these tiles, before any of them is written."""
         self.drop_chunks({(1, self.levels.over(tile)) for tile in tiles})
 
     def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> None:
-        """Drop chunks of levels, each given as its level and index, and all that lies over them."""
+        """Drop chunks of levels, given as pairs (level, index), and all chunks over them."""
         wanted = set(chunks)
         if not wanted or not self.made:
             return
         over: set[Index] = set()
         for level in range(1, self.levels.count + 1):
             over = {self.levels.above(index) for index in over} | {index for n, index in wanted if n == level}
-            # Both, each where it is: a kill while a chunk was written may have left the second without the first.
+            # Both marks: a kill during writing may have left the second without the first.
             for mark in MARKS:
                 for index in over & self.stored(level, mark):
                     self.handle.place.remove(level_key(level, mark, index))
@@ -233,21 +234,21 @@ class Pyramid:
 def pyramid_of(handle: Atlas) -> Pyramid:
     """The cells and overviews of a store as they are, opened once for all views of its handle."""
     with handle.kept.lock:
-        found = handle.kept.get(GROUP) or Pyramid(handle)
-        handle.kept[GROUP] = found
-    through = copy(found)  # what it has opened, with the handle whose place is to be written
+        pyramid = handle.kept.get(GROUP) or Pyramid(handle)
+        handle.kept[GROUP] = pyramid
+    through = copy(pyramid)  # shares open arrays, with the handle of the place to write
     through.handle = handle
     return through
 
 
 def drop_all(handle: Atlas) -> None:
-    """Drop the overviews as a whole: without its own metadata the group counts as absent."""
+    """Drop all overviews: without its own metadata the group counts as absent."""
     handle.place.remove(f"{GROUP}/{ROOT}")
 
 
 @contextmanager
 def _named(handle: Atlas, path: str) -> Iterator[None]:
-    """Turn what reading damaged bytes raises into a ChunkError that names the path."""
+    """Turn errors from damaged bytes into a ChunkError with the path."""
     try:
         yield
     except (OSError, MemoryError, RunError):
@@ -257,13 +258,13 @@ def _named(handle: Atlas, path: str) -> Iterator[None]:
 
 
 def _stored_shapes(root: Any) -> dict[str, int] | None:
-    """The shapes of levels that a store's overviews state; None if there are no sound ones with all regimes."""
+    """The shapes of levels stated by a store's overviews; None without sound overviews of all regimes."""
     try:
         attributes = dict(root[GROUP].attrs) if GROUP in root else {}
         shapes = {name: int(attributes[name]) for name in _SHAPES}
     except OSError:
         raise
-    except Exception:  # what is no JSON, or no metadata, may raise anything
+    except Exception:  # invalid JSON or metadata may raise anything
         return None
     return shapes if min(shapes.values()) > 0 and shapes["classes"] == CODES.size else None
 

@@ -1,6 +1,6 @@
 """The overviews of a store during a run: chunks over a lost tile are dropped, missing ones made at the end.
 
-The store itself says which chunks are missing and can be made, so that a kill leaves nothing to be remembered.
+The store shows which chunks are missing and computable, so a kill needs no record.
 """
 
 from collections.abc import Callable
@@ -15,10 +15,10 @@ from workers.results import REGIME
 
 
 class Overviews:
-    """The overviews of a store that a run writes.
+    """The overviews of a store during a run that writes it.
 
-    At the beginning it makes the groups of all levels, and drops what lies over tiles that are no longer finished.
-    ``side`` and ``least`` are those of ``Levels``; a store that has overviews keeps its own.
+    At the start it makes the groups of all levels and drops chunks over tiles that are no longer finished. ``side`` and
+    ``least`` as in ``Levels``; a store with overviews keeps its own.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Overviews:
         self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
 
     def __bool__(self) -> bool:
-        """Whether a chunk can be made."""
+        """Whether a chunk is computable."""
         return any(map(self.missing, self.levels))
 
     def missing(self, level: int) -> list[Index]:
@@ -51,10 +51,10 @@ class Overviews:
         return [index for index in wanted if below.issuperset(levels.children(level, index))]
 
     def finish(self, report: Callable[[int, int], None] = lambda _done, _all: None) -> int:
-        """Make all that can be made, level by level, and return the number of chunks made.
+        """Make all computable chunks, level by level, and return their number.
 
-        ``report`` is called before each chunk, with the number made of its level and of all there. RunError if a write
-        fails.
+        ``report`` is called before each chunk with the number made and the number of all in its level. RunError if a
+        write fails.
         """
         made = 0
         for level in self.levels:

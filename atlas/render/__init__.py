@@ -1,8 +1,7 @@
 """Pictures, drawn from results alone, without a display and without pyplot.
 
 To add a kind of map: a row in ``kinds.py``, and its painter in ``classes.py`` or ``scales.py``, named in
-``painters.py``. The tests take it up
-from there; ``python -m tests.reference`` draws the reference picture that they ask for.
+``painters.py``. The tests then include it; ``python -m tests.reference`` draws the reference picture that they need.
 """
 
 from atlas.render.drawing import figure, portrait, render
@@ -11,7 +10,7 @@ from atlas.render.options import ScaleOptions
 from atlas.render.provenance import FORMATS, check_path
 
 LOOK = tuple(ScaleOptions.__annotations__)
-"""The options of every picture that has a scale."""
+"""The options of every picture with a scale."""
 
 __all__ = [
     "BASINS",

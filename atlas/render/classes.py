@@ -1,4 +1,4 @@
-"""Maps of classes, each with a colour and an entry in the legend: periods, motions, symmetry, attractors, basins."""
+"""Maps of classes, each with a colour and a legend entry: periods, motions, symmetry, attractors, basins."""
 
 import colorsys
 from collections.abc import Sequence
@@ -30,11 +30,11 @@ PERIODS: tuple[tuple[int, int, str], ...] = (
     (9, 16, "#8faefc"),
     (17, np.iinfo(np.int32).max, "#0314cf"),
 )
-"""First and last period of each class and its colour, the same in every picture: cool ones, since warm ones are chaos.
+"""First and last period of each class and its colour, the same in every picture: cool colours, since warm ones are
+chaos.
 
 Chosen, with the colours of the regimes and of the chaos, for the greatest least difference (CIEDE2000) between any two:
-above 20 among periods, above 12 as seen without red, green or blue receptors.
-"""
+above 20 among periods, above 12 as seen without red, green or blue receptors."""
 
 HUES = {
     (1, 1, 1): ("#4477aa", "#73b9ff"),
@@ -51,38 +51,36 @@ Chosen, with the colours of the regimes, for the greatest least difference betwe
 without green receptors.
 """
 UNLISTED = ("#d7ab9f", "#1d0335", "#0100f9", "#ffff8e")
-"""Colours of all other motions, which share them by a hash of their name: a motion has one colour in every picture."""
+"""Colours of all other motions, chosen by a hash of their name: a motion has the same colour in every picture."""
 _NAMED = 3
-"""Motions that the legend names at most for a colour that several share."""
+"""Most motions named in the legend for a shared colour."""
 STICKS, STICKS_HATCH = "#d5ece6", "----"
 """Colour and texture of periodic motions that rest on a stop."""
 
 SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#4a4ae8"
-"""The colours of periodic motions: symmetric; broken with more impacts at the upper stop; at the lower; broken, with
-as many; of a machine whose stops, load or force are not symmetric, so that no motion has a mirror image.
-"""
+"""Colours of periodic motions: symmetric; broken with more impacts at the upper stop; at the lower; broken with equal
+counts; of machines with asymmetric stops, load or force, where no motion has a mirror image."""
 
 COUNTS = {1: "#eff3f5", 2: "#bcd3e8", 3: "#d9a63a", 4: "#c8662a", 5: "#963050", 6: "#40103c"}
-"""The colour of each number of attractors, ever darker; the last of all larger ones."""
+"""Colours by number of attractors, ever darker; the last for all larger numbers."""
 
 PALETTE = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#c9703f", "#3aa6a6", "#8c7a2e")
-"""Colours of the branches of largest share; each also in a darker tone, of its mirror image: as a point on white a
-paler one would not be seen.
-"""
+"""Colours of the branches of largest share; each also in a darker tone for its mirror image, since a paler point would
+be invisible on white."""
 REST = "#4d4d4d"
 """The colour of all other branches."""
 BASINS = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#8fb8d8", "#c9703f", "#6d6d6d")
-"""Colours of the attractors of a plane of initial states; they begin anew where there are more."""
+"""Colours of the attractors of a plane of initial states, repeated if there are more."""
 PALER, DARKER = 0.8, 0.25
-"""Lightness of the colour of a mirror image, whose hue is that of its twin, on the way from black 0 to white 1."""
+"""Lightness of the colour of a mirror image, with the hue of its twin, from black 0 to white 1."""
 SLOW = 0.55
-"""How dark the initial states are that take longest to settle, black 0."""
+"""Darkness of the slowest initial states, black 0."""
 SOONEST, LATEST = 5.0, 95.0
-"""Per cent of initial states that settle sooner than any that is shaded, and than those drawn darkest."""
+"""Percentiles of settling times between which shading grows."""
 
 
 def period(view: View) -> Layers:
-    """The forcing periods of each cell's orbit, and the regime where it never closes."""
+    """The forcing periods of each cell's orbit, and the regime if it never closes."""
     return layered(view.plane.regime, by_period(view.plane), beside="")
 
 
@@ -98,26 +96,26 @@ def by_period(plane: Plane) -> list[Class]:
 
 
 def motions(view: View) -> Layers:
-    """The periodic motions n-p-q of a plane, the large ones with their names on them."""
+    """The periodic motions n-p-q of a plane, with names on large regions."""
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
-    found, number = motions_of(regime, *counts)
-    colors = [color_of(motion) for motion in found]
-    own = [(color, motion.label) for motion, color in zip(found, colors, strict=True) if color not in UNLISTED]
+    names, number = motions_of(regime, *counts)
+    colors = [color_of(motion) for motion in names]
+    own = [(color, motion.label) for motion, color in zip(names, colors, strict=True) if color not in UNLISTED]
     legend = [Entry(color, label) for color, label in own if color != STICKS]
-    by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(found)), kind="stable")
+    by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(names)), kind="stable")
     for color in UNLISTED:
-        shared = [found[k].label for k in by_area if colors[k] == color]
+        shared = [names[k].label for k in by_area if colors[k] == color]
         more = ", …" if len(shared) > _NAMED else ""
         legend += [Entry(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
     legend += [Entry(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
     rests = Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
-    named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(found) if motion.p >= 0]
+    named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(names) if motion.p >= 0]
     beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
     return layered(regime, numbered=(number, colors), legend=legend, textures=[rests], beside=beside, names=named)
 
 
 def color_of(motion: MotionName) -> str:
-    """The colour of a motion, the same in every picture; mirror images have one hue."""
+    """The colour of a motion, the same in every picture; mirror images share a hue."""
     if motion.p < 0:
         return STICKS
     group = (motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
@@ -127,10 +125,10 @@ def color_of(motion: MotionName) -> str:
 
 
 def symmetry(view: View) -> Layers:
-    """Which periodic motions are their own mirror image, x(t) = -x(t + T/2), and of the others which of two it is.
+    """Symmetry of periodic motions, x(t) = -x(t + T/2), and for broken ones which of the two mirror images it is.
 
-    A broken one has a twin, which another start reaches. Impact counts tell the two apart unless they are equal, or
-    infinite where the mass comes to rest. InputError where no machine of the periodic cells is symmetric.
+    A broken motion has a twin, reached from another start. Impact counts distinguish the two unless they are equal, or
+    infinite for a mass that comes to rest. InputError if no machine of the periodic cells is symmetric.
     """
     plane = view.plane
     regime, upper, lower = plane.regime, plane["impacts_upper"], plane["impacts_lower"]
@@ -147,9 +145,9 @@ def symmetry(view: View) -> Layers:
 
 
 def attractors(view: View) -> Layers:
-    """How many attractors the initial states of each cell have reached.
+    """Number of attractors reached from the initial states of each cell.
 
-    A cell of which some initial states are undecided may have more: it is counted by those that are known.
+    A cell with undecided initial states may have more: its known attractors count.
     """
     most = max(COUNTS)
     count = np.minimum(np.nan_to_num(view.plane.known("attractors")).round(), most)
@@ -159,9 +157,9 @@ def attractors(view: View) -> Layers:
 
 
 def labels(view: View) -> Layers:
-    """Which branch the attractor of each cell is on, that with the largest share unless another one was selected.
+    """The branch of each cell's attractor, by default of the attractor with the largest share.
 
-    A mirror image has a darker tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
+    A mirror image has a darker tone of its twin's hue; chaos and tori have no label and the colour of their regime.
     """
     known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
     numbered, entries = (label, branch_colors(known)), branch_entries(known, label)
@@ -171,30 +169,30 @@ def labels(view: View) -> Layers:
 def colors_of(
     known: xr.Dataset, palette: Sequence[str], mirrored: float, quiet: str, rest: str | None = None
 ) -> list[str]:
-    """The colour of every attractor: ``quiet`` without impact; of a mirror image its twin's hue in this lightness.
+    """The colour of every attractor: ``quiet`` without impact; for mirror images the twin's hue in this lightness.
 
-    Where the palette is used up it begins anew, or ``rest`` is the colour of all others.
+    After its end the palette is repeated, or ``rest`` is the colour of all others.
     """
-    found: list[str] = []
+    colors: list[str] = []
     used = 0
     for k, (regime, mirror) in enumerate(zip(known["regime"].values, known["mirror"].values, strict=True)):
         if regime == NO_IMPACT:
-            found.append(quiet)
-        elif 0 <= mirror < k and found[mirror] == rest:
-            found.append(found[mirror])
+            colors.append(quiet)
+        elif 0 <= mirror < k and colors[mirror] == rest:
+            colors.append(colors[mirror])
         elif 0 <= mirror < k:
-            hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(found[mirror]))
-            found.append(to_hex(colorsys.hls_to_rgb(hue, mirrored, saturation)))
+            hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(colors[mirror]))
+            colors.append(to_hex(colorsys.hls_to_rgb(hue, mirrored, saturation)))
         elif rest is not None and used >= len(palette):
-            found.append(rest)
+            colors.append(rest)
         else:
-            found.append(palette[used % len(palette)])
+            colors.append(palette[used % len(palette)])
             used += 1
-    return found
+    return colors
 
 
 def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
-    """The colour of every branch, by its label; small ones share one. ``ink``: of points on white."""
+    """The colour of every branch by its label; small ones share one. ``ink``: for points on white."""
     quiet = style.INK[NO_IMPACT] if ink else style.COLORS[NO_IMPACT]
     return colors_of(known, PALETTE, DARKER, quiet, REST)
 
@@ -203,39 +201,39 @@ def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = Fals
     """Legend entries of the branches among these labels."""
     there, own = np.unique(label[label >= 0]), branch_colors(known, ink)
     named = [k for k in there.tolist() if own[k] != REST]
-    made = [Entry(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
-    return made + ([Entry(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])
+    entries = [Entry(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
+    return entries + ([Entry(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])
 
 
 def _name_of_branch(known: xr.Dataset, label: int) -> str:
-    """A branch in a few words: n-p-q, periods, impacts at either stop; and whose mirror image it is."""
+    """A branch in a few words: n-p-q (periods, impacts at each stop), and its twin if it is a mirror image."""
     one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
         return REGIME.meaning(NO_IMPACT).text
-    name = MotionName(*(int(one[each]) for each in VARIABLES)).label
+    name = MotionName(*(int(one[variable]) for variable in VARIABLES)).label
     return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
 
 
 def basins(view: View) -> Layers:
-    """Which attractor each initial state of a plane reaches, darker where motion takes longer to settle.
+    """The attractor reached from each initial state of a plane, darker for slow settling.
 
-    A mirror image has a paler tone of its twin's hue; the section points of the attractors lie on top.
+    A mirror image has a paler tone of its twin's hue; section points of the attractors lie on top.
     """
     known, plane = reached.table(view.ds), view.plane
     colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
     label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
     named = [(label == k, color, _name_of_attractor(known, k)) for k, color in enumerate(colors)]
-    found, there = layered(plane.regime, named), label >= 0
-    points, shade, legend = _points(known, plane, colors), None, list(found.legend)
+    layers, there = layered(plane.regime, named), label >= 0
+    points, shade, legend = _points(known, plane, colors), None, list(layers.legend)
     if there.any():
         soon, late = np.percentile(settled[there], [SOONEST, LATEST]).tolist()
         shade = Shade(np.where(there, settled, np.nan), soon, late, SLOW)
         if late > soon:
             meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} periods"
-            at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
+            at = sum(bool(cells.any()) for cells, _, _ in named)  # between the attractors and the regimes
             legend.insert(at, Entry("#c8c8c8", meaning, dark=SLOW))
     entry = "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
-    return replace(found, legend=legend, shade=shade, points=points, point_entry=entry)
+    return replace(layers, legend=legend, shade=shade, points=points, point_entry=entry)
 
 
 def _name_of_attractor(known: xr.Dataset, label: int) -> str:
@@ -250,8 +248,8 @@ def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[Points]:
     """The section points of the attractors on the plane of the initial states."""
     names = [str(name) for name in known["component"].values]
     at = [names.index(axis.name) for axis in (plane.x, plane.y)]
-    found = []
+    points = []
     for k, color in enumerate(colors):
         look = ("o", 5.0, color, "black", 0.8) if int(known["period"][k]) > 0 else (".", 2.0, color, "black", 0.2)
-        found.append(Points(known["points"].isel({ATTRACTOR: k}).values[:, at], look))
-    return found
+        points.append(Points(known["points"].isel({ATTRACTOR: k}).values[:, at], look))
+    return points

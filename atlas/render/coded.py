@@ -1,6 +1,6 @@
 """The layers of maps for a page that draws them itself, as codes of cells and JSON.
 
-A code stands for a colour of its own, or for a scale, on which the page places the cell's number.
+A code stands for a colour, or for a scale on which the page places the cell's number.
 """
 
 from collections.abc import Iterator
@@ -33,9 +33,9 @@ class CodedMap:
     """A map of a page.
 
     name       of its kind, or of its variable
-    codes      (y, x) of the entries that give each cell its colour
-    needs      the variables that it reads, the one on the scale first
-    described  what the page has to know besides, as plain JSON
+    codes      (y, x) entry of each cell, which gives its colour
+    needs      the variables that it reads, first the one on the scale
+    described  further data for the page, as plain JSON
     """
 
     name: str
@@ -49,11 +49,11 @@ def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
     held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*TABLE[name].variables}]
     for name in held:
         kind = TABLE[name]
-        if name in PAINTERS and not (name == LABELS and BASINS in held):  # whose labels are of starts
+        if name in PAINTERS and not (name == LABELS and BASINS in held):  # labels are of starts there
             view = View(kind, ds, Plane.of(seen, kind.variables), Wanted(STANDARD, name))
             try:
                 yield _coded(name, kind.meaning, view, kind.variables)
-            except InputError:  # of a machine that has no such map
+            except InputError:  # this machine has no such map
                 continue
     for name in numbers_of_cells(seen):
         view = View(TABLE[SCALAR], ds, Plane.of(seen, [name]), Wanted(STANDARD, SCALAR, variable=name))
@@ -68,26 +68,26 @@ def text_of(label: str) -> str:
 
 
 def curves_over(ds: xr.Dataset) -> dict[str, Any]:
-    """The curves that the store of an atlas keeps of this plane, with the looks of their kinds; empty without any."""
+    """The curves of this plane in the store of an atlas, with the looks of their kinds; empty without any."""
     from atlas.orbits.curves import asking
 
     try:
-        found = asking.curves_of(ds)
+        curves = asking.curves_of(ds)
     except InputError:
         return {}
-    if found.axes != axis_names(ds):
+    if curves.axes != axis_names(ds):
         return {}
-    corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})
+    corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
     return {
-        "looks": {kind: _line_look(look) for kind, look in style.LOOKS.items() if found.of_kind(kind)},
+        "looks": {kind: _line_look(look) for kind, look in style.LOOKS.items() if curves.of_kind(kind)},
         "lines": [
             {"kind": curve.kind, "orbit": curve.label, "points": line.ravel().tolist()}
-            for curve in found
+            for curve in curves
             for line in curve.stable_lines
         ],
         "marks": {kind: _mark_look(kind) for kind, _, _ in corners},
         "corners": [list(corner) for corner in corners],
-        "ends": [[curve.kind, *at.tolist()] for curve in found for at in curve.loose_ends],
+        "ends": [[curve.kind, *at.tolist()] for curve in curves for at in curve.loose_ends],
     }
 
 
@@ -120,7 +120,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
         "bars": [_bar(bar, view.plane[needs[0]], needs[0], bar is _main(layers)) for bar in layers.bars],
         "shade": _shade(layers, needs[0]),
         "title": text_of(layers.beside or ""),
-        "legend": [_entry(each) for each in layers.entries],
+        "legend": [_entry(entry) for entry in layers.entries],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
@@ -133,17 +133,17 @@ def _main(layers: Layers) -> Field | None:
 
 
 def _shown(layers: Layers, look: CellLook) -> dict[str, Any]:
-    """What a look shows: the number of a bar; a colour, which a shade darkens unless it is a regime's."""
+    """The content of a look: the number of a bar, or a colour, which a shade darkens unless it is a regime's."""
     if look.field is not None:
         field = layers.fields[look.field]
         if field.bar:
             return {"bar": layers.bars.index(field)}
-        return {"color": _hex(field.colors(np.array(-np.inf)))}  # all that is off any scale
+        return {"color": _hex(field.colors(np.array(-np.inf)))}  # below any scale
     return {"color": look.color} | ({"shaded": True} if layers.shade is not None and look.regime is None else {})
 
 
 def _shade(layers: Layers, variable: str) -> dict[str, Any] | None:
-    """What darkens colours, by a variable."""
+    """The shade that darkens colours, by a variable."""
     if layers.shade is None:
         return None
     return {"variable": variable, "low": layers.shade.low, "high": layers.shade.high, "dark": layers.shade.dark}
@@ -156,11 +156,11 @@ def _hex(color: Colors) -> str:
 def _textures(layers: Layers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     """The texture of each cell (y, x), 0 for none, else its place in the list, from 1."""
     found, patterns = np.zeros(layers.codes.shape, np.int64), []
-    regimes = [code for code in style.HATCH if code != NO_IMPACT]  # which has one where its colour does not show it
+    regimes = [code for code in style.HATCH if code != NO_IMPACT]  # textured where its colour is hidden
     textures = [
         (layers.as_regime(code), style.HATCH[code], style.HATCH_INK.get(code, style.TEXTURE)) for code in regimes
     ]
-    for cells, hatch, ink in [*textures, *((each.cells, each.hatch, each.ink) for each in layers.textures)]:
+    for cells, hatch, ink in [*textures, *((texture.cells, texture.hatch, texture.ink) for texture in layers.textures)]:
         if cells.any():
             patterns.append({"hatch": hatch[0], "ink": to_hex(ink)})
             found[cells] = len(patterns)

@@ -1,4 +1,4 @@
-"""From a subject to its picture: one figure for atlases, comparisons, orbits of cells and branches, and its file."""
+"""One figure for atlases, comparisons, orbits of cells and branches, and its file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -44,24 +44,23 @@ def figure(
     titles: Sequence[str] = (),
     **options: "Unpack[MapLook]",
 ) -> Any:
-    """A matplotlib Figure of a subject, which a notebook shows; written to ``path`` too (.png, .svg or .pdf) if given.
+    """A matplotlib Figure of a subject, shown by notebooks; also written to ``path`` (.png, .svg or .pdf) if given.
 
-    One atlas as ``atlas.open`` returns it, half done or whole: ``kind`` is one of KINDS, by default "exponent" for two
-    axes, "period" where there are no exponents, and "sweep" for one axis; a stack of up to MOST_PANELS planes is drawn
-    as several atlases are.
-    Several atlases: maps on one scale, of "exponent" or "period", by default the first that all of them hold;
-    ``titles`` stand over them where no parameter differs.
-    A comparison: the difference of the exponents, there minus here, where there are any, and where the regime is
-    another there, which. The orbit of a cell: its portrait. Branches: section values over the parameter.
+    One atlas as ``atlas.open`` returns it, partly done or complete: ``kind`` is one of KINDS, by default "exponent" for
+    two axes, "period" without exponents, and "sweep" for one axis; a stack of up to MOST_PANELS planes is drawn like
+    several atlases.
+    Several atlases: maps on one scale, of "exponent" or "period", by default the first that all of them hold, under
+    ``titles`` if no parameter differs.
+    A comparison: the difference of the exponents, there minus here, if there are any, and the regimes there of cells
+    whose regime differs. The orbit of a cell: its portrait. Branches: section values over the parameter.
 
     ``window`` gives, for any axis, the (low, high) ends of the part to draw. ``pixels`` is the size, (x, y), of the
-    plot area that a map's cells are to fill, where it is not that of a file. ``options`` as in ``options.MapLook``;
-    with ``ax``, axes of yours to draw into, those are returned in place of a figure, and keep their size and type.
+    plot area to be filled by a map's cells, if it is not that of a file. ``options`` as in ``options.MapLook``; axes
+    given as ``ax`` keep their size and type, and are returned in place of a figure.
     Raises InputError, in one line, for another suffix and a path that cannot be written, for a kind that does not fit
-    the number of axes, and where the atlas does not hold what the kind draws.
-    Reads only the variables that the kind draws, of a map only the chunks in view, from the overview whose cells are
-    as large as pixels. A file's metadata carry the atlas's digest; the same atlas gives the same bytes with the same
-    software.
+    the number of axes, and if the atlas lacks the variables of the kind.
+    Reads only the variables of the kind, of a map only the chunks in view, from the overview whose cells are as large
+    as pixels. A file's metadata carry the atlas's digest; the same atlas gives the same bytes with the same software.
     """
     if path is not None:
         check_path(path)
@@ -91,8 +90,7 @@ def portrait(
     path: str | Path | None = None,
     **named: Any,
 ) -> "Figure":
-    """The portrait of one cell as a matplotlib Figure, which a notebook shows; written to ``path`` too (.png, .svg or
-    .pdf) if given.
+    """The portrait of one cell as a matplotlib Figure; also written to ``path`` (.png, .svg or .pdf) if given.
 
     Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
     exponents as they converge, with their exact values where the motion is periodic. ``omega=4.0`` or
@@ -109,7 +107,9 @@ def portrait(
         check_path(path)
     record = checked_system(system)
     check_names(
-        "parameter or option", named, [*(each.name for each in record.parameters), *PageOptions.__annotations__]
+        "parameter or option",
+        named,
+        [*(parameter.name for parameter in record.parameters), *PageOptions.__annotations__],
     )
     look, values = split_look(named)
     page(**look).refuse_ends("a portrait")  # before the cell is solved
@@ -132,7 +132,7 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
     elif isinstance(subject, Comparison | Sequence) and not isinstance(subject, str | bytes):
         if page.given:
             raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
-        atlases = [checked_atlas(each, "atlases") for each in _sources(subject, wanted)]
+        atlases = [checked_atlas(source, "atlases") for source in _sources(subject, wanted)]
         if titles and len(titles) != len(atlases):
             raise InputError(f"titles: found {len(titles)}, must be one for each of {len(atlases)} atlases")
         check_units(*atlases)
@@ -151,7 +151,7 @@ def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure
 
 
 def _sources(subject: "Subject", wanted: Wanted) -> list[Any]:
-    """Where the numbers of a picture are from: atlases, an orbit or branches."""
+    """The sources of the numbers of a picture: atlases, an orbit or branches."""
     if isinstance(subject, Comparison):
         return [subject.one, subject.other]
     if isinstance(subject, Sequence):
@@ -160,7 +160,7 @@ def _sources(subject: "Subject", wanted: Wanted) -> list[Any]:
 
 
 def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
-    """The figure of one atlas; InputError, in one line, where it cannot be drawn."""
+    """The figure of one atlas; InputError in one line if it cannot be drawn."""
     ds, page, against = leading(every), wanted.page, wanted.against
     if len(axis_names(ds)) == MOST_AXES:
         return _of_stack(ds, wanted)
@@ -173,7 +173,7 @@ def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
     check_units(ds)
     shown = within(every if kind.name == "coexistence" else ds, wanted.window)
     wanted = replace(wanted, overlays=lines, against=None if against is None else within(against, wanted.window))
-    from atlas.render.painters import draw  # with it matplotlib
+    from atlas.render.painters import draw  # imports matplotlib
 
     with counted() as reads:
         drawn = draw(kind, shown, wanted)
@@ -183,7 +183,7 @@ def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
 
 
 def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
-    """The planes of a stack as maps on one scale, each under its value of the third axis; a lone plane as it is."""
+    """The planes of a stack as maps on one scale, each under its value of the third axis; a single plane as a map."""
     kind, page, name, shown = wanted.kind, wanted.page, axis_names(ds)[-1], within(ds, wanted.window)
     rest = {axis: ends for axis, ends in (wanted.window or {}).items() if axis != name}
     count = shown.sizes[name]
@@ -207,7 +207,7 @@ def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
 
 
 def check_units(*atlases: "xr.Dataset") -> None:
-    """Raise InputError where exponents are in another unit than that of their machine: pictures have no other."""
+    """Raise InputError if exponents have another unit than their machine's: pictures support no other."""
     from atlas.render import words
 
     for ds in atlases:
@@ -216,11 +216,11 @@ def check_units(*atlases: "xr.Dataset") -> None:
 
 
 def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "DrawnPage") -> None:
-    """Note above a map that it is coarser than its atlas, and the exact shares of doubtful cells."""
+    """Note above a map that it is coarser than its atlas, with the exact shares of doubtful cells."""
     shares = fractions(ds)
-    names = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
+    names = [regime.name for regime in REGIMES if regime.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
     doubtful = {name: shares[name] for name in names if name in shares}
-    # A share below 0.01 % is not worth its digits, but that there is one is.
+    # A share below 0.01 % is shown as such.
     listed = [f"{name} {100 * part:.2g} %" if part >= 1e-4 else f"{name} < 0.01 %" for name, part in doubtful.items()]
     text = ",  ".join([f"one cell drawn for {' × '.join(map(str, block))} computed", *listed])
     with page.context():

@@ -1,4 +1,4 @@
-"""Texts made to fit: labels and titles that are longer than their figure are broken into lines."""
+"""Breaking of labels and titles that are longer than their figure into lines."""
 
 import re
 from collections.abc import Sequence
@@ -11,32 +11,32 @@ from matplotlib.transforms import Bbox
 TITLE = "title"
 """The mark, as a group's name, of texts whose parts may move to the next line."""
 _LEAST = 3.0
-"""Length of an upright label in its own widths from which on it may be broken: a small plot has no room for lines."""
+"""Length of an upright label, in its own widths, from which on it may be broken: small plots have no room for lines."""
 OWN_TITLE = "own title"
-"""The same of titles that have no more room than their plot is wide, since others stand beside it."""
+"""The same for titles limited to the width of their plot by neighbours."""
 
 
 def fit(drawn: Figure) -> None:
     """Break labels and titles that are longer than the figure into lines."""
     for _ in range(3):  # a label in two lines leaves less room for others
         drawn.draw_without_rendering()
-        titles: Any = drawn.findobj(lambda each: isinstance(each, Text) and each.get_gid() in (TITLE, OWN_TITLE))
-        if not any([_fit_title(drawn, each) for each in titles] + [_fit_labels(drawn)]):
+        titles: Any = drawn.findobj(lambda artist: isinstance(artist, Text) and artist.get_gid() in (TITLE, OWN_TITLE))
+        if not any([_fit_title(drawn, title) for title in titles] + [_fit_labels(drawn)]):
             return
 
 
 def _fit_title(drawn: Figure, text: Text) -> bool:
-    """Put as many parts of a title, which commas separate, into each line as fit."""
+    """Put as many comma-separated parts of a title into each line as fit."""
     before = text.get_text()
     end = text.axes.bbox.x1 if text.axes and text.get_gid() == OWN_TITLE else drawn.bbox.x1 - 3.0
     place = text.get_window_extent()
     for legend in drawn.legends:
         box = legend.get_window_extent()
-        if box.x0 > place.x0 and box.y1 > place.y0:  # it stands beside the title
+        if box.x0 > place.x0 and box.y1 > place.y0:  # an artist beside the title
             end = min(end, box.x0 - 3.0)
     room = end - place.x0
     lines = []
-    for line in before.replace(",\n", ",  ").split("\n"):  # what an earlier turn broke may fit now
+    for line in before.replace(",\n", ",  ").split("\n"):  # a line broken before may fit now
         kept, *rest = re.split(r"(?<=,)( +)", line)
         for space, part in zip(rest[::2], rest[1::2], strict=True):
             text.set_text(f"{kept}{space}{part}")
@@ -51,7 +51,7 @@ def _fit_title(drawn: Figure, text: Text) -> bool:
 
 
 def _fit_labels(drawn: Figure) -> bool:
-    """Break labels that leave the figure or are longer than an upright axis, and those of neighbours that meet."""
+    """Break labels that leave the figure, exceed an upright axis, or meet their neighbours."""
     levels = [ax.xaxis.label.get_window_extent() for ax in drawn.axes if ax.get_xlabel()]
     uprights = [ax.yaxis.label.get_window_extent() for ax in drawn.axes if ax.get_ylabel()]
     changed = False
@@ -64,7 +64,7 @@ def _fit_labels(drawn: Figure) -> bool:
             or up.height > max(ax.bbox.height, _LEAST * up.width)
             or _meets(up, uprights),
         }
-        for text in [each for each, long in too_long.items() if long and each.get_text()]:
+        for text in [label for label, long in too_long.items() if long and label.get_text()]:
             before = text.get_text()
             text.set_text(_broken(before))
             changed |= text.get_text() != before
@@ -72,12 +72,12 @@ def _fit_labels(drawn: Figure) -> bool:
 
 
 def _meets(box: Bbox, boxes: Sequence[Bbox]) -> bool:
-    """Whether a box touches another one of these."""
-    return box.padded(2.0).count_overlaps([each for each in boxes if each.bounds != box.bounds]) > 0
+    """Whether a box overlaps another of these."""
+    return box.padded(2.0).count_overlaps([other for other in boxes if other.bounds != box.bounds]) > 0
 
 
 def _broken(label: str) -> str:
-    """A label with its longest line in two, at the space nearest to its middle that is in no formula or bracket."""
+    """A label with its longest line broken at the space nearest to its middle outside formulas and brackets."""
     lines = label.split("\n")
     longest = max(range(len(lines)), key=lambda i: len(_read(lines[i])))
     line = lines[longest]
@@ -94,5 +94,5 @@ def _broken(label: str) -> str:
 
 
 def _read(text: str) -> str:
-    """A text nearly as it is read: a symbol of mathtext as one letter."""
+    """A text of about the visible length: a symbol of mathtext as one letter."""
     return re.sub(r"\\[a-z]+", "x", text).translate(str.maketrans("", "", "${}_^"))

@@ -1,6 +1,6 @@
-"""The table of kinds and overlays: what each draws and means.
+"""The table of kinds and overlays: content and meaning of each.
 
-It needs neither matplotlib nor xarray, since the command's help lists it.
+It imports neither matplotlib nor xarray, since the command's help lists it.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 STABLE = ("#dcebf5", "#c9dff0", "#b3d2ea", "#9bc3e3", "#81b3db", "#64a1d2")
 CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
-"""Colours of exponents below and above zero, from the least to the largest.
+"""Colours of exponents below and above zero, in increasing order. They darken monotonically: every exponent has its own
+grey, also without red, green or blue receptors. None is as pale as cells without data, which are white.
 
 They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too. None
-is as pale as cells without data, which are white.
-"""
+is as pale as cells without data, which are white."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """The numbers that a kind draws: what their colour bar says, their colours from the lower end to the upper.
+    """The scale of the numbers of a kind: label of its colour bar, and colours from the lower to the upper end.
 
     zero   colour and name of cells that are exactly 0
     log    whether the scale is logarithmic
@@ -38,18 +38,18 @@ class Scale:
 
 
 CLASSES = Scale("")
-"""The scale of kinds that draw no numbers."""
+"""The scale of kinds without numbers."""
 
 
 @dataclass(frozen=True)
 class Kind:
     """A kind of picture.
 
-    axes, atlases   how many it draws
-    variables       of a map those that it reads besides the regimes; without the first there is nothing to draw
+    axes, atlases   numbers of axes and atlases drawn
+    variables       read by a map besides the regimes; the first one is required
     meaning         in the words of the command's help
-    scale           of its numbers, whose ends may be given; CLASSES where it draws none
-    lacking         what to do for an atlas to hold its variables
+    scale           of its numbers, with optional ends; CLASSES for none
+    lacking         advice for an atlas without its variables
     """
 
     name: str
@@ -61,7 +61,7 @@ class Kind:
     lacking: str = ""
 
     def require(self, ds: "xr.Dataset", names: Sequence[str]) -> None:
-        """InputError, with what to do, where an atlas lacks one of these variables."""
+        """InputError with advice if an atlas lacks one of these variables."""
         for name in names:
             if name not in ds:
                 hint = f"; {self.lacking}" if self.lacking else ""
@@ -71,18 +71,18 @@ class Kind:
 
 
 BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
-"""The kinds that are drawn of planes of initial states, of labelled attractors, and of a variable that is named."""
+"""The kinds of planes of initial states, of labelled attractors, and of a named variable."""
 
 _PER_PERIOD = "[per forcing period]"
 _EXPONENTS = Scale(rf"$\lambda_i$ {_PER_PERIOD}")
 _VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
 _PALE_BLUE = ("#eef3f0", "#c4dcd9", "#93bfc4", "#5f9cad", "#356f8c", "#173f5f")
 _DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
-"""Colours from safe to unsafe, and from unsafe to safe: what is near an edge is dark."""
+"""Colours from safe to unsafe, and from unsafe to safe: values near an edge are dark."""
 _MEASURE = "measure its attractors by atlas attractors measure"
 _MOTIONS = ("impacts_upper", "impacts_lower", "period")
 
-# The first of each number of axes whose variable the atlas holds is the kind drawn unasked.
+# For each number of axes the first kind whose variable the atlas holds is the default.
 TABLE = {
     kind.name: kind
     for kind in (
@@ -136,21 +136,19 @@ TABLE = {
 }  # fmt: skip
 
 KINDS = tuple(name for name in TABLE if name != SCALAR)
-"""The kinds that an atlas has by itself: "exponent" to "basins" of two axes, the others of one; "hysteresis" takes two
-atlases.
-"""
+"""The kinds of an atlas: "exponent" to "basins" for two axes, the others for one; "hysteresis" takes two atlases."""
 
 MAPS = tuple(name for name in KINDS if TABLE[name].axes == 2 and name not in (BASINS, LABELS))
-"""Those of them that are drawn over two axes of a parameter plane, of its cells alone."""
+"""Kinds over two axes of a parameter plane, drawn from its cells alone."""
 
 KIND_MEANINGS = {name: kind.meaning for name, kind in TABLE.items()}
-"""What each kind of picture shows, in the words of the command's help."""
+"""Content of each kind of picture, in the words of the command's help."""
 
 AXES = {1: "one axis", 2: "two axes"}
-"""How many axes in words."""
+"""Numbers of axes in words."""
 
 MOST_PANELS = 12
-"""Planes of a stack that are drawn together."""
+"""Most planes of a stack drawn together."""
 
 OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
@@ -160,21 +158,21 @@ OVERLAY_MEANINGS = {
     "saddles": "on basins of one mass: the unstable orbits between them, with the boundaries as stable manifolds",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
-"""What each line over a picture shows, in the same words."""
+"""Meaning of each line over a picture, in the same words."""
 
 OVERLAYS = tuple(OVERLAY_MEANINGS)
 MAP_OVERLAYS = OVERLAYS[:4]
-"""All lines over pictures, and those over any map."""
+"""All lines over pictures, and lines over any map."""
 
 CURVES = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",
     "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "codimension_two",
 )  # fmt: skip
-"""What of the curves of a store can be drawn alone: each kind, and the points of codimension two."""
+"""Curves of a store that can be drawn alone: each kind, and the points of codimension two."""
 
 
 class OverlayError(InputError):
-    """An overlay that an atlas does not allow for; ``overlay`` is its name. The map can be drawn without it."""
+    """An overlay, named ``overlay``, that an atlas does not support. The map can be drawn without it."""
 
     def __init__(self, overlay: str, why: str) -> None:
         super().__init__(why)
@@ -182,16 +180,16 @@ class OverlayError(InputError):
 
 
 def needs(kind: str) -> list[str]:
-    """The variables that a map of this kind draws, besides the regimes."""
+    """The variables of a map of this kind, besides the regimes."""
     return list(TABLE[kind].variables)
 
 
 def has_scale(kind: str) -> bool:
-    """Whether pictures of this kind have a scale whose ends can be chosen."""
+    """Whether pictures of this kind have a scale with optional ends."""
     return TABLE[kind].scale is not CLASSES
 
 
 def found_axes(ds: "xr.Dataset") -> str:
-    """The axes of an atlas, as errors name them."""
+    """The axes of an atlas, for error messages."""
     axes = axis_names(ds)
     return f"found {AXES.get(len(axes), f'{len(axes)} axes')} ({', '.join(axes)})"

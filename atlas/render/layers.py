@@ -1,4 +1,4 @@
-"""A map as data: codes of cells and what these show, fields on scales, textures, points, names; colours come last."""
+"""A map as data: codes of cells and their looks, fields on scales, textures, points, names; colours come last."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ Class: TypeAlias = tuple[Cells, str, str]
 
 LINEAR, LOG, TWO_SIDED = "linear", "log", "two-sided"
 _FORMS = {Normalize: LINEAR, LogNorm: LOG, TwoSlopeNorm: TWO_SIDED}
-"""How a number is placed on a scale, for pages that do it themselves."""
+"""Placement of a number on a scale, for pages that do it themselves."""
 
 
 @dataclass(frozen=True)
 class View:
-    """The cells of an atlas that are in view, as a kind of map, and how they are to be drawn."""
+    """The cells of an atlas in view, a kind of map, and the look of its drawing."""
 
     kind: Kind
     ds: xr.Dataset
@@ -39,13 +39,13 @@ class View:
 
     @property
     def page(self) -> DrawnPage:
-        """What it is drawn on."""
+        """The page of the drawing."""
         return self.wanted.page
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of a legend: a colour with its texture, or one that darkens to a share of its brightness."""
+    """A legend entry: a colour with its texture, or one that darkens to a share of its brightness."""
 
     color: ColorType
     label: str
@@ -55,20 +55,20 @@ class Entry:
 
     @classmethod
     def of_regime(cls, code: int) -> "Entry":
-        """That of cells in the colour of this regime; an impact-free one is textured where it is not seen by that."""
+        """The entry of cells in the colour of this regime; impact-free cells in another colour get a texture."""
         hatch = None if code == NO_IMPACT else style.HATCH.get(code)
         ink = style.HATCH_INK.get(code, style.TEXTURE)
         return cls(style.COLORS[code], REGIME.meaning(code).text, hatch, ink)
 
     def drawn(self) -> Patch:
-        """It as matplotlib draws it."""
+        """The entry as a matplotlib artist."""
         if self.dark < 1.0:
             return style.Gradient(self.color, self.dark, self.label)
         return style.swatch(self.color, self.label, self.hatch, self.ink)
 
 
 class CellLook(NamedTuple):
-    """What a code shows: a colour, or that of a number in the field of this place; ``regime``: as this one is shown."""
+    """The look of a code: a colour, or the number in the field with this index; ``regime``: the look of a regime."""
 
     color: str = "#ffffff"
     field: int | None = None
@@ -76,9 +76,9 @@ class CellLook(NamedTuple):
 
 
 class Texture(NamedTuple):
-    """A texture over cells (y, x), which lets their colours through.
+    """A texture over cells (y, x), through which their colours show.
 
-    ``outlined`` are cells with a line around them; ``entry`` stands in the legend.
+    ``outlined`` are cells with a line around them; ``entry``: in the legend.
     """
 
     cells: Cells
@@ -89,19 +89,19 @@ class Texture(NamedTuple):
 
     @classmethod
     def on(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "Texture":
-        """A texture in an ink that is seen on this colour, with its legend entry."""
+        """A texture in an ink that is visible on this colour, with its legend entry."""
         ink = style.ink_on(color)
         return cls(cells, hatch, ink, outlined, Entry(color, label, hatch, ink))
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """Numbers of cells (y, x), NaN where they have none, on a scale of colours with a bar.
+    """Numbers of cells (y, x), NaN for none, on a scale of colours with a bar.
 
-    title   of the bar where there are several
-    signs   the colours of numbers above zero, and of both signs with zero in the middle, of a scale that has both where
-            zero lies between its ends: ``colormap`` are these, or a part of those
-    bar     whether there is one
+    title   of the bar, if there are several
+    signs   the colours of positive numbers, and of both signs with zero in the middle, for a scale of both signs if
+            zero lies between its ends: ``colormap`` is the first, or a part of the second
+    bar     true if there is one
     """
 
     colormap: Colormap
@@ -114,7 +114,7 @@ class Field:
 
     @property
     def form(self) -> str | None:
-        """How a number is placed on the scale, None where that has no name."""
+        """Placement of a number on the scale, None if it has no name."""
         return _FORMS.get(type(self.norm))
 
     @property
@@ -123,15 +123,16 @@ class Field:
         return float(self.norm.vmin or 0.0), float(self.norm.vmax or 0.0)
 
     def colors(self, values: Array) -> Colors:
-        """The colours of values (..., 4) in bytes. Zero has no logarithm: below the scale its end's colour is shown."""
+        """The colours of values (..., 4) in bytes. Zero has no logarithm and gets the colour of the lower end."""
         least = self.ends[0]
         placed = self.norm(np.where(np.isnan(values), least, np.maximum(values, least)))
         return np.asarray(self.colormap(placed, bytes=True))
 
 
 class Shade(NamedTuple):
-    """What darkens colours: numbers of cells (y, x), NaN where there are none, from ``low`` to ``high``, where of the
-    brightness the share ``dark`` is left.
+    """Darkening of colours by numbers of cells (y, x), NaN for none.
+
+    From ``low`` to ``high``, where the share ``dark`` of the brightness is left.
     """
 
     values: Array
@@ -141,7 +142,7 @@ class Shade(NamedTuple):
 
     @property
     def brightness(self) -> Array:
-        """What is left of each cell's."""
+        """The remaining brightness of each cell."""
         return 1.0 - (1.0 - self.dark) * np.clip((self.values - self.low) / max(self.high - self.low, 1.0), 0.0, 1.0)
 
 
@@ -156,12 +157,12 @@ class Points(NamedTuple):
 class Layers:
     """A map as data, from which pictures and pages are made.
 
-    codes      (y, x) places in ``looks``
-    legend     entries for them; ``beside``: a title where they stand to the right of the map
+    codes      (y, x) indices into ``looks``
+    legend     entries for them; ``beside``: title of a legend to the right of the map
     fields     numbers on scales; their bars from below
     textures   over cells
     points     over those, with their entry in the legend: label and look
-    names      cells (y, x), their name, written into them where it fits, and the colour under it
+    names      cells (y, x), their name, written into them if it fits, and the colour under it
     """
 
     codes: NDArray[np.intp]
@@ -177,20 +178,20 @@ class Layers:
 
     @property
     def entries(self) -> list[Entry]:
-        """All entries of its legend but that of points."""
-        return [*self.legend, *(each.entry for each in self.textures if each.entry is not None)]
+        """All entries of its legend except that of points."""
+        return [*self.legend, *(texture.entry for texture in self.textures if texture.entry is not None)]
 
     @property
     def bars(self) -> list[Field]:
-        """The fields that have a bar."""
-        return [each for each in self.fields if each.bar]
+        """The fields with a bar."""
+        return [field for field in self.fields if field.bar]
 
     def on_field(self, place: int) -> Cells:
-        """The cells (y, x) that show their number in this field."""
+        """The cells (y, x) whose look is a number in this field."""
         return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.field == place])
 
     def as_regime(self, regime: int) -> Cells:
-        """The cells (y, x) that are shown as this regime is."""
+        """The cells (y, x) with the look of this regime."""
         return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.regime == regime])
 
 
@@ -202,7 +203,7 @@ def layered(
     legend: Sequence[Entry] = (),
     **others: Any,
 ) -> Layers:
-    """Layers of cells (y, x): classes over fields over numbers with colours, all others as their regimes are shown.
+    """Layers of cells (y, x): classes over fields over coloured numbers; other cells have the look of their regime.
 
     ``numbered`` are numbers (y, x), -1 for none, and the colour of each. ``legend`` goes before the classes' entries.
     """
@@ -217,17 +218,17 @@ def layered(
             looks.append(CellLook(color))
             entries.append(Entry(color, name))
     rest = codes < 0
-    for each in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending last in the legend
-        cells = rest & (regime == each.code)
+    for entry in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending last in the legend
+        cells = rest & (regime == entry.code)
         codes[cells] = len(looks)
-        looks.append(CellLook(each.color, regime=each.code))
-        entries += [Entry.of_regime(each.code)] if cells.any() else []
+        looks.append(CellLook(entry.color, regime=entry.code))
+        entries += [Entry.of_regime(entry.code)] if cells.any() else []
     codes[codes < 0] = len(looks) - 1
     return Layers(codes, looks, entries, fields, **others)
 
 
 def paint(layers: Layers) -> Colors:
-    """The colours of cells (y, x, 4) in bytes. Pending ones are transparent, for the texture below to be seen."""
+    """The colours of cells (y, x, 4) in bytes. Pending cells are transparent, to show the texture below."""
     table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.looks]
     rgba = np.array(table, np.uint8)[layers.codes]
     for place, field in enumerate(layers.fields):

@@ -31,7 +31,7 @@ _ARROW = {
 
 
 def draw_layers(view: View, layers: Layers, cells: bool = True) -> Figure:
-    """The map of a view as a figure, with its overlays; without ``cells`` all but these."""
+    """The map of a view as a figure, with its overlays; ``cells`` false: only the overlays and legend."""
     wanted, page, layers = view.wanted, view.page, explained(layers, view.ds)
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(view.ds))
@@ -45,9 +45,9 @@ def draw_layers(view: View, layers: Layers, cells: bool = True) -> Figure:
 
 
 def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
-    """Read the variables and the regimes that a map and its overlays draw, no others, and not finer than pixels.
+    """Read the variables and regimes needed for a map and its overlays, at most at the resolution of pixels.
 
-    InputError if the atlas lacks one. No other function of maps reads an atlas.
+    InputError if the atlas lacks one. This is the only function of maps that reads an atlas.
     """
     names = [*kind.variables] if wanted.variable is None else [wanted.variable]
     names += [LARGEST.name] if "isolines" in wanted.overlays else []
@@ -59,15 +59,15 @@ def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
 def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: bool = True) -> list[Artist]:
     """Draw the layers of a map into a plot, and return its legend entries."""
     enlarged = raster.draw_cells(ax, plane, layers, page, cells)
-    for each in layers.textures:
-        raster.hatch(ax, plane, each.cells, each.hatch, each.ink)
-        if each.outlined is not None:
-            raster.outline(ax, plane, each.outlined, "#1a2433", 0.3)
+    for texture in layers.textures:
+        raster.hatch(ax, plane, texture.cells, texture.hatch, texture.ink)
+        if texture.outlined is not None:
+            raster.outline(ax, plane, texture.outlined, "#1a2433", 0.3)
     for at, look in layers.points:
         ax.plot(*at.T, zorder=4, scalex=False, scaley=False, **style.mark(*look))
     entries: list[Artist] = [
-        replace(each, label=f"{each.label},\nsingle cells enlarged").drawn() if each.label in enlarged else each.drawn()
-        for each in layers.entries
+        (replace(entry, label=f"{entry.label},\nsingle cells enlarged") if entry.label in enlarged else entry).drawn()
+        for entry in layers.entries
     ]
     if layers.point_entry is not None:
         label, look = layers.point_entry
@@ -76,11 +76,11 @@ def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: bool = T
 
 
 def explained(layers: Layers, ds: xr.Dataset) -> Layers:
-    """Layers whose legend says that cells without a result may have too few attractors for the one that is shown."""
+    """Layers with a legend note that cells without a result may have too few attractors for the selected one."""
     if not ds.attrs.get(ATTRACTOR, 0):
         return layers
     none, why = Entry.of_regime(PENDING), f"not more than {ds.attrs[ATTRACTOR]}"
-    return replace(layers, legend=[replace(each, label=why) if each == none else each for each in layers.legend])
+    return replace(layers, legend=[replace(entry, label=why) if entry == none else entry for entry in layers.legend])
 
 
 def name_regions(
@@ -91,19 +91,19 @@ def name_regions(
     most: int = 2,
     free: Cells | None = None,
 ) -> None:
-    """Write names into the largest regions of sets of cells (y, x): see ``places``. The plot must have its size.
+    """Write names into the largest regions of sets of cells (y, x): see ``places``. The plot must have its final size.
 
     ``named``: cells, name, and the colour under the name.
     """
     if not all(axis.uniform or axis.log for axis in (plane.x, plane.y)):
-        return  # cells differ in size, and distances in cells mean nothing
+        return  # cells differ in size, so distances in cells have no meaning
     extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
     step = np.array([extent.height, extent.width]) / dots / plane.regime.shape  # points per cell
 
     def at(cell: tuple[int, int]) -> tuple[float, float]:
         return plane.x.values[cell[1]], plane.y.values[cell[0]]
 
-    for number, cell, size, angle, region in places([each[:2] for each in named], step, type_sizes, most, free):
+    for number, cell, size, angle, region in places([region[:2] for region in named], step, type_sizes, most, free):
         _, name, color = named[number]
         look: dict[str, Any] = {"fontsize": size, "ha": "center", "zorder": 4}
         if region is None:

@@ -1,4 +1,4 @@
-"""Cells of a map that hold numbers instead of colours, for whoever shows them to change the ends of the scale."""
+"""Cells of a map as numbers instead of colours, for viewers that change the ends of the scale."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,9 @@ from atlas.render.layers import LINEAR, LOG, TWO_SIDED, Colors, Field, Layers, p
 from workers.results import PENDING
 
 SIGNED = "signed"
-"""How the place of a number v between the ends a and b is found, as a share of the colours, besides LINEAR, LOG and
-TWO_SIDED, which are (v - a) / (b - a); the same of logarithms; zero in the middle, v / b above it and v / a below. Here
-zero is in the middle, and v / max(-a, b) on both sides.
-"""
+"""Placement of a number v between the ends a and b, as a share of the colours. LINEAR, LOG and TWO_SIDED are (v - a) /
+(b - a); the same with logarithms; zero in the middle, v / b above it and v / a below. SIGNED has zero in the middle,
+and v / max(-a, b) on both sides."""
 MOST = 2**24 - 1
 """The largest code."""
 
@@ -20,12 +19,12 @@ __all__ = ["LINEAR", "LOG", "MOST", "SIGNED", "TWO_SIDED", "PixelScale", "number
 
 @dataclass(frozen=True)
 class PixelScale:
-    """The scale of pixels that hold numbers.
+    """The scale of pixels with numbers.
 
     form     LINEAR, LOG, TWO_SIDED or SIGNED
     colors   (N, 4) in bytes, from the lower end to the upper
-    span     the numbers of the codes 0 and MOST, which are the least and the largest of the cells; codes between are
-             evenly spaced, of LOG in the logarithm, so that a number is off by half a step at most
+    span     the numbers of the codes 0 and MOST, the least and the largest of the cells; codes between are evenly
+             spaced, for LOG in the logarithm, with an error of at most half a step
     """
 
     form: str
@@ -41,9 +40,9 @@ def on_white(layers: Layers) -> Colors:
 
 
 def numbered(layers: Layers) -> tuple[Colors, PixelScale | None]:
-    """The colours of cells as in ``on_white``, but codes of three bytes without alpha where a number gives the colour.
+    """The colours of cells as in ``on_white``, but three-byte codes without alpha for colours given by a number.
 
-    There are none, and no scale, where layers have several bars or ``scale_of`` finds no scale.
+    No codes and no scale if layers have several bars or ``scale_of`` finds no scale.
     """
     rgba, fields = on_white(layers), layers.fields
     scale = scale_of(fields[0]) if len(fields) == len(layers.bars) == 1 else None
@@ -58,7 +57,7 @@ def numbered(layers: Layers) -> tuple[Colors, PixelScale | None]:
 
 
 def scale_of(field: Field) -> PixelScale | None:
-    """The scale of a field; None where its numbers do not differ, or are placed in no way that has a name."""
+    """The scale of a field; None if its numbers are all equal, or their placement has no name."""
     form, colormap = field.form, field.colormap
     if field.signs is not None and field.ends[0] < 0.0 < field.ends[1]:
         form, colormap = SIGNED, field.signs[1]

@@ -1,4 +1,4 @@
-"""What the upper plot of a sweep shows of each cell: the gap coordinate of its section states, or an observable."""
+"""The values of each cell in the upper plot of a sweep: the gap coordinate at sections, or an observable."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -30,30 +30,30 @@ class PlottedPoints:
 
     @classmethod
     def of(cls, asked: str | None, *atlases: "xr.Dataset") -> "PlottedPoints | None":
-        """What is asked for, or section values, or the first observable that all of these atlases hold; else None.
+        """The named observable, else section values, else the first observable held by all of these atlases, else None.
 
-        InputError for an observable that one of them does not hold.
+        InputError for an observable that one of them lacks.
         """
         if asked is None and all(SECTION.name in ds and ds[SECTION.name].size for ds in atlases):
             return cls()
         stored = [held_by(ds) for ds in atlases]
         if asked is None:
-            common = [each for each in stored[0] if all(each in held for held in stored)]
+            common = [observable for observable in stored[0] if all(observable in held for held in stored)]
             return cls(common[0]) if common else None
         for held in stored:
-            if asked not in [each.name for each in held]:
+            if asked not in [observable.name for observable in held]:
                 possible = f"it holds {', '.join(each.name for each in held)}" if held else "see [solve] observe"
                 raise InputError(f"observe: this atlas does not hold {asked!r}; {possible}")
-        return cls(next(each for each in stored[0] if each.name == asked))
+        return cls(next(observable for observable in stored[0] if observable.name == asked))
 
     @property
     def name(self) -> str:
-        """The variable that holds it."""
+        """Its variable."""
         return SECTION.name if self.observable is None else self.observable.variable
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """The variables that are read for it."""
+        """The variables needed for it."""
         return (self.name,) if self.observable is None else (self.name, self.observable.number)
 
     def values(self, ds: "xr.Dataset", x: "PlaneAxis") -> NDArray[np.float64]:
@@ -67,29 +67,29 @@ class PlottedPoints:
         return shown_label(self.observable, stored_system(ds.attrs))
 
     def notes(self, ds: "xr.Dataset") -> list[Any]:
-        """Legend entries that say how many orbits have values that are not kept."""
+        """Legend entries with the number of orbits whose values are not all kept."""
         if self.observable is None or self.observable.number not in ds:
             return []
         number, kept = ds[self.observable.number].values, ds[self.name].shape[-1]
         orbits = ds[REGIME.name].values == PERIODIC
-        more, endless = (int(np.count_nonzero(orbits & each)) for each in (number > kept, number < 0))
+        more, endless = (int(np.count_nonzero(orbits & mask)) for mask in (number > kept, number < 0))
         says = [f"{plural(more, 'orbit')} with more than\n{kept} values: the first of them"] if more else []
         says += [f"{plural(endless, 'orbit')} with endless values:\nat most the first {kept}"] if endless else []
-        return [Line2D([], [], linestyle="", label=each) for each in says]
+        return [Line2D([], [], linestyle="", label=label) for label in says]
 
 
 def held_by(ds: "xr.Dataset") -> tuple[Observable, ...]:
-    """The observables that an atlas holds, by its spec."""
+    """The observables of an atlas, from its spec."""
     import json
 
     system, asked = stored_system(ds.attrs), json.loads(ds.attrs.get("spec", "{}")).get("solve", {}).get("observe", "")
     if system is None or not asked:
         return ()
-    return tuple(each for each in observables_of(asked, system.definition) if each.variable in ds)
+    return tuple(observable for observable in observables_of(asked, system.definition) if observable.variable in ds)
 
 
 def shown_label(observable: Observable | None, system: System | None) -> str:
-    """The label of the axis of an observable, its words in two lines and its unit, or of section values."""
+    """The axis label of an observable, its words in two lines and its unit, or of section values."""
     if observable is None:
         return words.gap_label(system)
     first, _, second = observable.words.partition(" at " if observable.kind.startswith("impact") else " of ")

@@ -1,4 +1,4 @@
-"""The options of pictures, with the names that the commands give them, as keyword arguments of functions."""
+"""The options of pictures, named as in the commands, as keyword arguments of functions."""
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -33,14 +33,14 @@ class PageOptions(TypedDict, total=False):
 
 
 class ScaleOptions(PageOptions, total=False):
-    """The options of every picture that has a scale."""
+    """The options of every picture with a scale."""
 
     vmin: Annotated[float | None, "lower end of the scale of numbers, or of the axis of exponents in a sweep"]
     vmax: Annotated[float | None, "its upper end"]
 
 
 class _OfAtlas(TypedDict, total=False):
-    """What a picture of one atlas has besides."""
+    """Further options of a picture of one atlas."""
 
     overlay: Annotated[str | Sequence[str], "lines over a map or a sweep, one or several of OVERLAYS"]
     curves: Annotated[
@@ -62,18 +62,18 @@ class MapLook(_OfAtlas, ScaleOptions, total=False):
 
 
 def split_look(named: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """The options of a picture among these arguments, and the others."""
+    """The options of a picture among these arguments, and the other arguments."""
     look = {name: value for name, value in named.items() if name in PageOptions.__annotations__}
     return look, {name: value for name, value in named.items() if name not in look}
 
 
-def names_in(option: str, given: object) -> tuple[str, ...]:
-    """The names that an option is given: one, or several with commas between or in a list; InputError otherwise."""
-    if isinstance(given, str):
-        return tuple(given.split(","))
-    names = tuple(given) if isinstance(given, Iterable) else (given,)
-    if not all(isinstance(each, str) for each in names):
-        raise InputError(f"{option}: found {shown(given)}, must be a name or a list of names")
+def names_in(option: str, value: object) -> tuple[str, ...]:
+    """The names in an option: one, or several in a list or separated by commas; InputError otherwise."""
+    if isinstance(value, str):
+        return tuple(value.split(","))
+    names = tuple(value) if isinstance(value, Iterable) else (value,)
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"{option}: found {shown(value)}, must be a name or a list of names")
     return names
 
 
@@ -81,34 +81,34 @@ _DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title"
 
 
 def takes(options: type, others: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Give a function with ``**look: Unpack[options]`` these keyword arguments in its signature and its docstring.
+    """Give a function with ``**look: Unpack[options]`` these keyword arguments in its signature and docstring.
 
-    A call with another one raises InputError, which lists all that are possible, unless the function takes ``others``.
+    A call with another option raises InputError with all possible ones, unless the function takes ``others``.
     """
     asked: dict[str, Any] = options.__annotations__
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
         parameters = signature.parameters.values()
-        own = [each for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
-        rest = [each for each in parameters if each not in own and others]
-        possible = [each.name for each in own if each.name != "self"] + [*asked]
+        own = [parameter for parameter in parameters if parameter.kind is not inspect.Parameter.VAR_KEYWORD]
+        rest = [parameter for parameter in parameters if parameter not in own and others]
+        possible = [parameter.name for parameter in own if parameter.name != "self"] + [*asked]
 
         @wraps(function)
-        def call(*args: P.args, **given: P.kwargs) -> T:
-            unknown = [name for name in given if name not in possible]
+        def call(*args: P.args, **options: P.kwargs) -> T:
+            unknown = [name for name in options if name not in possible]
             if unknown and not others:
                 raise InputError(f"unknown option {unknown[0]!r}; possible: {', '.join(possible)}")
-            return function(*args, **given)
+            return function(*args, **options)
 
         added = [
             inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS.get(name), annotation=each.__origin__
+                name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS.get(name), annotation=kind.__origin__
             )
-            for name, each in asked.items()
+            for name, kind in asked.items()
         ]
         call.__signature__ = signature.replace(parameters=[*own, *added, *rest])  # type: ignore[attr-defined]
-        listed = "\n".join(f"    {name:9} {each.__metadata__[0]}" for name, each in asked.items())
+        listed = "\n".join(f"    {name:9} {kind.__metadata__[0]}" for name, kind in asked.items())
         call.__doc__ = f"{inspect.getdoc(function)}\n\nOptions::\n\n{listed}\n"
         return call
 

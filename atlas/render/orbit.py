@@ -1,4 +1,4 @@
-"""The portrait of a cell: its motion in time, in its phase planes and at the section, and its exponents converging."""
+"""The portrait of a cell: time histories, phase planes, section, and convergence of the exponents."""
 
 from typing import Any, NamedTuple
 
@@ -22,16 +22,15 @@ Array = NDArray[np.float64]
 LINE, STOP = "#3a6ea5", "#6f6f6f"
 """Colours of the motion and of the stops."""
 IMPACTS = {1.0: ("^", "#aa00ff", "upper"), -1.0: ("v", "#591b4a", "lower")}
-"""Marker, colour and name of impacts at the upper and at the lower stop; no regime and no exponent has a colour of
-these.
-"""
+"""Marker, colour and name of impacts at the upper and at the lower stop; no regime and no exponent has these
+colours."""
 _STOP: dict[str, Any] = {"color": STOP, "linewidth": 0.8, "linestyle": (0, (4, 2))}
 _IN_A_COLUMN = 7
-"""Exponents that are written in one column beside their averages, at most."""
+"""Most exponents written in one column beside their averages."""
 
 
 class Shown(NamedTuple):
-    """A displacement that a portrait shows, row . x, its velocity row . x', and the stops on it; labels with units."""
+    """A displacement in a portrait, row . x, its velocity row . x', and its stops; labels with units."""
 
     row: Array
     label: str
@@ -46,14 +45,14 @@ class Shown(NamedTuple):
 def figure(orbit: CellOrbit, page: DrawnPage = STANDARD, gap_plane: bool = True) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
 
-    Without ``gap_plane`` it lacks the phase plane of the gap coordinate, which stands beside it already.
+    ``gap_plane`` false leaves out the phase plane of the gap coordinate, if it is shown elsewhere.
     """
     masses = [_shown(orbit, row) for row in selection.displacements(orbit)]
     planes: list[tuple[Shown, Shown | None]] = [
         (mass, None) for mass in masses if gap_plane or not np.array_equal(mass.row, orbit.gap_row)
     ]
     if len(masses) > 1:
-        planes.append((masses[0], masses[1]))  # of both displacements
+        planes.append((masses[0], masses[1]))  # plane of both displacements
     chatter = selection.chatter(orbit)
     many = len(selection.written(orbit)) > _IN_A_COLUMN
     with page.context():
@@ -87,9 +86,9 @@ def figure(orbit: CellOrbit, page: DrawnPage = STANDARD, gap_plane: bool = True)
 
 
 def _mosaic(wide: bool, masses: int, planes: int, chatter: bool, many: bool) -> tuple[list[list[str]], list[float]]:
-    """Plots by name in rows of 6 columns, on a narrow page of 2, and the rows' heights.
+    """Plots by name in rows of 6 columns, 2 on a narrow page, and the heights of the rows.
 
-    On a wide page phase planes stand side by side, and the section beside the exponents.
+    On a wide page phase planes are side by side, and the section beside the exponents.
     """
     histories = [f"history {k}" for k in range(masses)]
     pairs = [f"plane {k}" for k in range(planes)]
@@ -130,12 +129,12 @@ def _history(ax: Axes, orbit: CellOrbit, shown: Shown) -> None:
 
 
 def _cycle(orbit: CellOrbit) -> float:
-    """The period of a cycle without a force; NaN of any other motion."""
+    """The period of a cycle without a force; NaN for other motions."""
     return float(orbit.cell.get(CYCLE_PERIOD.name, np.nan))
 
 
 def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
-    """The distance from the stop through a chatter: flights that become ever shorter and lower."""
+    """The distance from the stop during a chatter, whose flights become ever shorter and lower."""
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     times, away, ends, highest = selection.enlarged(orbit, chatter)
     ax.plot(times, away, color=LINE, linewidth=0.9)
@@ -173,7 +172,7 @@ def _section(ax: Axes, orbit: CellOrbit) -> None:
     few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
-        # One point has no extent of its own: the orbit's gives the picture its scale.
+        # A single point has no extent: the orbit gives the scale.
         for name, values in zip(("xlim", "ylim"), shown.of(orbit.states), strict=True):
             reach = 0.55 * float(np.ptp(values)) or 1.0
             middle = 0.5 * float(values.min() + values.max())
@@ -189,7 +188,7 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     values = np.sort(orbit.running, axis=1)[:, ::-1]
     written = selection.written(orbit)
     for i in sorted(range(values.shape[1]), key=lambda i: i % 2):
-        # Equal ones come in pairs: one of them is dashed, and lies on the other.
+        # Equal exponents come in pairs: the second one is dashed.
         shown, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
         ax.plot(periods, shown, color=color_of(i), linewidth=1.1, linestyle=dashes)
     for i, value in enumerate(written):
@@ -202,7 +201,7 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
 
 
 def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
-    """The exponents in numbers, as many digits as are known, in a plot area of their own."""
+    """The exponents in numbers, with all known digits, in a separate plot area."""
     ax.set_axis_off()
     error, written = float(orbit.cell["error"]), selection.written(orbit)
     unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED

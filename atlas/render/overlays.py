@@ -1,8 +1,10 @@
-"""Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal, the exact
-curves with their points of codimension two and their ends, and over basins the saddles with their stable manifolds.
+"""Lines over a map.
 
-A curve is drawn where its orbit is otherwise stable: there it bounds a region with attractors. The rest passes through
-regions without changing them, and is left out.
+Grazing of impact-free motion, borders of regimes, lines of equal exponents, exact curves with their points of
+codimension two and ends, and over basins the saddles with their stable manifolds.
+
+A curve is drawn while its orbit is otherwise stable: there it bounds a region with attractors. The rest crosses regions
+without an effect and is left out.
 """
 
 from collections.abc import Callable, Iterable
@@ -37,23 +39,23 @@ from workers.results import LARGEST
 Array = NDArray[np.float64]
 
 _CROWDED = 5.0
-"""Distance in points below which two grazing lines are drawn solid: dashes side by side look like a bar code."""
+"""Distance in points below which two grazing lines are solid: adjacent dashes look like a bar code."""
 _LEAST_LINE = 40.0
 """Length in points below which a piece of an isoline is left out."""
 _SHADOW = "#3c4650"
-"""The edge of an isoline, which is white to be told from a boundary, on pale cells."""
+"""The edge of an isoline on pale cells; isolines are white, unlike boundaries."""
 CASING = {False: 1.5, True: 0.7}
-"""What a white casing adds to the width of a curve over a map, by whether another one runs beside it."""
+"""Extra width of the white casing of a curve over a map, by whether another curve runs beside it."""
 _WIDTHS = {False: 1.1, True: 0.75}
 """Width in points of a curve, likewise."""
 _BESIDE = 6.0
-"""Distance in points within which two curves crowd each other."""
+"""Distance in points up to which two curves crowd each other."""
 _MARK, _END = 4.6, 2.6
 """Size in points of the mark of a point of codimension two, and of an end."""
 _FEW, _SMALLEST = 12, 0.6
-"""Marks from which on more of them are drawn smaller, for the map to be seen; their least size in those of few."""
+"""Number of marks from which on they are drawn smaller, and their least relative size."""
 _SAME = 1.0
-"""Distance in points below which two marks of one kind are one."""
+"""Distance in points below which two marks of the same kind are merged."""
 
 
 def draw(ax: Axes, view: View) -> list[Artist]:
@@ -117,23 +119,24 @@ def _curves(ax: Axes, view: View) -> list[Artist]:
 
 
 def wanted_curves(view: View, who: str) -> list[Curve]:
-    """The curves of a map that are to be drawn; InputError where ``who`` needs them and there are none."""
+    """The curves wanted on a map; InputError if ``who`` needs curves and there are none."""
     try:
-        found = asking.curves_of(view.ds)
+        stored = asking.curves_of(view.ds)
     except InputError as error:
         raise InputError(f"{who}: {error}") from None
-    if found.axes != axis_names(view.ds):
-        raise InputError(f"{who}: curves over {', '.join(found.axes)}, found a map of {', '.join(axis_names(view.ds))}")
-    return [curve for curve in found if view.wanted.curves is None or curve.kind in view.wanted.curves]
+    if stored.axes != axis_names(view.ds):
+        axes = ", ".join(axis_names(view.ds))
+        raise InputError(f"{who}: curves over {', '.join(stored.axes)}, found a map of {axes}")
+    return [curve for curve in stored if view.wanted.curves is None or curve.kind in view.wanted.curves]
 
 
-def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, float] | None = None) -> list[Artist]:
+def draw_curves(ax: Axes, curves: list[Curve], view: View, casing: dict[bool, float] | None = None) -> list[Artist]:
     """Draw curves, each kind in its own colour and line style, and return the legend entries of those in view.
 
-    Where curves crowd, lines and casings are thinner, for the map to be seen between them.
+    Lines and casings of crowded curves are thinner, to show the map between them.
     """
     size, scale = view.page.map_size, view.page.scale
-    every = [(curve.kind, line) for curve in found for line in curve.stable_lines]
+    every = [(curve.kind, line) for curve in curves for line in curve.stable_lines]
     every = [(kind, line) for kind, line in every if ax.viewLim.overlaps(Bbox([line.min(axis=0), line.max(axis=0)]))]
     if not every:
         return [Line2D([], [], linestyle="", label="curves: none in this window")]
@@ -154,39 +157,39 @@ def draw_curves(ax: Axes, found: list[Curve], view: View, casing: dict[bool, flo
         shown: Any = {"color": look.color, "linestyle": look.dashes, "label": look.label}
         entries.append(Line2D([], [], linewidth=_WIDTHS[False], path_effects=halo, **shown))
     if view.wanted.curves is None or "codimension_two" in view.wanted.curves:
-        corners = sorted({(each.kind, each.x, each.y) for curve in found for each in curve.stable_corners})
-        corners = [each for each in corners if ax.viewLim.contains(*each[1:])]
+        corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
+        corners = [corner for corner in corners if ax.viewLim.contains(*corner[1:])]
         size_of_all = _MARK * scale * float(np.clip(np.sqrt(_FEW / max(len(corners), 1)), _SMALLEST, 1.0))
         looks = {kind: style.corner_look(kind, size_of_all) for kind, _, _ in corners}
         for kind in sorted(looks, key=[*style.CORNERS, *looks].index):
-            places = [(x, y) for each, x, y in corners if each == kind]
+            places = [(x, y) for mark, x, y in corners if mark == kind]
             entries += _draw_marks(ax, places, size, "corner", 4.2, looks[kind])
     end = style.mark("o", _END * scale, "black", "white", 0.4) | {"label": "end of a curve"}
-    return entries + _draw_marks(ax, [at for curve in found for at in curve.loose_ends], size, "end", 4.1, end)
+    return entries + _draw_marks(ax, [at for curve in curves for at in curve.loose_ends], size, "end", 4.1, end)
 
 
 def _draw_marks(
     ax: Axes, places: Iterable[Any], size: tuple[float, float], gid: str, zorder: float, look: dict[str, Any]
 ) -> list[Artist]:
-    """Mark the places (x, y) in view, those that lie on each other once; the legend entry."""
-    seen: list[Array] = []
+    """Mark the places (x, y) in view, coinciding ones once; returns the legend entry."""
+    marked: list[Array] = []
     for x, y in places:
         at = raster.in_points(ax, np.array([[x, y]]), size)[0]
-        if np.all((at >= 0.0) & (at <= size)) and all(np.hypot(*(at - other)) >= _SAME for other in seen):
-            seen.append(at)
+        if np.all((at >= 0.0) & (at <= size)) and all(np.hypot(*(at - other)) >= _SAME for other in marked):
+            marked.append(at)
             ax.plot(x, y, zorder=zorder, gid=gid, **look)
-    return [Line2D([], [], **look)] if seen else []
+    return [Line2D([], [], **look)] if marked else []
 
 
 def _saddles(ax: Axes, view: View) -> list[Artist]:
     box = {axis.name: (float(axis.edges[0]), float(axis.edges[-1])) for axis in (view.plane.x, view.plane.y)}
-    found, manifolds = saddles_in(view.ds, handle_of(view.ds).spec, box)
+    saddles, manifolds = saddles_in(view.ds, handle_of(view.ds).spec, box)
     for color, width in (("white", 2.2), ("black", 0.9)):
         ax.add_collection(LineCollection(manifolds, colors=color, linewidths=width, zorder=3.2), autolim=False)
     look = style.mark("X", 7.0, "black", "white", 0.8)
-    for states in found:
+    for states in saddles:
         ax.plot(*states.T, zorder=4.2, scalex=False, scaley=False, gid="saddle", **look)
-    if not found:
+    if not saddles:
         return [Line2D([], [], linestyle="", label="no saddle found between basins")]
     manifold = Line2D([], [], color="black", linewidth=0.9, label="stable manifold of a saddle")
     return [Line2D([], [], label="saddle: unstable orbit", **look), manifold]

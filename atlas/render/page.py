@@ -1,4 +1,4 @@
-"""The page that a picture is drawn on: its size, type and resolution, its scale's ends, or axes that are given."""
+"""The page of a picture: its size, type and resolution, the ends of its scale, or given axes."""
 
 import math
 import os
@@ -27,28 +27,28 @@ from atlas.render.options import ScaleOptions
 from atlas.render.style import DPI, drawing, house
 
 WIDTH = 7.0
-"""Width of a figure in inches where none is asked for: two columns of a journal."""
+"""Default width of a figure in inches: two columns of a journal."""
 
 _FONT = 10.0
-"""Points of the type at the standard width, to which all sizes of type here are relative."""
+"""Points of the type at the standard width; all sizes of type here are relative to it."""
 _NARROW, _NARROW_FONT = 85.0 / 25.4, 8.0
-"""Width in inches of one column of a journal, and the points of type there."""
+"""Width in inches of one column of a journal, and its type in points."""
 _SHOWN_DPI = 144.0
-"""Dots per inch in a notebook, which shows 72 of them an inch of the page where screens have no finer ones."""
+"""Dots per inch in a notebook, which shows 72 of them per inch of the page on coarse screens."""
 _INCHES = {"mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "in": 1.0}
 _PIXELS = (1500, 1100)
-"""Least size, (x, y), of a map's plot in a file of the standard page, in pixels: cells not smaller are all drawn."""
+"""Least size, (x, y), of a map's plot in a file of the standard page, in pixels: larger cells are all drawn."""
 _LENGTHS = (0.8, 60.0)
 """Least and greatest length of a page in inches."""
 _BESIDE = 5.0
-"""Least width in inches of a page that has room for a legend beside its plot."""
+"""Least width in inches of a page with a legend beside its plot."""
 
 
 class NotebookFigure(Figure):
-    """A figure that a notebook shows by itself, with neither pyplot nor a magic line, and that threads draw in turn."""
+    """A figure that a notebook shows by itself, without pyplot or a magic line, and that threads draw in turn."""
 
     def savefig(self, *given: Any, **options: Any) -> None:
-        """See Matplotlib's."""
+        """As in Matplotlib."""
         with drawing():
             super().savefig(*given, **options)
 
@@ -56,15 +56,15 @@ class NotebookFigure(Figure):
         width, height = self.get_size_inches()
         data = BytesIO()
         self.savefig(data, format="png", dpi=_SHOWN_DPI)
-        # At half of its pixels, so that it is sharp on fine screens.
+        # At half of its pixels, for fine screens.
         return data.getvalue(), {"width": round(width * _SHOWN_DPI / 2), "height": round(height * _SHOWN_DPI / 2)}
 
 
 @dataclass(frozen=True)
 class DrawnPage:
-    """A page, with lengths in inches and type in points; ``given`` are axes to draw into instead of a new figure.
+    """A page, with lengths in inches and type in points; ``given`` are axes to draw into in place of a new figure.
 
-    ``explained``: whether it has a legend.
+    ``explained``: true with a legend.
     """
 
     width: float = WIDTH
@@ -80,7 +80,7 @@ class DrawnPage:
 
     @property
     def scale(self) -> float:
-        """The size of the type relative to that of the standard page."""
+        """The size of the type relative to the standard page."""
         return self.font / _FONT
 
     @property
@@ -90,7 +90,7 @@ class DrawnPage:
 
     @property
     def map_height(self) -> float:
-        """Height of a map in inches where none is asked for."""
+        """Default height of a map in inches."""
         return 1.2 + 0.5 * self.width
 
     @property
@@ -106,23 +106,23 @@ class DrawnPage:
         return max(1, round(_PIXELS[0] * width * dots)), max(1, round(_PIXELS[1] * tall * dots))
 
     def plot_size(self, height: float) -> tuple[float, float]:
-        """Nominal width and height of the plot in points, for what must be known before the figure is laid out."""
+        """Nominal width and height of the plot in points, before the figure is laid out."""
         if self.given:
             extent, dots = self.given[0].get_window_extent(), _root(self.given[0]).dpi
             return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
         return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
 
     def context(self) -> AbstractContextManager[None]:
-        """Matplotlib's settings for drawing on this page; the former ones return with its end."""
+        """Matplotlib's settings for drawing on this page, restored at the end."""
         settings: Any = house(self.scale)
-        if self.given:  # who gives axes has chosen their type already
+        if self.given:  # given axes have their type already
             settings = {name: settings[name] for name in _OURS}
         else:
             settings["savefig.dpi"] = self.dpi
         return drawing(settings | dict(self.rc))
 
     def figure(self, height: float) -> Figure:
-        """An empty figure that leaves room for what stands outside its axes; ``height`` unless another is asked for."""
+        """An empty figure with room for texts outside its axes; ``height`` is the default."""
         size, dpi = (self.width, self.height or height), self.dpi if self.dpi != DPI else None
         drawn = NotebookFigure(figsize=size, layout="constrained", facecolor="white", dpi=dpi)
         FigureCanvasAgg(drawn)
@@ -131,7 +131,7 @@ class DrawnPage:
     def panels(self, height: float, count: int, title: str) -> tuple[Figure, list[Axes]]:
         """A figure with ``count`` plots over one shared axis, or the given axes, under a title.
 
-        InputError for another number of axes.
+        InputError for another number of given axes.
         """
         if self.given and len(self.given) != count:
             raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
@@ -142,13 +142,13 @@ class DrawnPage:
         return drawn, plots
 
     def head(self, drawn: Figure, title: str, **look: Any) -> None:
-        """A title over all plots of a figure."""
+        """Add a title over all plots of a figure."""
         if self.title:
             size = mpl.rcParams["font.size"]
             drawn.suptitle(title, fontsize=size, ha="left", x=0.012, **look).set_gid(TITLE)
 
     def ends(self, low: float, high: float) -> tuple[float, float]:
-        """The ends of a scale: those asked for, else these; InputError unless they rise."""
+        """The ends of a scale: the given ones, else these; InputError unless they rise."""
         low = low if self.vmin is None else self.vmin
         high = high if self.vmax is None else self.vmax
         if not low < high:
@@ -156,15 +156,15 @@ class DrawnPage:
         return low, high
 
     def refuse_ends(self, why: str) -> None:
-        """InputError, which gives this reason, where ends of a scale are asked for."""
+        """InputError with this reason if ends of a scale are given."""
         if self.vmin is not None or self.vmax is not None:
             raise InputError(f"{why}: it has no scale that vmin and vmax could end")
 
     def legend(self, drawn: Figure, entries: Sequence[Artist], beside: str | None = None, **look: Any) -> None:
-        """A legend under the plots in as many columns as fit, or, where ``beside`` is a title (or ""), to the right.
+        """A legend under the plots in as many columns as fit, or to the right if ``beside`` is a title or "".
 
-        A page too narrow for a legend beside has it below. None without entries, or where none is asked for. What a
-        long one takes is added to the page where no height was asked for, not taken from the plot.
+        Narrow pages always have it below. No legend without entries, or if none is wanted. A long legend extends a page
+        of default height rather than shrinking the plot.
         """
         if not (entries and self.explained):
             return
@@ -172,20 +172,20 @@ class DrawnPage:
         if beside:
             look |= {"title": beside if aside else beside.replace("\n", " "), "alignment": "left"}
         if aside:
-            made = self._one_legend(drawn, entries, True, {"labelspacing": 0.45, **look})
-            self._grow(drawn, made.get_window_extent().height - drawn.bbox.height + 0.1 * drawn.dpi)
+            drawn_legend = self._one_legend(drawn, entries, True, {"labelspacing": 0.45, **look})
+            self._grow(drawn, drawn_legend.get_window_extent().height - drawn.bbox.height + 0.1 * drawn.dpi)
             return
         room = self.given[-1].get_window_extent().width if self.given else drawn.bbox.width
         for columns in range(len(entries), 0, -1):
             rows = -(-len(entries) // columns)
             if columns > 1 and -(-len(entries) // rows) != columns:
-                continue  # filled column by column, rows of equal length look best
-            made = self._one_legend(drawn, entries, False, {"ncols": columns, **look})
-            extent = made.get_window_extent()
+                continue  # legends fill columns first; rows of equal length look best
+            drawn_legend = self._one_legend(drawn, entries, False, {"ncols": columns, **look})
+            extent = drawn_legend.get_window_extent()
             if columns == 1 or extent.width <= room - 4.0:
                 self._grow(drawn, extent.height * (rows - 2) / rows)
                 return
-            made.remove()
+            drawn_legend.remove()
 
     def _one_legend(self, drawn: Figure, entries: Sequence[Artist], aside: bool, look: dict[str, Any]) -> Legend:
         host: Any = drawn if not self.given else self.given[0 if aside else -1]
@@ -197,21 +197,21 @@ class DrawnPage:
         else:
             drop = host.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(host).dpi_scale_trans)
             place = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0}
-        made: Legend = host.legend(handles=list(entries), **place | look)
-        return made
+        legend: Legend = host.legend(handles=list(entries), **place | look)
+        return legend
 
     def _grow(self, drawn: Figure, dots: float) -> None:
         if dots > 0.0 and not self.given and self.height is None:
             drawn.set_size_inches(self.width, drawn.get_size_inches()[1] + dots / drawn.dpi)
 
     def fit(self, drawn: Figure) -> None:
-        """Break labels and titles that are longer than the page into lines, but not in given axes."""
+        """Break labels and titles that are longer than the page into lines, except in given axes."""
         if not self.given:
             with self.context():
                 fit(drawn)
 
     def settle(self, drawn: Figure) -> None:
-        """Fit the texts and lay the figure out: from here on its plots have their size."""
+        """Fit the texts and lay the figure out: its plots then have their final size."""
         self.fit(drawn)
         drawn.draw_without_rendering()
 
@@ -220,9 +220,9 @@ STANDARD = DrawnPage()
 
 
 def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> DrawnPage:
-    """The page that these describe, see ``ScaleOptions``; ``ax``: axes to draw into, for a sweep one for each plot.
+    """The page with these options, see ``ScaleOptions``; ``ax``: axes to draw into, for a sweep one per plot.
 
-    Raises InputError for a length, a size or a resolution that is none, and for a style that cannot be read.
+    Raises InputError for an invalid length, size or resolution, and for an unreadable style.
     """
     unknown = set(look) - set(ScaleOptions.__annotations__)
     if unknown:
@@ -236,7 +236,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> DrawnPage:
         given = () if ax is None else (ax,) if isinstance(ax, Axes) else tuple(ax)
     except TypeError:
         raise wrong from None
-    if any(not isinstance(each, Axes) for each in given):
+    if any(not isinstance(plot, Axes) for plot in given):
         raise wrong
     for name in ("width", "height"):
         if given and look.get(name) is not None:
@@ -250,7 +250,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> DrawnPage:
     if asked:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
         rc |= {name: house(font / _FONT)[name] for name in _SIZES if given}
-    styled = rc.pop("savefig.dpi", DPI)  # out of the style's settings, which override the page's
+    styled = rc.pop("savefig.dpi", DPI)  # removed from the style, whose settings override the page's
     dpi = _number("dpi", look.get("dpi"), positive=True) or (styled if isinstance(styled, float) else DPI)
     if font * dpi / 72.0 < _LEAST_DOTS:
         raise InputError(
@@ -272,7 +272,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> DrawnPage:
 
 
 def _length(name: str, value: float | str | None) -> float | None:
-    """A length in inches from a number of them or from a text with its unit, such as "85mm"; InputError otherwise."""
+    """A length in inches from a number or from a text with a unit, such as "85mm"; InputError otherwise."""
     if value is None:
         return None
     if isinstance(value, str):
@@ -295,43 +295,43 @@ def _number(name: str, value: float | None, positive: bool = False) -> float | N
     if value is None:
         return None
     try:
-        found = math.nan if isinstance(value, bool) else float(value)
+        number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
-        found = math.nan
-    if not math.isfinite(found):
+        number = math.nan
+    if not math.isfinite(number):
         raise InputError(f"{name}: found {shown(value)}, must be a number")
-    if positive and not 0.0 < found <= 1e4:
-        raise InputError(f"{name}: found {found:g}, must be positive and at most 10000")
-    return found
+    if positive and not 0.0 < number <= 1e4:
+        raise InputError(f"{name}: found {number:g}, must be positive and at most 10000")
+    return number
 
 
 _LEAST_DOTS = 4.0
-"""Of the type: an index of an index is half as large, and has to have a dot."""
+"""Settings of the type: an index of an index is half as large and needs a dot."""
 _OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
-"""Of those settings, the ones that pictures in given axes have too."""
+"""The settings of the type that also apply to given axes."""
 _SIZES = tuple(name for name in house(1.0) if name.endswith("size"))
 
 
 def _style(chosen: str | Path | None) -> dict[str, Any]:
-    """The settings of a style, without those that are about windows and not about looks."""
+    """The settings of a style, without those of windows."""
     if chosen is None:
         return {}
     if not isinstance(chosen, str | os.PathLike):
         raise InputError(f"style: found {shown(chosen)}, must be a style of matplotlib's or the path of a file")
     if str(chosen) in mpl_style.library:
-        found = mpl_style.library[str(chosen)]
+        settings = mpl_style.library[str(chosen)]
     else:
         try:
-            found = mpl.rc_params_from_file(chosen, use_default_template=False)
+            settings = mpl.rc_params_from_file(chosen, use_default_template=False)
         except (OSError, UnicodeDecodeError) as error:
             why = getattr(error, "strerror", None) or error
             raise InputError(f"style {chosen}: neither a style of matplotlib's nor a file to read: {why}") from None
     layout = ("figure.autolayout", "figure.constrained_layout.use", "savefig.bbox", "savefig.format", "backend")
-    return {name: found[name] for name in found if name not in layout and not name.startswith("figure.subplot")}
+    return {name: settings[name] for name in settings if name not in layout and not name.startswith("figure.subplot")}
 
 
 def _root(ax: Axes) -> Figure:
-    found = ax.get_figure(root=True)
-    if found is None:
+    root = ax.get_figure(root=True)
+    if root is None:
         raise InputError("ax: these axes belong to no figure any more")
-    return found
+    return root

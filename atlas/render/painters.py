@@ -1,4 +1,4 @@
-"""The functions that kinds are drawn by, and the picture of a kind."""
+"""The painters of kinds, and the picture of a kind."""
 
 from collections.abc import Callable, Mapping
 
@@ -17,17 +17,17 @@ PAINTERS: Mapping[str, Callable[..., Layers]] = {
     "return_time": scales.scalar, "reactivity": scales.scalar, "amplification": scales.scalar,
     "fatal_shock": scales.scalar, "margin": scales.scalar, "scalar": scales.scalar,
 }  # fmt: skip
-"""Of each kind of map the function that gives the layers of a view."""
+"""For each kind of map the function that makes the layers of a view."""
 
 FIGURES: Mapping[str, Callable[[xr.Dataset, Wanted], Figure]] = {
     "regions": regions.figure, "coexistence": sweep.figure_of_attractors, "sweep": sweep.figure,
     "spectrum": sweep.figure_of_all, "hysteresis": sweep.figure_of_two,
 }  # fmt: skip
-"""Of each other kind the function that draws it."""
+"""For each other kind the function that draws it."""
 
 
 def draw(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
-    """The picture of a kind, of a map with its overlays; InputError where the atlas does not hold what it draws."""
+    """The picture of a kind, for a map with its overlays; InputError if the atlas lacks its variables."""
     if kind.name in FIGURES:
         return FIGURES[kind.name](ds, wanted)
     view = maps.read(kind, ds, wanted)

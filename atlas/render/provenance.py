@@ -1,4 +1,4 @@
-"""Pictures as files: their formats, and the source of their numbers in the metadata of each."""
+"""Pictures as files: formats, and the source of the numbers in their metadata."""
 
 import json
 from collections.abc import Mapping
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from atlas.render.page import DrawnPage
 
 FORMATS = ("png", "svg", "pdf")
-"""The formats of a picture; the file's suffix chooses one."""
+"""The formats of a picture, by the suffix of the file."""
 UNKNOWN = "unknown"
 
 
 class Provenance(NamedTuple):
-    """A title, the digest of the spec, the version of the solver, the spec as JSON, the software that computed."""
+    """A title, the digest of the spec, the version of the solver, the spec as JSON, and the software."""
 
     title: str
     digest: str
@@ -36,7 +36,7 @@ class Provenance(NamedTuple):
 
 
 def check_path(path: str | Path) -> str:
-    """The format of a picture's file; InputError for a suffix that is none: to be asked before long work."""
+    """The format of a picture's file; InputError for an unknown suffix: to be called before long work."""
     suffix = checked_path(path).suffix
     if suffix.lower().removeprefix(".") not in FORMATS:
         found = f"found {suffix!r}" if len(suffix) > 1 else "found none"
@@ -46,7 +46,7 @@ def check_path(path: str | Path) -> str:
 
 
 def save(drawn: "Figure", target: Path, provenance: Provenance, page: "DrawnPage") -> None:
-    """Write a figure with its provenance; InputError where that cannot be."""
+    """Write a figure with its provenance; InputError if that fails."""
     suffix = check_path(target)
     try:
         with page.context():
@@ -56,21 +56,21 @@ def save(drawn: "Figure", target: Path, provenance: Provenance, page: "DrawnPage
 
 
 def provenance_of(*subjects: "xr.Dataset | CellOrbit | Branches") -> Provenance:
-    """The provenance of a picture of an atlas, an orbit or branches; of several atlases, with what differs in order."""
-    every = [_of_one(each) for each in subjects]
-    solvers = dict.fromkeys(each.solver for each in every)
-    return every[0]._replace(digest=" ".join(each.digest for each in every), solver=" ".join(solvers))
+    """The provenance of a picture of an atlas, an orbit or branches; of several atlases, their differences in order."""
+    every = [_of_one(subject) for subject in subjects]
+    solvers = dict.fromkeys(one.solver for one in every)
+    return every[0]._replace(digest=" ".join(one.digest for one in every), solver=" ".join(solvers))
 
 
 def computed_here(title: str, spec: Mapping[str, Any], digest: str = "none") -> Provenance:
-    """The provenance of numbers that this process has computed, from all that decides them."""
+    """The provenance of numbers computed by this process, from all that decides them."""
     return Provenance(f"impact-atlas: {title}", digest, str(SOLVER_VERSION), json.dumps(spec), _own())
 
 
 def metadata(provenance: Provenance, suffix: str) -> dict[str, str | None]:
-    """The provenance under the names that a format has for it, for ``Figure.savefig``.
+    """The provenance under the names of a format, for ``Figure.savefig``.
 
-    No time of day: a date would make equal pictures unequal files.
+    Without a date: equal pictures are equal files.
     """
     title, digest, solver, spec, computed_by = provenance
     software = f"{_own()}, matplotlib {package_version('matplotlib')}"

@@ -1,4 +1,4 @@
-"""Cells in a plot, and its axes: colours from edge to edge, textures, borders, marks of what is too small to see."""
+"""Cells in a plot, and its axes: colours from edge to edge, textures, borders, marks of cells that are too small."""
 
 import math
 from collections.abc import Sequence
@@ -20,26 +20,26 @@ from atlas.render.page import DrawnPage
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIME, UNDETERMINED
 
 _VISIBLE = 2.0
-"""Points below which a cell on its own is lost to the eye."""
+"""Points below which a single cell is invisible."""
 _MOST_MARKS = 300
-"""Marks of such cells: where there are more, they are seen as a cloud anyway."""
+"""Most marks of such cells: more are visible as a cloud anyway."""
 _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
 _MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
 def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: bool = True) -> set[str]:
-    """Draw the cells of a map from edge to edge, as pixels in vector files too; the names of enlarged regimes.
+    """Draw the cells of a map from edge to edge, as pixels also in vector files; returns names of enlarged regimes.
 
-    An image where all cells are equal; quadrilaterals otherwise. Colours are never blended between cells. A cell
-    that shows its regime has that regime's texture; such cells without a result that would be too small to be seen get
-    a mark of a visible size. Without ``cells`` only what lies on them is drawn.
+    An image for equal cells, else quadrilaterals. Colours are never blended between cells. A cell with the look of its
+    regime has the regime's texture; those without a result that would be invisible get a mark of visible size.
+    ``cells`` false: only textures and marks are drawn.
     """
     x, y = plane.x, plane.y
     if not cells:
         ax.patch.set_visible(False)
         hatch(ax, plane, layers.as_regime(PENDING), style.HATCH[PENDING], style.TEXTURE)
     else:
-        # Pending cells, which no value has, are drawn transparent and let this texture through.
+        # Pending cells are transparent and show this texture.
         ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
         if x.uniform and y.uniform:
             extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
@@ -58,7 +58,7 @@ def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: b
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
-    """Mark the small ones of these cells unless they are seen anyway, or are too many; whether there are marks."""
+    """Mark the small ones of these cells unless visible anyway, or too many; returns whether there are marks."""
     step = np.array(size[::-1]) / plane.regime.shape
     if step.max() >= _VISIBLE:
         return False
@@ -70,39 +70,40 @@ def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[fl
 
 
 def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> None:
-    """Cover a set of cells with a texture that lets their colours through."""
+    """Cover a set of cells with a texture through which their colours show."""
     rectangles = runs(inside, plane.x.edges, plane.y.edges)
-    if len(rectangles):  # all rectangles are one path, so that the texture has no seams
+    if len(rectangles):  # all rectangles are one path, so the texture has no seams
         codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], len(rectangles))
         path = Path(rectangles.reshape(-1, 2), codes)
         ax.add_patch(PathPatch(path, fill=False, hatch=pattern, edgecolor=color, linewidth=0, rasterized=True))
 
 
 def outline(ax: Axes, plane: Plane, inside: Cells, color: str, width: float) -> None:
-    """Draw the border of a set of cells along the cells' edges; the picture's own frame is left out."""
+    """Draw the border of a set of cells along the cells' edges, without the picture's own frame."""
     ends = list(borders(inside, plane.x.edges, plane.y.edges))
     lines = LineCollection(ends, colors=color, linewidths=width, capstyle="projecting", rasterized=True)
     ax.add_collection(lines, autolim=False)
 
 
 def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
-    """Data coordinates in points from the lower left corner of the plot, by its nominal size: as a layout that
-    is not made yet will have them, nearly.
+    """Data coordinates in points from the lower left corner of the plot, by its nominal size.
+
+    Approximately the coordinates after the layout.
     """
     return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
 
 
 def scale_axes(ax: Axes, labels: bool = True, **axes: PlaneAxis) -> None:
-    """Give the axes ``x`` and ``y`` of a plot their scales, limits and ticks, and their labels if asked."""
-    for each, axis in axes.items():
+    """Set scales, limits and ticks of the axes ``x`` and ``y`` of a plot, and their labels if wanted."""
+    for name, axis in axes.items():
         if axis.log:
-            ax.set(**{f"{each}scale": "log"})
+            ax.set(**{f"{name}scale": "log"})
             # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.
             if math.log10(axis.values[-1] / axis.values[0]) <= 3.0:
-                plain_ticks(getattr(ax, f"{each}axis"), (1.0, 2.0, 5.0))
-        ax.set(**{f"{each}lim": (axis.edges[0], axis.edges[-1])})
+                plain_ticks(getattr(ax, f"{name}axis"), (1.0, 2.0, 5.0))
+        ax.set(**{f"{name}lim": (axis.edges[0], axis.edges[-1])})
         if labels:
-            ax.set(**{f"{each}label": words.axis_label(axis.name, axis.meaning)})
+            ax.set(**{f"{name}label": words.axis_label(axis.name, axis.meaning)})
 
 
 def plain_ticks(axis: mpl_axis.Axis, steps: Sequence[float]) -> None:

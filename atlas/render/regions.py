@@ -1,4 +1,4 @@
-"""The region chart: the exact curves alone, and in the regions between them the names of their motions."""
+"""The region chart: exact curves, and the names of the motions in the regions between them."""
 
 from dataclasses import replace
 
@@ -16,29 +16,32 @@ from atlas.render.kinds import TABLE
 from atlas.render.wanted import Wanted
 
 _TYPE = (9.0, 7.5, 6.0)
-"""Points of the type of names: the first that fits."""
+"""Points of the type of names: the first that fits is used."""
 _MOST = 4
-"""Regions of one name that get it, at most: the largest."""
+"""Most regions with the same name that get it: the largest."""
 _FINE = 1.0
-"""Points between the places at which room for a name is looked for."""
+"""Points between the places tried for a name."""
 _CORNER = 3.0 * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-"""What the mark of a point of codimension two covers around its middle, in points."""
+"""Half size in points covered by the mark of a point of codimension two."""
 _TITLE = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
 _SIDES = "\ns: symmetric, u: unsymmetric"
 
 
 def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
-    """The region chart as a figure; InputError where the atlas keeps no curves or holds no impact counts."""
+    """The region chart as a figure; InputError if the atlas has no curves or no impact counts."""
     sides, row = ("symmetric",) if "symmetric" in ds else (), TABLE["regions"]
     view = maps.read(replace(row, variables=(*row.variables, *sides)), ds, wanted)
     plane, page, size = view.plane, view.page, view.page.map_size
-    found = overlays.wanted_curves(view, "kind 'regions'")
+    curves = overlays.wanted_curves(view, "kind 'regions'")
     twins = machine.twins_everywhere(ds, {plane.x.name: plane.x.values, plane.y.name: plane.y.values})
     rest = replace(wanted, overlays=tuple(name for name in wanted.overlays if name != "curves"))
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(ds))
         raster.scale_axes(ax, x=plane.x, y=plane.y)
-        entries: list[Artist] = [*overlays.draw_curves(ax, found, view), *overlays.draw(ax, replace(view, wanted=rest))]
+        entries: list[Artist] = [
+            *overlays.draw_curves(ax, curves, view),
+            *overlays.draw(ax, replace(view, wanted=rest)),
+        ]
         title = _TITLE + (_SIDES if wanted.names and sides and twins else "")
         page.legend(drawn, entries, beside=title, handlelength=2.6)
         if not wanted.names:
@@ -46,10 +49,10 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
         page.settle(drawn)
         times = max(1, round(max(np.array(size) / plane.regime.shape[::-1]) / _FINE))
         fine = plane.finer(times)
-        marked = [np.asarray(each.get_xydata()) for each in ax.lines if each.get_gid() == "corner"]
-        places = [dense(raster.in_points(ax, line, size))[0] for curve in found for line in curve.stable_lines]
+        marked = [np.asarray(line.get_xydata()) for line in ax.lines if line.get_gid() == "corner"]
+        places = [dense(raster.in_points(ax, line, size))[0] for curve in curves for line in curve.stable_lines]
         places += [raster.in_points(ax, at, size) + _CORNER for at in marked]
-        taken = crossed(places, size, fine.regime.shape)
-        named = [(filled(cells, times) & ~taken, name, "white") for name, cells in regions(fine, twins)]
-        maps.name_regions(ax, fine, named, [each * page.scale for each in _TYPE], _MOST, ~taken)
+        covered = crossed(places, size, fine.regime.shape)
+        named = [(filled(cells, times) & ~covered, name, "white") for name, cells in regions(fine, twins)]
+        maps.name_regions(ax, fine, named, [points * page.scale for points in _TYPE], _MOST, ~covered)
     return drawn

@@ -1,4 +1,4 @@
-"""The maps of numbers: each has a scale of colours, and a bar beside it that says what they are."""
+"""Maps of numbers, each with a scale of colours and a labelled bar."""
 
 import math
 from collections.abc import Sequence
@@ -40,25 +40,26 @@ from workers.results import (
 Array = NDArray[np.float64]
 
 BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
-"""Colours of numbers below zero in a scale of both signs, from the largest to the smallest."""
+"""Colours of negative numbers in a scale of both signs, from the largest to the smallest."""
 NEUTRAL = "#e4e2d6"
-"""The colour of cells whose motion is known but has no such number, and of zero, which has no logarithm."""
+"""The colour of cells with known motion but without such a number, and of zero on a logarithmic scale."""
 
 
 @cache
 def colormap_of(colors: tuple[str, ...], steps: int = 512) -> LinearSegmentedColormap:
-    """These colours at even steps, and the ones between them."""
+    """These colours at even steps, interpolated between."""
     return LinearSegmentedColormap.from_list("scale", colors, N=steps)
 
 
 def _part(name: str, low: float, high: float) -> Colormap:
-    """A part of one of matplotlib's colour maps, without its ends: near white is a cell without a value, black one
-    that failed.
+    """A part of a matplotlib colour map without its ends.
+
+    Near white is a cell without a value, black a failed one.
     """
     return LinearSegmentedColormap.from_list(name, colormaps[name](np.linspace(low, high, 64)), N=512)
 
 
-# The step of hue at zero keeps the border of chaos sharp where exponents on both sides are small.
+# The step of hue at zero keeps the border of chaos sharp between small exponents of both signs.
 _PLACES = [*np.linspace(0.0, 0.5, len(kinds.STABLE)), *np.linspace(0.5, 1.0, len(kinds.CHAOTIC))]
 EXPONENT = LinearSegmentedColormap.from_list(
     "exponent", list(zip(_PLACES, (*kinds.STABLE, *kinds.CHAOTIC), strict=True)), N=1024
@@ -69,13 +70,13 @@ ERRORS = {
     "chaotic": (_part("YlOrRd", 0.10, 1.0), (CHAOTIC,)),
     "torus": (_part("PuRd", 0.2, 1.0), (QUASIPERIODIC,)),
 }
-"""Colours and regimes of each kind of error: they differ by ten decades, and one scale would show none of them."""
+"""Colours and regimes of each kind of error: they differ by ten decades, too much for one scale."""
 
 
 def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Layers:
-    """The chaos map: the largest Lyapunov exponent, blue where motion is stable, orange to dark red in chaos.
+    """The chaos map: the largest Lyapunov exponent, blue for stable motion, orange to dark red for chaos.
 
-    ``norm``: a scale that several maps share. Impact-free cells have exponents as others do: they are textured.
+    ``norm``: a scale shared by several maps. Impact-free cells have exponents too, and a texture.
     """
     regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
@@ -91,7 +92,7 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Layers:
 
 
 def two_sided(page: DrawnPage, low: float, high: float) -> TwoSlopeNorm:
-    """The scale between these ends, or those that the page gives; InputError unless zero is between them."""
+    """The scale between these ends, or those of the page; InputError unless zero is between them."""
     low, high = page.ends(low, high)
     if not low < 0.0 < high:
         raise InputError(f"the scale of exponents has zero in its middle: found {low:g} to {high:g}")
@@ -99,28 +100,28 @@ def two_sided(page: DrawnPage, low: float, high: float) -> TwoSlopeNorm:
 
 
 def combined(view: View) -> Layers:
-    """The period where motion is periodic, the largest exponent where it is chaotic."""
+    """The period of periodic motion, the largest exponent of chaotic motion."""
     regime = view.plane.regime
     largest = np.where(regime == CHAOTIC, view.plane[LARGEST.name], np.nan)
     norm = Normalize(*view.page.ends(0.0, scale_ends(largest)[1]))
-    # The colour bar names the chaotic cells; one without an exponent shows its regime's colour.
+    # The colour bar names the chaotic cells; one without an exponent has the look of its regime.
     field = Field(CHAOS, norm, largest, words.in_its_unit(view.ds, view.kind.scale.label))
     return layered(regime, classes.by_period(view.plane), [field])
 
 
 def number(view: View) -> Layers:
-    """A number of each cell whose class of motion is known, on the scale of its kind."""
+    """A number of each cell of known class of motion, on the scale of its kind."""
     return _numbers(view, view.plane.known(*view.kind.variables))
 
 
 def cost(view: View) -> Layers:
-    """The forcing periods simulated; of an undetermined cell too, which cost the most that a cell may."""
+    """The forcing periods simulated, also of undetermined cells, which cost the most."""
     solved = ~np.isin(view.plane.regime, (PENDING, INVALID, FAILED))
     return _numbers(view, np.where(solved, view.plane["periods_used"].astype(float), np.nan))
 
 
 def _numbers(view: View, values: Array) -> Layers:
-    """Numbers (y, x) on the scale of their kind; where all are 0, with a name of its own, there is no bar."""
+    """Numbers (y, x) on the scale of their kind; if all are a named 0, there is no bar."""
     scale = view.kind.scale
     norm, others = color_norm(values, scale.log, view.page), [(values == 0.0, *scale.zero)] if scale.zero else []
     shown = scale.zero is None or bool(np.any(values > 0.0))
@@ -128,16 +129,16 @@ def _numbers(view: View, values: Array) -> Layers:
 
 
 def scalar(view: View) -> Layers:
-    """Any number of each cell, the one that is named or that of the kind, from pale to dark, on two scales around zero.
+    """Any number of each cell, by variable or kind, from pale to dark, on two scales around zero.
 
-    Cells whose motion has no such number are NEUTRAL, and textured where it is -inf. InputError for a logarithmic scale
-    of numbers below zero.
+    Cells without such a number are NEUTRAL, with a texture for -inf. InputError for a logarithmic scale of negative
+    numbers.
     """
     scale, plane = view.kind.scale, view.plane
     name = view.kind.variables[0] if view.kind.variables else str(view.wanted.variable)
     log, label = scale.log or view.wanted.log, scale.label or words.variable_label(view.ds, name)
     regime, values = plane.regime, plane.known(name).astype(np.float64)
-    # Counts of an orbit are results in orbits alone, and not where it rests, which makes its impacts infinitely many.
+    # Counts of an orbit exist only for orbits that do not rest, where impacts are infinitely many.
     meant = variable_of(view.ds, name)
     values[~np.isin(regime, list(meant.regimes)) | (meant.endless & (values < 0.0))] = np.nan
     if log and np.any(values < 0.0):
@@ -152,9 +153,9 @@ def scalar(view: View) -> Layers:
 
 
 def _scaled(regime: NDArray[np.int8], field: Field, others: Sequence[Class] = ()) -> Layers:
-    """Numbers (y, x) on a scale, other cells in their colours; those without a number are shown as their regimes.
+    """Numbers (y, x) on a scale, other cells in their colours; cells without a number have the look of their regime.
 
-    Exponents of -inf, which are off any scale, have a texture over its lowest colour.
+    Exponents of -inf, below any scale, have a texture over its lowest colour.
     """
     lost, name = np.isneginf(field.values), r"$-\infty$: rest on a stop erases disturbances"
     textures = [Texture.on(field.colormap(0.0), lost, style.LOST_HATCH, name)] if lost.any() else []
@@ -162,7 +163,7 @@ def _scaled(regime: NDArray[np.int8], field: Field, others: Sequence[Class] = ()
 
 
 def color_norm(values: Array, log: bool, page: DrawnPage = STANDARD) -> Normalize:
-    """The scale of finite values, see ``number_ends``; ends that the page gives are kept."""
+    """The scale of finite values, see ``number_ends``; ends of the page are kept."""
     low, high = page.ends(*number_ends(values, log))
     if log and low <= 0.0:
         raise InputError(f"this scale is logarithmic: found vmin {low:g}, must be positive")
@@ -170,7 +171,7 @@ def color_norm(values: Array, log: bool, page: DrawnPage = STANDARD) -> Normaliz
 
 
 def signed_colormap(norm: Normalize, above: tuple[str, ...] = kinds.TABLE[kinds.SCALAR].scale.colors) -> Colormap:
-    """The colours of a scale: zero between its ends is pale, and equally far from it both sides are equally dark."""
+    """The colours of a scale: zero between its ends is pale; at equal distance from it both sides are equally dark."""
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if not low < 0.0 < high:
         return colormap_of(above)
@@ -179,19 +180,18 @@ def signed_colormap(norm: Normalize, above: tuple[str, ...] = kinds.TABLE[kinds.
 
 
 def both_signs(above: tuple[str, ...]) -> Colormap:
-    """The colours of numbers below and above zero, which is pale and in the middle."""
+    """The colours of negative and positive numbers, pale in the middle."""
     return colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)
 
 
 def error(view: View) -> Layers:
-    """How well the largest exponent of every cell is known, on a scale for each kind of error.
+    """The error of the largest exponent of every cell, on a scale for each kind of error.
 
-    Numerical where the motion is periodic or without impact, a standard error where it is chaotic, the difference
-    of two windows on a torus: see the table of variables in docs/data.md. Ends of the scale, where they are given, are
-    those of the standard error.
+    Numerical for periodic or impact-free motion, a standard error for chaos, the difference of two windows for a torus:
+    see the table of variables in docs/data.md. Given ends of the scale apply to the standard error.
     """
     regime, known = view.plane.regime, view.plane.known(ERROR.name)
-    # Nothing is known better than to rounding, and an error of zero has no place on a logarithmic scale.
+    # No error is below rounding, and a zero has no place on a logarithmic scale.
     known = np.where(known == 0.0, np.finfo(float).eps, np.maximum(known, np.finfo(float).tiny))
     known[~np.isfinite(known)] = np.nan
     fields = []
@@ -206,9 +206,9 @@ def error(view: View) -> Layers:
 def draw_bars(
     drawn: Figure, panels: Sequence[Axes], bars: Sequence[Field], page: DrawnPage = STANDARD, below: bool = False
 ) -> None:
-    """Draw the scales of plots to the right of them, or below: one along all plots, several stacked beside the first.
+    """Draw the scales of plots to their right or below: one along all plots, or several stacked beside the first.
 
-    Ends are pointed where values lie beyond them. The scale of exponents has a line at zero, where its step may change.
+    Ends are pointed if values lie beyond them. The scale of exponents has a line at zero, where its step may change.
     """
     for place, bar in enumerate(bars):
         low, high = (default if end is None else end for end, default in ((bar.norm.vmin, 0.0), (bar.norm.vmax, 1.0)))
@@ -218,21 +218,21 @@ def draw_bars(
         if bar.title:
             share, gap = 1.0 / len(bars), 0.13 if len(bars) > 1 else 0.05
             inset = panels[0].inset_axes((1.03, place * share, 0.035, share - gap))
-            made = drawn.colorbar(mappable, cax=inset, extend=extend, extendfrac=0.05)
+            colorbar = drawn.colorbar(mappable, cax=inset, extend=extend, extendfrac=0.05)
             size, pad = mpl.rcParams["legend.fontsize"], 3.0 + 5.0 * page.scale
             inset.set_title(bar.title, loc="left", fontsize=size, pad=pad)
         else:
             side = "bottom" if below else "right"
             look: Any = {"aspect": 28, "pad": 0.02, "extendfrac": 0.03}
-            made = drawn.colorbar(mappable, ax=list(panels), location=side, extend=extend, **look)
+            colorbar = drawn.colorbar(mappable, ax=list(panels), location=side, extend=extend, **look)
             two = isinstance(bar.norm, TwoSlopeNorm) and -low != high
-            made.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
-        made.outline.set_linewidth(0.6)
+            colorbar.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
+        colorbar.outline.set_linewidth(0.6)
         if isinstance(bar.norm, LogNorm):
-            _log_ticks(made, low, high, most=4 if len(bars) > 1 else 8)
+            _log_ticks(colorbar, low, high, most=4 if len(bars) > 1 else 8)
         elif isinstance(bar.norm, TwoSlopeNorm):
-            made.set_ticks(_ticks(low, high, 3 if below else 5))  # numbers need more room side by side
-            (made.ax.axvline if below else made.ax.axhline)(0.0, color="black", linewidth=0.7)
+            colorbar.set_ticks(_ticks(low, high, 3 if below else 5))  # side by side, numbers need more room
+            (colorbar.ax.axvline if below else colorbar.ax.axhline)(0.0, color="black", linewidth=0.7)
     if bars and bars[0].title:
         panels[0].annotate(
             bars[0].label, (1.065, 0.5), xycoords="axes fraction", xytext=(38.0 * page.scale, 0.0),
@@ -241,14 +241,14 @@ def draw_bars(
 
 
 def _ticks(low: float, high: float, most: int) -> list[float]:
-    """Round numbers on each half, which have scales of their own, and zero."""
+    """Round numbers on each half, which have separate scales, and zero."""
     nice = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
     both = np.concatenate([nice.tick_values(low, 0.0), nice.tick_values(0.0, high)])
-    return [float(each) for each in np.unique(both[(both >= low) & (both <= high)].round(12))]
+    return [float(tick) for tick in np.unique(both[(both >= low) & (both <= high)].round(12))]
 
 
 def _log_ticks(bar: Colorbar, low: float, high: float, most: int) -> None:
-    """Ticks of a logarithmic colour bar: powers of ten where it spans many decades, else 1, 2, 5 in plain numbers."""
+    """Ticks of a logarithmic colour bar: powers of ten over many decades, else 1, 2, 5 in plain numbers."""
     decades, axis = math.log10(high / low), bar.ax.yaxis
     if decades > 3.0 or high < 1e-3:
         bar.set_ticks(LogLocator(numticks=most))

@@ -1,4 +1,4 @@
-"""A map as pixels of a screen: the plot area alone, and beside it what explains its colours."""
+"""A map as pixels of a screen: the plot area alone, and beside it the colour bar and legend."""
 
 import math
 from collections.abc import Sequence
@@ -31,23 +31,23 @@ DPI = 110.0
 SCALE = 0.85
 """The size of the type relative to that of the standard page."""
 GAP = 16
-"""Pixels between the plot area and what is beside it."""
+"""Pixels between the plot area and the key beside it."""
 BAR_ASPECT = 28.0
 """Height of a colour bar over its width, as all pictures have it."""
 LEAST_TYPE = 2.0
-"""Points of the type of a legend: nobody reads a smaller one, and on pixels it takes no less room."""
+"""Least points of the type of a legend: smaller type is unreadable and saves no pixels."""
 MOST_LEGEND = 0.9
-"""Share of the height that a legend leaves no colour bar of."""
+"""Share of the height that a legend leaves free of colour bars."""
 
 
 @dataclass(frozen=True)
 class Screen:
     """Pixels of a map, (rows, columns, 4) in bytes from the top: its cells, and its colour bar and legend.
 
-    ends      the ends of the one scale that it has; None without one, or with several
-    dark_key  bar and legend for a dark page: in the same colours, with white type on black
-    scale     of pixels that hold numbers; None where they have their colours
-    lines     the kinds of curves that are drawn, of CURVES
+    ends      the ends of its only scale; None without one, or with several
+    dark_key  bar and legend for a dark page: the same colours, with white type on black
+    scale     of pixels with numbers; None for pixels with colours
+    lines     the kinds of curves drawn, of CURVES
     """
 
     cells: NDArray[np.uint8]
@@ -67,9 +67,9 @@ def screen(
     numbers: bool = False,
     **options: Unpack[MapLook],
 ) -> Screen:
-    """A map on ``size`` (width, height) pixels, its cells from edge to edge, under lines that are drawn as in files.
+    """A map on ``size`` (width, height) pixels, its cells from edge to edge, under lines as in files.
 
-    Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers`` pixels that a number colours
+    Logarithmic axes are evenly spaced in the logarithm, however short. With ``numbers``, pixels coloured by a number
     hold that number, see ``numbered``. Other options and errors as in ``figure``.
     """
     width, height = size
@@ -96,17 +96,17 @@ def screen(
             drawn.add_artist(beside)
         _bare(ax, ds)
         ax.set_position(area)
-        bars = [each for each in drawn.axes if each is not ax]
+        bars = [axes for axes in drawn.axes if axes is not ax]
         low = _move_legend(drawn, ax, (width + GAP) / whole)
         tall = 0.92 - low
         room = 0.96 * (1.0 - low) * height  # above the legend
-        for bar in bars:  # of the proportions that a bar with pointed ends insists on
+        for bar in bars:  # the fixed proportions of a bar with pointed ends
             bar.set_position(((width + GAP) / whole, low + 0.04, tall * height / BAR_ASPECT / whole, tall))
             label = bar.yaxis.label
             label.set_fontsize(float(label.get_fontsize()) * min(1.0, room / label.get_window_extent().height))
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())
-        gids = {"codimension_two" if each.get_gid() == "corner" else each.get_gid() for each in ax.get_children()}
+        gids = {"codimension_two" if artist.get_gid() == "corner" else artist.get_gid() for artist in ax.get_children()}
         cells, key, scale = pixels[:, :width].copy(), pixels[:, width:].copy(), None
         dark = _dark(pixels, [*bars, *ax.child_axes], drawn.legends)[:, width:]
         ends = [(float(first), float(last)) for first, last in (bar.get_ylim() for bar in bars)]
@@ -118,19 +118,19 @@ def screen(
 
 def _cell_of_pixel(ax: Axes, plane: Plane, size: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The rows and columns of the cells in the middles of pixels, from the top and from the left."""
-    found = []
+    places = []
     for along, axis in enumerate((plane.x, plane.y)):
         middles = np.full((size[along], 2), 0.5)
         middles[:, along] = (np.arange(size[along]) + 0.5) / size[along]
         at = ax.transData.inverted().transform(ax.transAxes.transform(middles))[:, along]
-        found.append(np.clip(np.searchsorted(axis.edges, at, side="right") - 1, 0, axis.values.size - 1))
-    return found[1][::-1], found[0]
+        places.append(np.clip(np.searchsorted(axis.edges, at, side="right") - 1, 0, axis.values.size - 1))
+    return places[1][::-1], places[0]
 
 
 def _under(
     lines: Colors, layers: Layers, at: tuple[NDArray[np.intp], NDArray[np.intp]], numbers: bool
 ) -> tuple[Colors, PixelScale | None]:
-    """The cells of a map under what is drawn over them, and the scale of numbers where nothing is."""
+    """The cells of a map under its overlays, and the scale of numbers if there are none."""
     cells, place, opacity = on_white(layers), np.ix_(*at), lines[..., 3:] / 255.0
     mixed = np.rint(opacity * lines + (1.0 - opacity) * cells[place]).astype(np.uint8)
     mixed[..., 3] = 255
@@ -139,21 +139,21 @@ def _under(
 
 
 def _dark(pixels: Colors, bars: Sequence[Any], legends: Sequence[Legend]) -> Colors:
-    """What explains colours for a dark page: all but the colours inverted."""
-    found = np.dstack([255 - pixels[..., :3], pixels[..., 3]])
+    """A key for a dark page: inverted except for the colours."""
+    inverted = np.dstack([255 - pixels[..., :3], pixels[..., 3]])
     boxes = [bar.get_position(original=True).transformed(bar.figure.transFigure) for bar in bars]
-    handles = [each for legend in legends for each in legend.legend_handles if each is not None]
-    boxes += [each.get_window_extent().padded(2.0) for each in handles]
+    handles = [handle for legend in legends for handle in legend.legend_handles if handle is not None]
+    boxes += [handle.get_window_extent().padded(2.0) for handle in handles]
     for box in boxes:
         left, right = math.floor(box.x0), math.ceil(box.x1)
         top, bottom = (pixels.shape[0] - end for end in (math.ceil(box.y1), math.floor(box.y0)))
         part = slice(max(0, top), max(0, bottom)), slice(max(0, left), max(0, right))
-        found[part] = pixels[part]
-    return found
+        inverted[part] = pixels[part]
+    return inverted
 
 
 def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
-    """Put a plot's legend into the lower left of what is beside it, and return where it ends above."""
+    """Put a plot's legend into the lower left of the key, and return the height of its top."""
     legend = ax.get_legend()
     if legend is None:
         return 0.0
@@ -164,22 +164,22 @@ def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
     }  # fmt: skip
     size = mpl.rcParams["legend.fontsize"]
     while True:
-        made = drawn.legend(fontsize=size, **look)
-        extent = made.get_window_extent()
+        trial = drawn.legend(fontsize=size, **look)
+        extent = trial.get_window_extent()
         share = float(extent.height / drawn.bbox.height)
         excess = max(share, float(extent.width / (drawn.bbox.width * (1.0 - left))))
         if excess <= 1.0 or size <= LEAST_TYPE:
             break
-        made.remove()
-        size = max(LEAST_TYPE, 0.97 * size / excess)  # no entry may be lost above, no word beside
-    legend.remove()
+        trial.remove()
+        size = max(LEAST_TYPE, 0.97 * size / excess)  # keeps all entries and words inside
+    trial.remove()
     return min(share, MOST_LEGEND)
 
 
 def _bare(ax: Axes, ds: xr.Dataset) -> None:
-    """Take away all of a plot but its area, and give it the scales of the screen."""
+    """Remove everything from a plot but its area, and give it the scales of the screen."""
     ax.set(title="", xlabel="", ylabel="")
     for name, change in zip(axis_names(ds), (ax.set_xscale, ax.set_yscale), strict=True):
         change("log" if is_log(ds, name) else "linear")
-    for each in (*ax.spines.values(), ax.xaxis, ax.yaxis):
-        each.set_visible(False)
+    for part in (*ax.spines.values(), ax.xaxis, ax.yaxis):
+        part.set_visible(False)

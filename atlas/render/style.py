@@ -1,4 +1,4 @@
-"""How every picture looks: type, colours, textures, entries of legends, curves and events."""
+"""Look of every picture: type, colours, textures, entries of legends, curves and events."""
 
 import threading
 from collections.abc import Iterator, Mapping
@@ -16,11 +16,11 @@ from matplotlib.typing import ColorType
 from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
 
 DPI = 300.0
-"""Dots per inch of a file where none are asked for."""
+"""Default dots per inch of a file."""
 
 
 def house(scale: float) -> dict[str, Any]:
-    """Matplotlib's settings of a page whose type is so many times as large as the standard page's."""
+    """Matplotlib's settings of a page with this scale of type relative to the standard page."""
     return {
         "font.family": "STIXGeneral",
         "mathtext.fontset": "stix",
@@ -41,7 +41,7 @@ def house(scale: float) -> dict[str, Any]:
         "legend.handleheight": 0.95,
         "hatch.linewidth": 0.5,
         "savefig.dpi": DPI,
-        "savefig.bbox": None,  # the page has the size that was asked for
+        "savefig.bbox": None,  # the page has the given size
         "pdf.fonttype": 42,
         "svg.hashsalt": "impact-atlas",
     }
@@ -52,11 +52,11 @@ _alone = threading.RLock()
 
 @contextmanager
 def drawing(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Draw in no two threads at once, with these settings of Matplotlib's; with the end they are what they were.
+    """Draw in one thread at a time, with these settings of Matplotlib; restores the former settings.
 
-    Settings belong to the whole process, and not all that draws text is made for threads: so the explorer's painters,
-    its portraits and files, and what its user draws in a notebook take turns. What another thread of the user's
-    changes of other settings meanwhile stays.
+    Settings belong to the whole process, and drawing of text is not thread-safe: the explorer's painters, its portraits
+    and files, and its user's drawings in a notebook take turns. Other settings changed meanwhile by another thread of
+    the user stay.
     """
     of_all: Any = mpl.rcParams
     with _alone:
@@ -75,14 +75,14 @@ COLORS = {regime.code: regime.color for regime in REGIMES}
 """The colour of each regime code, as in the data's flag_colors."""
 
 INK = {**COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
-"""The same for points and lines on white, where the pale colours of areas would not be seen."""
+"""The same for points and lines on white, where pale colours of areas are invisible."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
-"""The texture of regimes that colour alone does not show: white is no value, impact-free cells have exponents, grey
-and black may be the ends of a scale, and green is seen as a shade of chaos without red receptors."""
+"""The texture of regimes that colour alone does not distinguish: white is no value, impact-free cells have exponents,
+grey and black may be the ends of a scale, and green looks like a shade of chaos without red receptors."""
 
 HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
-"""The ink of those textures; what is not named is drawn in an ink that suits its cells."""
+"""The ink of those textures; other textures have an ink that suits their cells."""
 
 LOST_HATCH = "||"
 """The texture of exponents that are -inf: rest on a stop erases disturbances."""
@@ -126,7 +126,7 @@ Legend.update_default_handler_map({Gradient: _GradientHandler()})
 
 
 def ink_on(color: ColorType) -> str:
-    """Dark or light, whichever is seen on a colour."""
+    """Dark or light, whichever is visible on a colour."""
     red, green, blue = to_rgb(color)
     return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
 
@@ -134,7 +134,7 @@ def ink_on(color: ColorType) -> str:
 class EventLook(NamedTuple):
     """The look of a kind of event: its name in a legend, its colour, the dashes of curves, the marker of points.
 
-    Colours are told apart without red or green receptors, dashes and markers without any colour.
+    Colours differ without red or green receptors, dashes and markers without any colour.
     """
 
     label: str
@@ -157,7 +157,7 @@ LOOKS = {
     "grazing_sliding": EventLook("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
     "adding_sliding": EventLook("adding–sliding", "#642810", (0, (6, 4)), "h"),
 }
-"""The kinds with one condition, in the order of legends."""
+"""Kinds with one condition, in the order of legends."""
 
 CORNERS = {
     "cusp": ("cusp", "^"),
@@ -172,7 +172,7 @@ CORNERS = {
     "graze_symmetry_breaking": ("graze–symmetry breaking", "P"),
     "graze_neimark_sacker": ("graze–Neimark–Sacker", "h"),
 }
-"""Points of codimension two: their name in a legend and their marker, white with a black edge."""
+"""Points of codimension two: name in a legend and marker, white with a black edge."""
 
 
 def corner_look(kind: str, size: float) -> dict[str, Any]:
@@ -187,7 +187,7 @@ def corner_look(kind: str, size: float) -> dict[str, Any]:
 
 
 def mark(marker: str, size: float, color: str, edge: str, width: float) -> dict[str, Any]:
-    """How points are drawn, as arguments of ``Axes.plot``: size and width of the edge in points."""
+    """Look of points as arguments of ``Axes.plot``: size and width of the edge in points."""
     return {
         "linestyle": "", "marker": marker, "markersize": size, "color": color, "markeredgecolor": edge,
         "markeredgewidth": width,

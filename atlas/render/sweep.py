@@ -1,4 +1,4 @@
-"""Pictures of one axis: sections over exponents, of one sweep or two; over shares, of all attractors; of branches."""
+"""Pictures over one axis: sections over exponents, for one or two sweeps, or over shares; branches."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Panel: TypeAlias = Callable[[Axes, xr.Dataset, PlaneAxis, DrawnPage], None]
-"""Draws one panel of a sweep from what was read of it."""
+"""Draws one panel of a sweep from its data."""
 
 LARGEST_LABEL = f"largest Lyapunov exponent\n$\\lambda_1$ [{PER_PERIOD}]"
 COLORS = ("#0a6ebd", "#e8701a")
-"""Colours of two sweeps drawn together."""
+"""Colours of two sweeps in one picture."""
 SHADES = {hysteresis.MIRRORED: "#f0eedd", hysteresis.DIFFERENT: "#d6cdea"}
 """Colours of the ground where two sweeps end on mirror images, and on different motions."""
 EXPONENTS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
-"""The colour of each exponent, largest first; those of systems with more begin again."""
+"""The colour of each exponent, largest first; repeated for systems with more."""
 INTERVAL = ("share_low", "share_high")
-"""The ends of the interval of a share, whose width a legend gives where an atlas has it."""
+"""The ends of the interval of a share; a legend gives its width."""
 _POINT = 2.0
-"""The least diameter of a point in points of the page, which is still seen on white."""
+"""Least diameter of a point in points of the page: still visible on white."""
 INK = "#1a1a1a"
 """The colour of branches."""
 DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
@@ -59,7 +59,7 @@ _FEW, _MANY = 2.2, 1.5
 
 
 def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
-    """The sweep as a figure, each panel only if the atlas holds its variable; InputError if it holds neither."""
+    """The sweep as a figure, each panel if the atlas holds its variable; InputError if it holds neither."""
     shown = PlottedPoints.of(wanted.observe, ds)
     panels: dict[str, Panel] = {} if shown is None else {shown.name: _panel_of_points(shown)}
     panels |= dict.fromkeys(held([LARGEST.name], ds), _draw_largest)
@@ -72,7 +72,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
 
 
 def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
-    """The sweep with all exponents as a figure; InputError where the atlas does not hold them."""
+    """The sweep with all exponents as a figure; InputError if the atlas lacks them."""
     TABLE["spectrum"].require(ds, [SPECTRUM.name])
     shown = PlottedPoints.of(wanted.observe, ds)
     panels: dict[str, Panel] = {} if shown is None else {shown.name: _panel_of_points(shown)}
@@ -85,10 +85,9 @@ def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
 
 
 def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
-    """Two sweeps as one figure, shaded where they end on different motions; paler where those are mirror images.
+    """Two sweeps as one figure, shaded where they end on different motions, paler for mirror images.
 
-    The rule is ``atlas.query.hysteresis.compare``. InputError unless they have the same axis and share something to
-    draw.
+    The rule is ``atlas.query.hysteresis.compare``. InputError unless they have the same axis and a common variable.
     """
     against = wanted.against
     assert against is not None
@@ -98,35 +97,36 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
     names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
-    (first, x), (second, _) = (line(each, [*names, *held(hysteresis.COMPARED, *atlases)]) for each in atlases)
-    found = hysteresis.compare(first, second)
+    (first, x), (second, _) = (line(ds, [*names, *held(hysteresis.COMPARED, *atlases)]) for ds in atlases)
+    outcome = hysteresis.compare(first, second)
 
     def panel(ax: Axes, name: str) -> None:
         for what, color in SHADES.items():
-            for stretch in runs(found[None] == what, x.edges, np.arange(2.0)):
+            for stretch in runs(outcome[None] == what, x.edges, np.arange(2.0)):
                 ax.axvspan(*stretch[:2, 0], color=color, linewidth=0, zorder=0)
-        # The second on top and smaller, so that both are seen where they agree.
-        for each, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
+        # The second is smaller and on top, so that both are visible if they agree.
+        for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
             size = point_size(x, _FEW, wanted.page) * larger
-            draw_points(ax, x, _values(each, x, name, shown), color, size, zorder=zorder)
+            draw_points(ax, x, _values(cells, x, name, shown), color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
             ax.set_ylabel(words.in_its_unit(ds, LARGEST_LABEL))
 
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
-    legend: list[Artist] = [_dot(color, _direction(each, x.name), size) for color, each, size in sweeps]
+    legend: list[Artist] = [_dot(color, _direction(cells, x.name), size) for color, cells, size in sweeps]
     for (what, color), meaning in zip(SHADES.items(), ("mirror images", "different motions"), strict=True):
-        if np.any(found == what):
+        if np.any(outcome == what):
             legend.append(Patch(facecolor=color, edgecolor="#a9a4b8", linewidth=0.4, label=meaning))
     return stack(ds, (first, x), panels, legend, wanted, shown)
 
 
 def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
-    """The sections of all attractors in the colours of their regimes, under them their shares, or their exponents where
-    no sections are kept. Where its attractors are labelled the colours of orbits are those of their labels.
+    """The sections of all attractors in the colours of their regimes, over their shares.
 
-    InputError where the atlas does not hold all attractors.
+    Over their exponents if no sections are kept. Orbits of labelled attractors have the colours of their labels.
+
+    InputError if the atlas does not hold all attractors.
     """
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
@@ -139,7 +139,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     regime, entries = read[0][REGIME.name].values, list[Artist]()
     if known is not None:
         label = read[0][LABEL.name].values
-        entries, regime = [each.drawn() for each in classes.branch_entries(known, label, ink=True)], regime[label < 0]
+        entries, regime = [entry.drawn() for entry in classes.branch_entries(known, label, ink=True)], regime[label < 0]
     entries += regime_legend(regime)
     if ends:
         low, high = (read[0][end].values for end in ends)
@@ -149,7 +149,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
 
 
 def figure_of_branches(branches: "Branches", page: DrawnPage = STANDARD) -> Figure:
-    """Branches as a figure of their own, under the title line of the other parameters."""
+    """Branches as a separate figure, under the title line of the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
     meaning = Meaning(parameter.meaning, parameter.symbol, parameter.unit)
     shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
@@ -165,13 +165,13 @@ def figure_of_branches(branches: "Branches", page: DrawnPage = STANDARD) -> Figu
 
 def held(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
     """The variables among these that all of the atlases hold, with values."""
-    return [name for name in names if all(name in each and each[name].size for each in atlases)]
+    return [name for name in names if all(name in atlas and atlas[name].size for atlas in atlases)]
 
 
 def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, PlaneAxis]:
     """These variables and the regimes along the axis of a sweep in rising order, and that axis.
 
-    The only place where the pictures of sweeps choose what they read.
+    Pictures of sweeps read only here.
     """
     read, (x,) = rising(ds[[*dict.fromkeys(variables), REGIME.name]])
     return read, x
@@ -197,7 +197,7 @@ def stack(
             raise InputError(
                 "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
             )
-        from atlas.orbits.branches.sweep import tree_through  # with it Numba
+        from atlas.orbits.branches.sweep import tree_through  # imports Numba
         from atlas.orbits.branches.table import Branches
 
         branches = Branches.of(tree_through(sweeps), shown.observable)
@@ -217,7 +217,7 @@ def stack(
 
 
 def _panel_of_points(shown: PlottedPoints) -> Panel:
-    """Section values, or those of an observable."""
+    """Section values, or values of an observable."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
         regime, values = ds[REGIME.name].values, shown.values(ds, x)
@@ -255,7 +255,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> N
 
 
 def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedPoints | None) -> Panel:
-    """Section values, an observable or exponents of every attractor; those of larger share lie on top."""
+    """Section values, an observable or exponents of every attractor; larger shares lie on top."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
@@ -270,7 +270,7 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedPoin
 
 
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
-    """The shares of all attractors on top of each other, parted by white lines; the rest up to 1 is undecided."""
+    """The shares of all attractors stacked, separated by white lines; the rest up to 1 is undecided."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
         bands: list[tuple[str, Array]] = []
@@ -292,7 +292,7 @@ def _panel_of_shares(known: xr.Dataset | None) -> Panel:
 
 
 def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Which cells have an attractor of one colour, and that colour; ``here`` is of one attractor a cell."""
+    """Masks of cells with an attractor of one colour, and that colour; ``here`` has one attractor per cell."""
     regime = here[REGIME.name].values
     label = here[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
@@ -303,7 +303,7 @@ def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArra
 
 
 def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None:
-    """Mark cells with an exponent of -inf, which has no place on the axis, at its foot, and label the axis."""
+    """Mark cells with an exponent of -inf at the foot of the axis, and label the axis."""
     if lost.any():
         foot = np.full(lost.sum(), 0.015)
         ax.plot(x.values[lost], foot, "v", color="black", markersize=2.5, transform=ax.get_xaxis_transform())
@@ -311,16 +311,16 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
 
 
 def draw_branches(ax: Axes, branches: "Branches", page: DrawnPage) -> list[Artist]:
-    """Draw branches, those of mirror images too, with their events, and return the legend entries of what is there."""
+    """Draw branches, also of mirror images, with their events, and return the legend entries drawn."""
     lines, places, entries = list(branches.lines()), list(branches.places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
-        shown, width, dashes = [one for each, one in lines if each is stable], _WIDTHS[stable], DASHES[stable]
+        shown, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
         if shown:
             look = {"color": INK, "linewidth": width * page.scale, "linestyle": dashes}
             ax.add_collection(LineCollection(shown, zorder=4, **look))
             entries.append(Line2D([], [], label=label, **look))
     for kind, event in style.LOOKS.items():
-        at = [place for each, place in places if each == kind]
+        at = [place for mark, place in places if mark == kind]
         if at:
             mark = style.mark(event.marker, _MARKER * page.scale, event.color, "white", 0.5) | {"label": event.label}
             ax.plot(*np.concatenate(at).T, zorder=5, **mark)
@@ -335,7 +335,7 @@ def color_of(i: int) -> str:
 
 
 def point_size(x: PlaneAxis, least: float, page: DrawnPage) -> float:
-    """The diameter of a point in points: wider than a cell, but within what is seen and what tells points apart."""
+    """The diameter of a point in points: wider than a cell, within the limits of visibility and separation."""
     return float(np.clip(1.6 * page.plot_size(1.0)[0] / x.values.size, least, 4.0))
 
 
@@ -349,14 +349,14 @@ def draw_points(
     zorder: float = 3,
     cells: Any = True,
 ) -> None:
-    """Draw the finite values (N,) or (N, n) of these cells (N,), by default of all, as points, ``size`` in points."""
+    """Draw the finite values (N,) or (N, n) of these cells (N,), by default all, as points of ``size`` points."""
     at, shown = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
     look: Any = {"color": color, "markersize": size, "markeredgewidth": 0, "zorder": zorder, "rasterized": True}
     ax.plot(at[shown], values[shown], marker, **look)
 
 
 def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedPoints | None) -> Array:
-    """The values of a variable along a sweep, or of what is shown of each cell."""
+    """The values of a variable along a sweep, or of the plotted points of each cell."""
     return np.asarray(ds[name].values) if shown is None or name != shown.name else shown.values(ds, x)
 
 

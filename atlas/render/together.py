@@ -1,4 +1,4 @@
-"""Several atlases in one figure: what differs between two, and maps side by side on one scale."""
+"""Several atlases in one figure: the differences of two, and maps side by side on one scale."""
 
 import math
 import textwrap
@@ -29,19 +29,19 @@ from atlas.render.wanted import Wanted
 from workers.results import LARGEST, PENDING
 
 KINDS = ("exponent", "period")
-"""The kinds of map that are drawn side by side."""
+"""The kinds of map for side-by-side drawing."""
 DIFFERENCE = colormaps["PuOr_r"]
 SAME, WITHOUT = "#ffffff", "#9a9a9a"
-"""Colours of cells that have the same regime in both atlases, and of those without an exponent in one of them."""
+"""Colours of cells with the same regime in both atlases, and of cells without an exponent in one of them."""
 
 _SHARE = 2.0
-"""Per cent of the differences that may lie beyond the ends of the scale."""
+"""Percentage of the differences that may lie beyond the ends of the scale."""
 
 
 def difference(compared: Comparison, page: DrawnPage = STANDARD) -> Figure:
-    """Two maps: the difference of the exponents, there minus here, and where the regime is another there, which.
+    """Two maps: the difference of the exponents, there minus here, and the regimes there where they differ.
 
-    Where there are no exponents, the second alone. InputError for atlases with one axis.
+    Without exponents only the second map. InputError for atlases with one axis.
     """
     count = len(axis_names(compared.one))
     if count != 2:
@@ -69,11 +69,11 @@ def difference(compared: Comparison, page: DrawnPage = STANDARD) -> Figure:
 
 
 def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[str] = ()) -> Figure:
-    """Maps of several atlases in one figure, on one scale, each under the parameters in which they differ.
+    """Maps of several atlases in one figure, on one scale, each under the parameters that differ.
 
-    Their kind is one of KINDS, by default the first that all of them hold; ``names`` stand over the maps where no
-    parameter differs. Axes have the same limits.
-    Raises InputError for fewer than two atlases, for another kind, and where axes or variables are not the same.
+    Their kind is one of KINDS, by default the first that all of them hold; ``names`` are titles if no parameter
+    differs. Axes have the same limits. Raises InputError for fewer than two atlases, for another kind, and for
+    different axes or variables.
     """
     chosen, page = TABLE[_check(atlases, wanted.kind)], wanted.page
     if chosen.name == "period":
@@ -98,19 +98,19 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[
             for entry in maps.lay(ax, view.plane, layers, own):
                 entries.setdefault(str(entry.get_label()), entry)
         _label_outside(panels)
-        # The axes are shared, so that these limits are those of all.
+        # The axes are shared, so these limits apply to all.
         planes = [view.plane for view in views]
-        panels[0].set_xlim(min(each.x.edges[0] for each in planes), max(each.x.edges[-1] for each in planes))
-        panels[0].set_ylim(min(each.y.edges[0] for each in planes), max(each.y.edges[-1] for each in planes))
+        panels[0].set_xlim(min(plane.x.edges[0] for plane in planes), max(plane.x.edges[-1] for plane in planes))
+        panels[0].set_ylim(min(plane.y.edges[0] for plane in planes), max(plane.y.edges[-1] for plane in planes))
         scales.draw_bars(drawn, panels, bars, page, below=not page.wide)
         page.legend(drawn, list(entries.values()))
     return drawn
 
 
 def _sheet(page: DrawnPage, count: int, most: int) -> tuple[Figure, list[Axes], DrawnPage]:
-    """A figure of several plots with axes in common, those plots, and the page of one of them.
+    """A figure of several plots with common axes, the plots, and the page of one plot.
 
-    They stand in rows of at most ``most`` on a wide page, of one less on a narrow one.
+    Rows have at most ``most`` plots on a wide page, one less on a narrow page.
     """
     most = most if page.wide else most - 1
     columns = count if count <= most else 2 if count == 4 else most
@@ -126,7 +126,7 @@ def _sheet(page: DrawnPage, count: int, most: int) -> tuple[Figure, list[Axes], 
 
 
 def _label_outside(plots: Sequence[Axes]) -> None:
-    """Take the labels off the axes that have another map to their left or below."""
+    """Remove the labels of axes with another map to their left or below."""
     grid: Any = plots[0].get_gridspec()
     for k, ax in enumerate(plots):
         if k % grid.ncols:
@@ -134,7 +134,7 @@ def _label_outside(plots: Sequence[Axes]) -> None:
         if k + grid.ncols < len(plots):
             ax.set_xlabel("")
         else:
-            ax.tick_params(labelbottom=True)  # where the place below is empty too
+            ax.tick_params(labelbottom=True)  # also if the place below is empty
 
 
 def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
@@ -161,18 +161,18 @@ def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
 
 
 def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
-    return words.parameter_line([(words.symbol(ds, each), float(ds[each])) for each in names])
+    return words.parameter_line([(words.symbol(ds, name), float(ds[name])) for name in names])
 
 
 def _title(compared: Comparison) -> str:
-    """The common parameters, and below them what is there and what is here."""
+    """The common parameters, and below them the differing ones there and here."""
     common = words.title_line(compared.one.drop_vars(compared.differing))
     sides = [_values(ds, compared.differing) for ds in (compared.other, compared.one)]
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
 
 def _coarseness(block: int) -> str:
-    """What stands below a title where cells stand for several."""
+    """Note below a title if cells stand for several."""
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
@@ -181,24 +181,24 @@ def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> L
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
     known = change[~np.isnan(change)]
     most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
-    # Rise and fall are to look alike: one end that is asked for decides the other.
-    given = [end for end in (page.vmax, page.vmin) if end is not None]
-    end = abs(given[0]) if given else most or 1.0
+    # The scale is symmetric: one given end decides the other.
+    wanted = [end for end in (page.vmax, page.vmin) if end is not None]
+    end = abs(wanted[0]) if wanted else most or 1.0
     label = r"change of $\lambda_1$ [per forcing period]"
     norm = scales.two_sided(page, -end, end)
     change = np.where(pending, np.nan, change)
     unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
-    found = layered(
+    layers = layered(
         np.where(pending, np.int8(PENDING), here.regime), [unknown], [Field(DIFFERENCE, norm, change, label)]
     )
-    return replace(found, legend=[each for each in found.legend if each.color == WITHOUT])
+    return replace(layers, legend=[entry for entry in layers.legend if entry.color == WITHOUT])
 
 
 def _changes(here: Plane, there: Plane, pending: Cells) -> Layers:
-    """The regimes there of cells that have another one here."""
+    """The regimes there of cells with another regime here."""
     same = (here.regime == there.regime) & ~pending, SAME, "same regime"
-    found = layered(np.where(pending, np.int8(PENDING), there.regime), [same])
+    layers = layered(np.where(pending, np.int8(PENDING), there.regime), [same])
     own, none = Entry(*same[1:]), Entry.of_regime(PENDING)
-    others = [each for each in found.legend if each != own]
-    named = [each if each == none else replace(each, label=f"{each.label} instead") for each in others]
-    return replace(found, legend=[own, *named])
+    others = [entry for entry in layers.legend if entry != own]
+    named = [entry if entry == none else replace(entry, label=f"{entry.label} instead") for entry in others]
+    return replace(layers, legend=[own, *named])

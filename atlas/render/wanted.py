@@ -1,4 +1,4 @@
-"""What is to be drawn of an atlas: the arguments of a picture, checked, and the kind and the overlays that fit."""
+"""The wanted picture of an atlas: its arguments, checked, and the kind and overlays that fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is to be drawn of an atlas, and how: the arguments of ``atlas.render.figure``, checked.
+    """The wanted picture of an atlas: the arguments of ``atlas.render.figure``, checked.
 
-    ``curves`` are kinds of exact curves, None for all; ``names``: whether names and levels stand on a map.
+    ``curves`` are kinds of exact curves, None for all; ``names``: true for names and levels on a map.
     """
 
     page: "DrawnPage"
@@ -44,16 +44,16 @@ class Wanted:
         pixels: tuple[int, int] | None = None,
         **options: Unpack[MapLook],
     ) -> "Wanted":
-        """What these arguments of ``figure`` ask for; InputError for one that is not possible."""
-        from atlas.render.page import page  # with it matplotlib
+        """The picture wanted by these arguments of ``figure``; InputError for an invalid one."""
+        from atlas.render.page import page  # imports matplotlib
 
         look: dict[str, Any] = dict(options)
         lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
         options_of = "names", "against", "variable", "log", "observe"
         own: dict[str, Any] = {name: look.pop(name) for name in options_of if name in look}
-        for name, given in (("kind", kind), *((each, own.get(each)) for each in ("variable", "observe"))):
-            if given is not None:
-                checked_name(name, given)
+        for name, value in (("kind", kind), *((option, own.get(option)) for option in ("variable", "observe"))):
+            if value is not None:
+                checked_name(name, value)
         for name in ("names", "log"):
             checked_flag(name, own.get(name, False))
         if own.get("against") is not None:
@@ -62,7 +62,7 @@ class Wanted:
 
 
 def chosen_kind(ds: "xr.Dataset", wanted: Wanted) -> Kind:
-    """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
+    """The kind to draw: the named one, or the first that fits; InputError if it does not fit."""
     axes, atlases, found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
     if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
         _check_scalar(ds, wanted)
@@ -88,7 +88,7 @@ def chosen_kind(ds: "xr.Dataset", wanted: Wanted) -> Kind:
 
 
 def _check_scalar(ds: "xr.Dataset", wanted: Wanted) -> None:
-    """InputError unless a variable can be mapped: one that is named and is a number of each cell of a plane."""
+    """InputError unless the named variable is a number of each cell of a plane."""
     name = wanted.variable
     if wanted.kind not in (None, SCALAR):
         raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {wanted.kind!r}")
@@ -105,20 +105,20 @@ def _check_scalar(ds: "xr.Dataset", wanted: Wanted) -> None:
 
 
 def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    """The kinds of curves that are asked for, given as a list or with commas between, or "all"; None where none are."""
+    """The named kinds of curves, from a list, a text with commas, or "all"; None for no curves."""
     if curves is None:
         return None
     if isinstance(curves, str) and curves == "all":
         return CURVES
     wanted = names_in("curves", curves)
-    for each in wanted:
-        if each not in CURVES:
-            raise InputError(f"unknown kind of curve {each!r}; possible: {', '.join(CURVES)}")
+    for curve in wanted:
+        if curve not in CURVES:
+            raise InputError(f"unknown kind of curve {curve!r}; possible: {', '.join(CURVES)}")
     return wanted
 
 
 def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
-    """Raise InputError unless each of them is an overlay of as many axes."""
+    """Raise InputError unless all are overlays for this number of axes."""
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")

@@ -1,4 +1,4 @@
-"""What pictures write: symbols, units and values of parameters, labels of axes, titles, the gap coordinate."""
+"""Texts in pictures: symbols, units and values of parameters, labels of axes, titles, the gap coordinate."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,12 +13,12 @@ from workers.model.system import System
 from workers.results import PER_PERIOD, PER_TIME
 
 _TERMS = 3
-"""Terms of a gap coordinate that a label spells out, at most."""
+"""Most terms of a gap coordinate in a label."""
 
 
 @lru_cache(maxsize=1024)
 def shown_symbol(symbol: str, name: str) -> str:
-    r"""A symbol as mathtext, without the dollars; the name if it is empty or no mathtext, as ``\frac{``."""
+    r"""A symbol as mathtext, without the dollars; the name if it is empty or invalid, as ``\frac{``."""
     try:
         parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
     except ValueError:
@@ -34,7 +34,7 @@ def symbol(ds: xr.Dataset, name: str) -> str:
 def axis_label(name: str, meaning: Meaning) -> str:
     r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none.
 
-    A parameter without a meaning has its name in the place of one, which its symbol says already.
+    For a parameter without a meaning its symbol suffices.
     """
     symbol, said = shown_symbol(meaning.symbol, name), meaning.words.split(":")[0]
     return f"{said if said != name else ''} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
@@ -50,18 +50,18 @@ def variable_label(ds: xr.Dataset, name: str) -> str:
 
 
 def in_its_unit(ds: xr.Dataset, label: str) -> str:
-    """A label of exponents: those of machines without a force are per unit time."""
+    """A label of exponents: per unit time for machines without a force."""
     system = stored_system(ds.attrs)
     return label.replace(PER_PERIOD, PER_TIME) if system is not None and system.definition.unforced else label
 
 
 def unit_ending(*units: str) -> str:
-    """How a label ends: its CF unit in brackets, nothing for the 1 of pure numbers or where its parts have several."""
+    """Ending of a label: its CF unit in brackets, empty for the 1 of pure numbers or for several units."""
     return "" if len({*units}) > 1 or units[0] == "1" else f" [{units[0]}]"
 
 
 def title_line(ds: xr.Dataset) -> str:
-    r"""The fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, less an initial state of zero."""
+    r"""The fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, without zero initial states."""
     system = stored_system(ds.attrs)
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
     fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
@@ -70,18 +70,18 @@ def title_line(ds: xr.Dataset) -> str:
 
 
 def system_line(system: System, values: Mapping[str, float]) -> str:
-    """The same of these parameters of a system."""
+    """title_line for these parameters of a system."""
     shown = [p for p in system.parameters if p.name in values and (values[p.name] or p.name not in system.states)]
     return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in shown])
 
 
 def parameter_line(items: Sequence[tuple[str, float]]) -> str:
-    """Symbols with their values, on one line, which ``fit`` breaks at commas."""
+    """Symbols with their values on one line, which ``fit`` breaks at commas."""
     return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
 
 
 def number(value: float) -> str:
-    """A number as mathtext: up to six digits, and simple multiples of pi as such."""
+    """A number as mathtext: up to six digits, with simple multiples of pi as such."""
     for below in (1, 2, 3, 4, 6):
         above = value / math.pi * below
         times = round(above)
@@ -97,25 +97,25 @@ def gap_label(system: System | None) -> str:
         return "first state at $t = kT$"
     entries = [entry.constant for entry in system.definition.shown]
     states = [system.parameter(name) for name in system.definition.coordinates]
-    ending = " at $t = kT$" + unit_ending(*(each.unit for each, c in zip(states, entries, strict=True) if c != 0.0))
+    ending = " at $t = kT$" + unit_ending(*(state.unit for state, c in zip(states, entries, strict=True) if c != 0.0))
     known = [entry for entry in entries if entry is not None]
     if len(known) < len(entries):
         return f"gap coordinate\n$y${ending}"
-    formula = combination(known, [state_symbol(system, each.name) for each in states])
-    alone = [(each, c) for each, c in zip(states, known, strict=True) if c != 0.0]
+    formula = combination(known, [state_symbol(system, state.name) for state in states])
+    alone = [(state, c) for state, c in zip(states, known, strict=True) if c != 0.0]
     meaning = alone[0][0].meaning.removeprefix("initial ") if [c for _, c in alone] == [1.0] else "gap coordinate"
     return f"{meaning}\n${formula}${ending}"
 
 
 def state_symbol(system: System, state: str) -> str:
-    """The symbol of a component of the state; the system knows it as the parameter of its initial value."""
+    """The symbol of a component of the state, from the parameter of its initial value."""
     return shown_symbol(system.parameter(state).symbol.removesuffix("(0)"), state)
 
 
 def combination(row: Sequence[float], symbols: Sequence[str], otherwise: str = "y") -> str:
     """The sum of symbols with these coefficients as mathtext, positive ones first: ``x_2 - x_1``.
 
-    ``otherwise`` where there are more than three of them.
+    ``otherwise`` for more than three terms.
     """
     terms = [(c, symbol) for c, symbol in zip(row, symbols, strict=True) if c != 0.0]
     terms.sort(key=lambda term: term[0] < 0.0)

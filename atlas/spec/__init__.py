@@ -1,1 +1,1 @@
-"""What to compute: the spec, its axes, and the geometry of cells on them."""
+"""The spec of an atlas, its axes, and the geometry of cells on them."""

@@ -12,11 +12,11 @@ from workers.settings import Settings
 
 KEYS = ("starts", "seed", "box", "keep")
 MOST_COST = 2**31 - 1
-"""Forcing periods that a cell may cost in all, by the width of ``periods_used``."""
+"""Largest cost of a cell in forcing periods, by the width of ``periods_used``."""
 
 
 def checked_attractors(given: object, record: System, settings: Settings) -> Starts | None:
-    """The initial states that a table asks for; InputError that names the wrong key. None if no table is given."""
+    """The initial states in a table; InputError with the wrong key. None if no table is given."""
     if given is None:
         return None
     table: object = resolved_attractors(given) if isinstance(given, Starts) else given
@@ -31,23 +31,23 @@ def checked_attractors(given: object, record: System, settings: Settings) -> Sta
         raise InputError('attractors: need method = "adaptive", found "fixed"')
     whole = {"count" if key == "starts" else key: table[key] for key in ("starts", "seed", "keep") if key in table}
     try:
-        made = Starts(**whole, box=_checked_box(table.get("box", {}), record))
+        starts = Starts(**whole, box=_checked_box(table.get("box", {}), record))
     except ValueError as error:
         raise error if isinstance(error, InputError) else InputError(f"attractors.{error}") from None
-    each = settings.max_periods + settings.survival
-    if made.count * each > MOST_COST:
+    cost = settings.max_periods + settings.survival
+    if starts.count * cost > MOST_COST:
         raise InputError(
-            f"attractors.starts: found {made.count}, of at most {each} periods each "
+            f"attractors.starts: found {starts.count}, of at most {cost} periods each "
             f"(solve.max_periods and survival); together they must be at most {MOST_COST}"
         )
-    return made
+    return starts
 
 
 def cell_attractors(starts: int, record: System, settings: Settings) -> Starts:
     """The initial states of a search for the attractors of one cell, which keeps all; InputError as above."""
-    found = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
-    assert found is not None
-    return found
+    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
+    assert search is not None
+    return search
 
 
 def resolved_search(
@@ -64,19 +64,19 @@ def resolved_attractors(starts: Starts) -> dict[str, Any]:
     return {"starts": starts.count, "seed": starts.seed, "box": box, "keep": starts.keep}
 
 
-def _checked_box(given: object, record: System) -> tuple[tuple[str, float, float], ...]:
-    if not isinstance(given, Mapping):
-        raise InputError(f"attractors.box: found {shown(given)}, must be a table of components of the initial state")
-    check_names("component in attractors.box", given, record.states)
-    found = []
+def _checked_box(value: object, record: System) -> tuple[tuple[str, float, float], ...]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"attractors.box: found {shown(value)}, must be a table of components of the initial state")
+    check_names("component in attractors.box", value, record.states)
+    box = []
     for name in record.states:
-        if name not in given:
+        if name not in value:
             continue
-        ends = given[name]
+        ends = value[name]
         if not isinstance(ends, list | tuple) or len(ends) != 2:
             raise InputError(f"attractors.box.{name}: found {shown(ends)}, must be two numbers, lowest and highest")
         low, high = (number(f"attractors.box.{name}", end) for end in ends)
         if not low <= high:
             raise InputError(f"attractors.box.{name}: found {low:g} to {high:g}, must rise")
-        found.append((name, low, high))
-    return tuple(found)
+        box.append((name, low, high))
+    return tuple(box)

@@ -18,7 +18,7 @@ KEYS = ("start", "stop", "num", "values", "scale", "continuation")
 SCALES = ("linear", "log")
 DIRECTIONS = ("forward", "backward")
 MAX_POINTS = 1_000_000
-"""Points on one axis: a million already makes a store of many terabytes, so that more is a slip of the pen."""
+"""Most points on an axis: a million already makes a store of many terabytes, so more is a typing error."""
 
 
 Values = Mapping[str, tuple[float, ...]]
@@ -27,10 +27,10 @@ Values = Mapping[str, tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Axis:
-    """A swept parameter: its name, its strictly increasing values, and the scale it is drawn on.
+    """A swept parameter: its name, its strictly increasing values, and the scale of its plots.
 
-    ``continuation`` is "forward" (rising values) or "backward" where each cell starts from its neighbour's attractor,
-    and None where cells are independent.
+    ``continuation`` is "forward" (rising values) or "backward" if each cell starts from its neighbour's attractor, and
+    None for independent cells.
     """
 
     name: str
@@ -69,9 +69,9 @@ class Axis:
 
 
 class StoredAxis(Axis):
-    """An axis from its outline, whose values are read at first use.
+    """An axis from its outline, with values read at first use.
 
-    ``read`` gives those of all axes by name. InputError where the outline is none.
+    ``read`` gives the values of all axes by name. InputError for an invalid outline.
     """
 
     def __init__(self, outline: Mapping[str, Any], read: Callable[[], Values]) -> None:
@@ -108,12 +108,12 @@ class StoredAxis(Axis):
 
 
 def spaced_again(outline: Mapping[str, Any]) -> tuple[float, ...]:
-    """The values of an axis that is evenly spaced on its scale, by its outline; InputError where none is."""
+    """The values of an axis with even spacing on its scale, from its outline; InputError for an invalid outline."""
     return _spaced(str(outline["name"]), outline, outline["scale"])
 
 
 def number(where: str, value: object) -> float:
-    """The value as a float; InputError where it is not a finite real number. ``where`` names it in the message."""
+    """The value as a float; InputError unless it is a finite real number. ``where`` names it in the message."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise InputError(f"{where}: found {shown(value)}, must be a number")
     try:
@@ -133,38 +133,38 @@ def admitted(parameter: Parameter, value: object) -> float:
     return result
 
 
-def read_axis(parameter: Parameter, given: object) -> Axis:
+def read_axis(parameter: Parameter, value: object) -> Axis:
     """An Axis from ``{start, stop, num}``, ``{values}``, or a list or an array of values.
 
     A table may also have a scale and a continuation.
     """
     where = f"axes.{parameter.name}"
-    if isinstance(given, StoredAxis):
-        return given
-    if isinstance(given, Axis):
-        given = {"values": given.values, "scale": given.scale, "continuation": given.continuation}
-    if isinstance(given, tuple):  # which may be meant as start, stop and num
+    if isinstance(value, StoredAxis):
+        return value
+    if isinstance(value, Axis):
+        value = {"values": value.values, "scale": value.scale, "continuation": value.continuation}
+    if isinstance(value, tuple):  # could be meant as start, stop and num
         raise InputError(
-            f"{where}: found the tuple {shown(given)}, must be a list of values, or a table with start, stop and num"
+            f"{where}: found the tuple {shown(value)}, must be a list of values, or a table with start, stop and num"
         )
-    if isinstance(given, np.ndarray) or (isinstance(given, Sequence) and not isinstance(given, str)):
-        given = {"values": given}
-    if not isinstance(given, Mapping):
-        raise InputError(f"{where}: found {shown(given)}, must be a table with start, stop and num, or with values")
-    check_names(f"key in {where}", given, KEYS)
-    scale, continuation = _checked_kind(where, given)
-    values = _listed(where, given) if "values" in given else _spaced(where, given, scale)
+    if isinstance(value, np.ndarray) or (isinstance(value, Sequence) and not isinstance(value, str)):
+        value = {"values": value}
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where}: found {shown(value)}, must be a table with start, stop and num, or with values")
+    check_names(f"key in {where}", value, KEYS)
+    scale, continuation = _checked_kind(where, value)
+    values = _listed(where, value) if "values" in value else _spaced(where, value, scale)
     if scale == "log" and values[0] <= 0:
         raise InputError(f"{where}: found {values[0]!r} on a log scale, must be > 0")
     if not np.all(parameter.admits(np.array(values))):
-        for value in values:
-            admitted(parameter, value)
+        for point in values:
+            admitted(parameter, point)
     return Axis(parameter.name, values, scale, continuation)
 
 
-def _checked_kind(where: str, given: Mapping[str, Any]) -> tuple[str, str | None]:
+def _checked_kind(where: str, table: Mapping[str, Any]) -> tuple[str, str | None]:
     """Scale and continuation of an axis."""
-    scale, continuation = given.get("scale", "linear"), given.get("continuation")
+    scale, continuation = table.get("scale", "linear"), table.get("continuation")
     if scale not in SCALES:
         raise InputError(f"{where}.scale: found {shown(scale)}, must be one of {', '.join(SCALES)}")
     if continuation is not None and continuation not in DIRECTIONS:
@@ -172,19 +172,19 @@ def _checked_kind(where: str, given: Mapping[str, Any]) -> tuple[str, str | None
     return scale, continuation
 
 
-def checked_num(where: str, given: Mapping[str, Any]) -> int:
-    """How many values a table says there are; InputError where that is no whole number."""
-    num = given["num"]
+def checked_num(where: str, table: Mapping[str, Any]) -> int:
+    """The number of values in a table; InputError unless it is an integer."""
+    num = table["num"]
     if not is_whole(num):
         raise InputError(f"{where}.num: found {shown(num)}, must be a whole number, 1 or more")
     return num
 
 
-def _listed(where: str, given: Mapping[str, Any]) -> tuple[float, ...]:
-    mixed = [key for key in ("start", "stop", "num") if key in given]
+def _listed(where: str, table: Mapping[str, Any]) -> tuple[float, ...]:
+    mixed = [key for key in ("start", "stop", "num") if key in table]
     if mixed:
         raise InputError(f"{where}: found values and {mixed[0]}; give either values, or start, stop and num")
-    listed = given["values"]
+    listed = table["values"]
     if isinstance(listed, np.ndarray) and listed.ndim == 1:
         listed = listed.tolist()
     if not isinstance(listed, Sequence) or isinstance(listed, str):
@@ -195,13 +195,13 @@ def _listed(where: str, given: Mapping[str, Any]) -> tuple[float, ...]:
     return values
 
 
-def _spaced(where: str, given: Mapping[str, Any], scale: str) -> tuple[float, ...]:
-    missing = [key for key in ("start", "stop", "num") if key not in given]
+def _spaced(where: str, table: Mapping[str, Any], scale: str) -> tuple[float, ...]:
+    missing = [key for key in ("start", "stop", "num") if key not in table]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} missing; give start, stop and num, or values")
-    num = checked_num(where, given)
+    num = checked_num(where, table)
     check_count(f"{where}.num", num)
-    start, stop = number(f"{where}.start", given["start"]), number(f"{where}.stop", given["stop"])
+    start, stop = number(f"{where}.start", table["start"]), number(f"{where}.stop", table["stop"])
     if scale == "log" and min(start, stop) <= 0:
         raise InputError(f"{where}: found {min(start, stop)!r} on a log scale, must be > 0")
     if num > 1 and not start < stop:
@@ -223,11 +223,11 @@ def check_count(where: str, count: int) -> None:
 
 
 def all_floats(values: Sequence[object]) -> tuple[float, ...]:
-    """The values where all are finite floats, at once, since there may be very many; else ()."""
+    """The values if all are finite floats, checked at once, since there may be very many; else ()."""
     if not all(type(value) is float for value in values):
         return ()
-    found = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
-    return tuple(found.tolist()) if np.all(np.isfinite(found)) else ()
+    floats = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
+    return tuple(floats.tolist()) if np.all(np.isfinite(floats)) else ()
 
 
 def _check_increasing(where: str, values: tuple[float, ...]) -> None:

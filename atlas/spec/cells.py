@@ -15,16 +15,15 @@ LONE_CELL = 0.05
 
 
 def is_uniform(values: NDArray[np.float64]) -> bool:
-    """Whether points are evenly spaced, to the rounding that storing them may leave."""
+    """Whether points are evenly spaced, up to the rounding of storage."""
     steps = np.diff(values)
     return bool(np.all(np.abs(steps - steps.mean()) <= 1e-6 * np.abs(steps.mean()))) if steps.size > 1 else True
 
 
 def edges_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """The n + 1 edges of the cells around n rising points: half way, on a log axis at the geometric mean.
+    """The n + 1 edges of the cells around n rising points: midway, on a log axis at the geometric mean.
 
-    The outermost cells reach as far beyond their point as they do towards the neighbour. A lone point gets a cell of
-    +-LONE_CELL of its value.
+    The outermost cells are symmetric about their points. A single point gets a cell of +-LONE_CELL of its value.
     """
     if values.size == 1:
         half = LONE_CELL * abs(float(values[0])) or LONE_CELL
@@ -36,16 +35,16 @@ def edges_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
 
 
 def nearest(name: str, values: NDArray[np.float64], edges: NDArray[np.float64], value: float) -> int:
-    """The place of the point of an axis nearest to a value; InputError more than half a cell beyond the ends."""
+    """The index of the point of an axis nearest to a value; InputError more than half a cell beyond the ends."""
     if not edges[0] <= value <= edges[-1]:
         raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
     return int(np.argmin(np.abs(values - value)))
 
 
 def widths_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """Widths of the cells around n rising points, in the axis's own unit; 1 where all are equal.
+    """Widths of the cells around n rising points, in the axis's own unit; 1 for equal ones.
 
-    Only their ratios count, and ones are free of the rounding of edges.
+    Only their ratios count, and ones are free of rounding.
     """
     return np.ones_like(values) if is_uniform(values) else np.diff(edges_of(values, log))
 

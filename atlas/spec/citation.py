@@ -21,7 +21,7 @@ _REFERENCE = re.compile(
 
 
 def software(version: str, solver_version: int) -> str:
-    """The entry of the software; a paper needs the solver version to be repeated."""
+    """The entry of the software, with the solver version that a paper needs to be reproducible."""
     return f"""@software{{impact-atlas,
   author  = {{{{impact-atlas contributors}}}},
   title   = {{impact-atlas: maps of chaos in vibro-impact oscillators}},
@@ -31,7 +31,7 @@ def software(version: str, solver_version: int) -> str:
 
 
 def sources(system: System) -> list[str]:
-    """An entry for each reference in a system's ``source``; what is no journal article becomes a note.
+    """An entry for each reference in a system's ``source``; references other than journal articles become notes.
 
     References are separated by semicolons: "Shaw S. W. & Holmes P. J., J. Sound Vib. 90 (1983) 129". The packaged
     systems give no titles of articles. The paper of the method has an entry of its own.
@@ -40,9 +40,9 @@ def sources(system: System) -> list[str]:
     for part in (part.strip() for part in system.source.split(";")):
         if _METHOD_SOURCE in part:
             continue
-        found = _REFERENCE.fullmatch(part)
-        if found:
-            entries.append(_article(found))
+        match = _REFERENCE.fullmatch(part)
+        if match:
+            entries.append(_article(match))
         elif part:
             notes.append(part)
     if notes and not entries:
@@ -52,23 +52,23 @@ def sources(system: System) -> list[str]:
 
 
 def computed_by(packages: str) -> str:
-    """The version of this package among the versions that a store's attribute ``software`` lists."""
-    found = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", packages)
-    return found[1] if found else "unknown"
+    """The version of this package in a store's attribute ``software``."""
+    match = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", packages)
+    return match[1] if match else "unknown"
 
 
 def bibtex(system: System, version: str, solver_version: int) -> str:
-    """All entries for an atlas of a system that a version of the package computed."""
+    """All entries for an atlas of a system computed by a version of the package."""
     return "\n\n".join([software(version, solver_version), METHOD, *sources(system)])
 
 
-def _article(found: re.Match[str]) -> str:
-    names = re.split(r", | & ", found["authors"])
+def _article(match: re.Match[str]) -> str:
+    names = re.split(r", | & ", match["authors"])
     authors = " and ".join("{}, {}".format(*name.split(" ", 1)) if " " in name else name for name in names)
     return (
-        f"@article{{{_key(names[0].split()[0])}-{found['year']},\n"
-        f"  author  = {{{authors}}},\n  journal = {{{found['journal']}}},\n  volume  = {{{found['volume']}}},\n"
-        f"  pages   = {{{found['pages']}}},\n  year    = {{{found['year']}}},\n}}"
+        f"@article{{{_key(names[0].split()[0])}-{match['year']},\n"
+        f"  author  = {{{authors}}},\n  journal = {{{match['journal']}}},\n  volume  = {{{match['volume']}}},\n"
+        f"  pages   = {{{match['pages']}}},\n  year    = {{{match['year']}}},\n}}"
     )
 
 

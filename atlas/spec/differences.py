@@ -6,44 +6,44 @@ from workers.model.system import identity
 
 
 def differences(stored: Spec, given: Spec) -> list[str]:
-    """In what two specs differ, each in a few words."""
-    found = []
+    """The differences of two specs, each in a few words."""
+    texts = []
     if stored.system != given.system:
-        found.append(f"system {stored.system} in the store, {given.system} in the spec")
+        texts.append(f"system {stored.system} in the store, {given.system} in the spec")
     elif identity(stored.record.resolved()) != identity(given.record.resolved()):
-        found.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, given)}")
+        texts.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, given)}")
     names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
     if stored.points or given.points:
-        found += differing(stored.points, given.points)
+        texts += differing(stored.points, given.points)
     elif names != wanted:
         what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
-        found.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
+        texts.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
     else:
         pairs = zip(stored.axes, given.axes, strict=True)
-        found += [
+        texts += [
             f"axis {old} in the store, {new} in the spec"
             for old, new in pairs
             if (old.values, old.continuation) != (new.values, new.continuation)
         ]
     if (stored.attractors is None) != (given.attractors is None):
         one, all_of_them = ("store", "spec") if stored.attractors is None else ("spec", "store")
-        found.append(f"one attractor for each cell in the {one}, all attractors in the {all_of_them}")
+        texts.append(f"one attractor for each cell in the {one}, all attractors in the {all_of_them}")
     for before, after in (
         (stored.parameters, given.parameters),
         (stored.outline()["solve"], given.outline()["solve"]),
         (stored.outline().get("attractors", {}), given.outline().get("attractors", {})),
     ):
         common = before.keys() & after.keys()
-        found += [
+        texts += [
             f"{name} = {before[name]!r} in the store, {after[name]!r} in the spec"
             for name in before
             if name in common and before[name] != after[name]
         ]
-    return found
+    return texts
 
 
 def _defined_otherwise(stored: Spec, given: Spec) -> str:
-    """In which entries two systems of one name differ."""
+    """The entries that differ between two systems of the same name."""
     if stored.record.packaged or given.record.packaged:
         return "only one of the two is in the package"
     one, other = (identity(spec.record.resolved())["system"] for spec in (stored, given))

@@ -1,4 +1,4 @@
-"""The equation of motion of a system, in text: its author's, or its definition written out."""
+"""The equation of motion of a system, in text: its author's, or generated from its definition."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -13,11 +13,11 @@ from workers.model.system import System
 
 
 def equation_of(system: System) -> str:
-    """The equation as the system's definition gives it in words; where it gives none, written out of its entries.
+    """The equation in the words of the definition, or generated from its entries.
 
-    A line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, with what is zero left
-    out; then the forcing period where it is not 2 pi / omega, the stops, the impact law, friction, phases, what may
-    drift and the names that expressions use.
+    A line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, without zero terms; then
+    the forcing period if it is not 2 pi / omega, the stops, the impact law, friction, phases, the drifting coordinate
+    and the names in expressions.
     """
     if system.equation.strip():
         return system.equation
@@ -32,7 +32,7 @@ def equation_of(system: System) -> str:
             for matrix, primes in matrices
             for entry, x in zip(matrix[i], machine.coordinates, strict=True)
         ]
-        right = [(machine.load[i], ""), *(part for each in machine.harmonics for part in _harmonic(each, i))]
+        right = [(machine.load[i], ""), *(part for harmonic in machine.harmonics for part in _harmonic(harmonic, i))]
         lines.append(f"{_sum(left)} = {_sum(right)}")
     if machine.turns > 1:
         lines.append(f"forcing period {2 * machine.turns} pi / omega")
@@ -56,22 +56,22 @@ def equation_of(system: System) -> str:
         lines.append(f"spring {spring.name} on y = {y}: pulls back by {_law(spring, counts)}")
     if machine.drift:
         lines.append(f"{machine.drift} may drift")
-    return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
+    return "\n".join(lines + [f"{name} = {_number(value)}" for name, value in machine.let])
 
 
 def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int, int]) -> list[str]:
-    """The lines of a contact: its coordinate, where it is free, and what it does else."""
+    """The lines of a contact: its coordinate, its free range, and its law outside."""
     gap = _sum(zip(contact.gap, coordinates, strict=True))
     name = gap if gap in coordinates else "gap"
     if not contact.stops:
         return ["no stop"]
     lines = [] if name == gap else [f"gap = {gap}"]
-    ends = [name if each is None else _number(each) for each in (contact.lower, contact.upper)]
+    ends = [name if stop is None else _number(stop) for stop in (contact.lower, contact.upper)]
     lines.append(" <= ".join([ends[0], name, ends[1]] if name not in ends else ends))
     if contact.restitution is not None:
         return [*lines, f"at a stop {name}' -> -{_factor(contact.restitution)} * {name}'"]
     force = [(contact.preload, ""), (contact.stiffness, "d"), (contact.damping, "d'")]
-    known = _sum([(each, of) for each, of in force if each is not None])
+    known = _sum([(coefficient, of) for coefficient, of in force if coefficient is not None])
     if contact.law is not None:
         known = _law(contact, counts) + ("" if known == "0" else f" + {known}")
     until = ", as long as that pushes" if contact.release == "force" else ""
@@ -79,14 +79,14 @@ def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int
 
 
 def _level(friction: Friction, counts: Mapping[int, int]) -> str:
-    """The force of friction that slides."""
+    """The force of sliding friction."""
     if friction.law is not None:
         return _law(friction, counts)
     return _sum([(friction.kinetic, ""), (friction.slope, "|v|")])
 
 
 def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str:
-    """The law of an element: its expression, or the first and the last point, and how many segments it has."""
+    """The law of an element: its expression, or the first and the last point and the number of segments."""
     law, count = element.law, counts[id(element)]
     if isinstance(law, Expression):
         assert element.within is not None
@@ -105,7 +105,7 @@ def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:
 
 
 def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
-    """The sum of coefficients times terms; a coefficient of None is 1, terms with one of 0 are omitted."""
+    """The sum of coefficients times terms; a coefficient of None is 1, zero terms are omitted."""
     text = ""
     for coefficient, of in terms:
         if coefficient is not None and coefficient.constant == 0.0:
@@ -130,7 +130,7 @@ def _term(coefficient: Expression, of: str) -> str:
 
 
 def _factor(expression: Expression) -> str:
-    """An expression that a product may have: a sum in parentheses."""
+    """An expression as a factor of a product: a sum in parentheses."""
     text, outside = _number(expression), _number(expression)
     while "(" in outside:
         outside = re.sub(r"\([^()]*\)", "", outside)
@@ -138,7 +138,7 @@ def _factor(expression: Expression) -> str:
 
 
 def _number(expression: Expression) -> str:
-    """An expression as one writes it: its text has a space between all its parts, and whole numbers with a point."""
+    """An expression in usual notation: without spaces between all parts and points in integers."""
     if expression.constant is not None:
         return f"{expression.constant:.12g}"
     text = re.sub(r"(?<![\w.])(\d+)\.0(?!\d)", r"\1", expression.text)

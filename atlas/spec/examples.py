@@ -16,7 +16,7 @@ def example_names() -> list[str]:
 
 
 def example_text(name: str) -> str:
-    """The packaged example of that name, as TOML; InputError with the nearest name otherwise."""
+    """The packaged example of this name, as TOML; InputError with the nearest name otherwise."""
     names = example_names()
     if name not in names:
         raise InputError(unknown_name("example", name, names))
@@ -24,7 +24,7 @@ def example_text(name: str) -> str:
 
 
 def packaged_text(name: str) -> str:
-    """The packaged example that was named in place of a file; InputError where there is neither."""
+    """The packaged example named in place of a file; InputError if neither exists."""
     if name.endswith(".toml") or "/" in name or os.sep in name:
         raise InputError("no such file")
     try:

@@ -1,4 +1,4 @@
-"""The spec of a larger or finer atlas, which has the cells of a stored one to the bit."""
+"""The spec of a larger or finer atlas, which contains the cells of a stored one to the bit."""
 
 from collections.abc import Mapping
 
@@ -11,27 +11,27 @@ from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 
 SAME_VALUE_ULPS = 64
-"""Units in the last place within which a new value means an old one: by so much do two ways to space points differ."""
+"""Difference, in units in the last place, up to which a new value counts as an old one: two ways to space points."""
 
 
 def extended(stored: Spec, given: Spec, name: str) -> Spec:
     """The given spec with the stored spec's own values, see ``keep_values``.
 
-    InputError, which begins with the name of the store, if more than values differ.
+    InputError, beginning with the name of the store, if more than values differ.
     """
     if stored.continuation is not None or given.continuation is not None:
         raise InputError(f"{name}: a continued sweep cannot be extended: each cell depends on those before it")
     names = [axis.name for axis in stored.axes]
     with_old_axes = given.resolved() | ({"axes": stored.resolved()["axes"]} if names == _names(given) else {})
-    found = differences(stored, Spec.from_resolved(with_old_axes))
-    if found:
-        raise InputError(f"{name}: cannot be extended by this spec: {'; '.join(found)}")
+    reasons = differences(stored, Spec.from_resolved(with_old_axes))
+    if reasons:
+        raise InputError(f"{name}: cannot be extended by this spec: {'; '.join(reasons)}")
     axes = {new.name: keep_values(before, new) for before, new in zip(stored.axes, given.axes, strict=True)}
     return _spec_of(stored, axes, given.tile)
 
 
 def refined(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[int, ...] | None = None) -> Spec:
-    """The spec with each axis finer by a factor: new values between the old ones, which stay to the bit.
+    """The spec with each axis refined by a factor: new values between the old ones, which stay to the bit.
 
     ``refine`` is one factor for all axes with more than one value, or factors by name. New values divide the step
     between two old ones evenly, on a log axis their ratio. n values become (n - 1) factor + 1.
@@ -68,7 +68,7 @@ def _finer(axis: Axis, factor: int) -> Axis:
 
 
 def keep_values(stored: Axis, given: Axis) -> Axis:
-    """The given axis, with the stored value in place of each that differs from it by rounding only."""
+    """The given axis, with stored values in place of those that differ by rounding only."""
     old, new = np.array(stored.values), np.array(given.values)
     after = np.searchsorted(old, new)
     below, above = old[np.maximum(after - 1, 0)], old[np.minimum(after, len(old) - 1)]

@@ -1,7 +1,7 @@
-"""The form of a spec file as a JSON Schema, by which editors of TOML complete and check it.
+"""The form of a spec file as a JSON Schema, with which editors of TOML complete and check it.
 
-It is made from the records that check a spec. A spec that it refuses is refused by ``Spec`` too, apart from the unused
-``stop`` of an axis of one value; what it cannot say, such as that the values of an axis rise, is left to ``Spec``.
+It is generated from the records that check a spec. ``Spec`` also refuses every spec that the schema refuses, except for
+an unused ``stop`` of an axis of one value. ``Spec`` alone checks the rest, such as rising values of an axis.
 """
 
 import math
@@ -40,7 +40,7 @@ _NAME: Schema = {"type": "string", "pattern": f"^{NAME.pattern}$"}
 
 
 def spec_schema() -> Schema:
-    """The schema of a spec file. TOML's infinities and NaN are no JSON: a validator sees floats there."""
+    """The schema of a spec file. TOML's infinities and NaN are not JSON: a validator sees floats there."""
     sections = {
         "system": {
             "description": "a packaged system, the path of a .toml file, or a definition",
@@ -77,7 +77,7 @@ def spec_schema() -> Schema:
 
 
 def _of_packaged(system: System) -> Schema:
-    """What follows where the system is a packaged one: which parameters there are, with their ranges."""
+    """The schema for a packaged system: its parameters with their ranges."""
     known = system.parameters
     fixed = {p.name: {"description": p.meaning, "default": p.default, **_NUMBER, **_range(p)} for p in known}
     swept = {p.name: {"description": p.meaning, **_values_within(_range(p))} for p in known}
@@ -102,7 +102,7 @@ def _range(parameter: Parameter) -> Schema:
 
 
 def _values_within(ends: Schema) -> Schema:
-    """That the values of an axis, a list of them or a table, are within a range."""
+    """The values of an axis, a list or a table, within a range."""
     return {"items": ends, "properties": {"start": ends, "stop": ends, "values": {"items": ends}}} if ends else {}
 
 
@@ -134,8 +134,8 @@ def _settings() -> Schema:
     kinds |= {"tolerance": {**_NUMBER, **_POSITIVE}, "observe": _TEXT}
     return _table(
         {
-            each.name: {"description": SETTING_MEANINGS[each.name], **kinds[each.name], "default": each.default}
-            for each in fields(Settings)
+            field.name: {"description": SETTING_MEANINGS[field.name], **kinds[field.name], "default": field.default}
+            for field in fields(Settings)
         }
     )
 
@@ -152,7 +152,7 @@ def _attractors() -> Schema:
 
 
 def _definition() -> Schema:
-    """A machine as a table [system]: ``KEYS`` of it; matrices and rows have one size for each number of coordinates."""
+    """A machine as a table [system]: a part of ``KEYS``, with sizes of rows and matrices by number of coordinates."""
     row, matrix = _list(_ENTRY, 1, LARGEST), _list(_list(_ENTRY, 1, LARGEST), 1, LARGEST)
     entries: Schema = {key: _TEXT for key in TEXTS}
     entries |= {key: _list(_NAME, 1, LARGEST) for key in ("coordinates", "velocities")}
@@ -251,5 +251,5 @@ def _whole(low: int, high: int | None = None) -> Schema:
 
 
 def _without(keys: Iterable[str]) -> Schema:
-    """That none of these keys is there."""
+    """The absence of all these keys."""
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}

@@ -1,4 +1,4 @@
-"""A table of points: parameter sets, one row a cell, in place of axes."""
+"""A table of points: parameter sets, one row per cell, in place of axes."""
 
 import csv
 import itertools
@@ -15,16 +15,16 @@ from workers.model.parameter import Parameter
 from workers.model.system import System
 
 POINT = "point"
-"""The dimension along the rows, and the number of a row: 0 is the first."""
+"""The dimension along the rows, numbered from 0."""
 FILE = "file"
-"""The key of a spec's [points] that names the file."""
+"""The key of a spec's [points] with the file name."""
 
 Columns = Values
 """The columns of a table by name."""
 
 
 class StoredColumns(Columns):
-    """Columns with a number of rows; ``read`` reads all values when one is first needed."""
+    """Columns with a number of rows; ``read`` reads all values at first use."""
 
     def __init__(self, names: Iterable[str], rows: int, read: Callable[[], Columns]) -> None:
         self._names, self.rows, self._read = tuple(names), rows, read
@@ -55,10 +55,10 @@ def row_count(points: Columns) -> int:
 
 
 def checked_points(given: object, record: System, folder: Path | None = None) -> Columns:
-    """The columns of a table by name, from ``{"file": path}`` or from a mapping of names to equally many values.
+    """The columns of a table by name, from ``{"file": path}`` or from a mapping of names to value lists of one length.
 
-    A path is looked for in the folder, if any. Raises InputError that names the row and the column of a value that is
-    no number, or outside its parameter's range. Rows are counted as a spreadsheet does: row 1 is that of the names.
+    A path is relative to the folder, if any. InputError with row and column for a value that is no number, or outside
+    its parameter's range. Rows are counted as in a spreadsheet: row 1 has the names.
     """
     if isinstance(given, StoredColumns):
         check_names("parameter", given, [parameter.name for parameter in record.parameters])
@@ -73,7 +73,7 @@ def checked_points(given: object, record: System, folder: Path | None = None) ->
 
 
 def axis_of(points: Columns) -> Axis:
-    """The rows of a table as an axis of their numbers."""
+    """The rows of a table as an axis of row numbers."""
     return Axis(POINT, tuple(map(float, range(row_count(points)))))
 
 
@@ -83,7 +83,7 @@ def described(points: Columns) -> str:
 
 
 def differing(stored: Columns, given: Columns) -> list[str]:
-    """In what two tables differ, in a few words; nothing where they do not."""
+    """The difference of two tables in a few words; empty if they are equal."""
     if stored == given:
         return []
     if stored.keys() != given.keys():
@@ -142,31 +142,31 @@ def _check_handle(where: str, names: Sequence[object], record: System) -> None:
 
 def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Columns:
     _check_handle(where, list(given), record)
-    found: dict[str, tuple[float, ...]] = {}
+    columns: dict[str, tuple[float, ...]] = {}
     for name, values in given.items():
         listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
         if not isinstance(listed, Sequence) or isinstance(listed, str):
             raise InputError(f"{where}: column {name}: found {shown(values)}, must be a list of numbers")
-        found[name] = _all_admitted(record.parameter(name), listed) or tuple(
+        columns[name] = _all_admitted(record.parameter(name), listed) or tuple(
             _value(f"{where}, row {place}, column {name}", name, value, record) for place, value in enumerate(listed, 2)
         )
-    for (one, values), (other, others) in itertools.pairwise(found.items()):
+    for (one, values), (other, others) in itertools.pairwise(columns.items()):
         if len(values) != len(others):
             raise InputError(f"{where}: found {len(values)} values of {one} and {len(others)} of {other}")
-    if not row_count(found):
+    if not row_count(columns):
         raise InputError(f"{where}: found 0 rows below the names, must be 1 or more")
-    return found
+    return columns
 
 
 def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float, ...]:
-    """The values where all are floats that the parameter admits; else ()."""
-    found = all_floats(values)
-    return found if np.all(parameter.admits(np.array(found))) else ()
+    """The values if all are floats that the parameter admits; else ()."""
+    floats = all_floats(values)
+    return floats if np.all(parameter.admits(np.array(floats))) else ()
 
 
 def _value(where: str, name: str, value: object, record: System) -> float:
-    found = number(where, value)
+    checked = number(where, value)
     try:
-        return admitted(record.parameter(name), found)
+        return admitted(record.parameter(name), checked)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None

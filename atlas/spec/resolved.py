@@ -13,7 +13,7 @@ from workers.model.system import identity
 FIRST_SETTINGS = (
     "exponents", "tolerance", "max_periods", "method", "transient_periods", "periods", "max_period", "section_samples",
 )  # fmt: skip
-"""Those of the first version, which enter every digest. A setting added since does not belong here."""
+"""Settings of the first version, which enter every digest. Settings added since do not belong here."""
 
 
 def outlined(outline: Mapping[str, Any]) -> list[str]:
@@ -22,7 +22,7 @@ def outlined(outline: Mapping[str, Any]) -> list[str]:
 
 
 def with_values(outline: Mapping[str, Any], values: Values) -> dict[str, Any]:
-    """The resolved spec of an outline: with the values of its axes, or of the columns of its points, by name."""
+    """The resolved spec of an outline, with the values of its axes or of the columns of its points, by name."""
     if "points" in outline:
         return {**outline, "points": {name: list(values[name]) for name in outlined(outline)}}
     ends = ("start", "stop", "num")
@@ -36,10 +36,9 @@ def with_values(outline: Mapping[str, Any], values: Values) -> dict[str, Any]:
 def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:
     """SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
 
-    A packaged system enters it by its name, and from its second version on by that; another one by its definition,
-    without the words in it.
-    Settings added since the first version enter it only where they are not at their default, so that a spec from
-    before keeps its digest. ``table`` has the defaults.
+    A packaged system enters by its name, with its version from the second on; another system by its definition without
+    words. Settings added since the first version enter only if they differ from their defaults, so that earlier specs
+    keep their digests. ``table`` has the defaults.
     """
     axes = [
         [axis["name"], axis["values"]] + ([axis["continuation"]] if "continuation" in axis else [])
@@ -55,5 +54,5 @@ def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Setting
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:
-    """SHA-256 of a mapping as JSON. Python writes a float as its shortest exact decimal: equal text is equal bits."""
+    """SHA-256 of a mapping as JSON. Python writes floats as shortest exact decimals: equal text is equal bits."""
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()

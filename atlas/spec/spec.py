@@ -26,7 +26,7 @@ from workers.results import Variable
 SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "store")
 MOST_AXES = 3
 FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "three whole numbers (1, y, x)"}
-"""What the shape of a tile is, by the number of axes."""
+"""Meaning of the shape of a tile, by the number of axes."""
 SETTING_MEANINGS = {
     "exponents": "Which Lyapunov exponents.",
     "tolerance": "Standard error of the largest exponent at which a chaotic cell stops.",
@@ -46,26 +46,26 @@ Slices = tuple[slice, ...]
 
 @dataclass(frozen=True, init=False)
 class Spec:
-    """What to compute: a system, its fixed parameters (defaults filled in), its cells, and how to solve.
+    """A spec: a system, its fixed parameters (defaults filled in), its cells, and how to solve them.
 
     ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes the tables
     of the TOML file; an axis may also be a list or array of values. The first axis is x, the last dimension of every
     array. An axis with ``continuation`` is swept: each cell starts from its neighbour's attractor, and a whole line of
     cells is in one tile.
 
-    ``tile`` is the (y, x) shape of a tile, or None for the default; it changes no number. ``system`` is the name of a
-    packaged system, the path of a .toml file, a table of its form or a ``workers.System``; the spec keeps its name as
-    ``system`` and its definition as ``record``.
+    ``tile`` is the (y, x) shape of a tile, or None for the default; it does not affect any number. ``system`` is the
+    name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``; the spec keeps its
+    name as ``system`` and its definition as ``record``.
 
     One axis makes a sweep, two a plane, three a stack of planes: one plane for each value of the third. ``points``
-    replaces the axes by a table of parameter sets, one row a cell: its columns by name, or ``{"file": "table.csv"}``.
+    replaces the axes by a table of parameter sets, one row per cell: its columns by name, or ``{"file": "table.csv"}``.
     The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty. Columns
     override ``parameters``.
 
     ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a
-    ``workers.attractors.starts.Starts``, asks for all attractors that this number of initial states of a cell reach;
-    None asks for the attractor of the cell's own initial state. Where all axes are components of the initial state the
-    results are basins: the attractor that each initial state of the one machine reaches.
+    ``workers.attractors.starts.Starts``, asks for all attractors reached from this number of initial states of a cell;
+    None asks for the attractor of the cell's own initial state. If all axes are components of the initial state, the
+    results are basins: the attractor of each initial state of one machine.
 
     Raises InputError for anything that cannot be solved.
 
@@ -136,30 +136,29 @@ class Spec:
         return f"<Spec of {self.system}: {'; '.join([' x '.join(self.described), *given])}>"
 
     @classmethod
-    def from_mapping(cls, given: Mapping[str, Any], folder: Path | None = None) -> "Spec":
-        """The spec of a mapping in the form of the TOML file; a system's file is searched for in the folder."""
-        check_names("key", given, SECTIONS)
-        if "system" not in given:
+    def from_mapping(cls, tables: Mapping[str, Any], folder: Path | None = None) -> "Spec":
+        """The spec of a mapping in the form of the TOML file; a system's file is relative to the folder."""
+        check_names("key", tables, SECTIONS)
+        if "system" not in tables:
             raise InputError("system missing")
-        if "axes" not in given and "points" not in given:
+        if "axes" not in tables and "points" not in tables:
             raise InputError("axes missing; one to three tables [axes.NAME], or [points] with a file")
-        system = checked_system(given["system"], folder)
-        tables = {"points": checked_points(given["points"], system, folder)} if "points" in given else {}
-        return cls(**{**given, **tables, "system": system})
+        system = checked_system(tables["system"], folder)
+        points = {"points": checked_points(tables["points"], system, folder)} if "points" in tables else {}
+        return cls(**{**tables, **points, "system": system})
 
     @classmethod
     def from_toml(cls, source: str | Path, points: str | Path | None = None) -> "Spec":
-        """The spec of a TOML file, or of the packaged example of that name where there is no such file.
+        """The spec of a TOML file, or of the packaged example of this name if there is no such file.
 
-        ``points`` is a CSV file of parameter sets that replaces its axes, which have to be columns there, or its own
-        points.
+        ``points`` is a CSV file of parameter sets that replaces its points or its axes, which must be columns there.
         """
         path, where = checked_path(source, "spec"), str(source) or "''"
         try:
-            given = read_toml(path) if path.exists() else parse_toml(packaged_text(str(source)))
+            tables = read_toml(path) if path.exists() else parse_toml(packaged_text(str(source)))
             if points is not None:
-                given = _with_points(given, Path(points), path.parent)
-            return cls.from_mapping(given, path.parent)
+                tables = _with_points(tables, Path(points), path.parent)
+            return cls.from_mapping(tables, path.parent)
         except (InputError, TomlError) as error:
             raise InputError(f"{where}: {error}") from None
         except OSError as error:
@@ -187,7 +186,7 @@ class Spec:
 
     @property
     def continuation(self) -> tuple[int, bool] | None:
-        """Place in ``dims`` of the axis that is continued, and whether backward; None where cells are independent."""
+        """Index in ``dims`` of the continued axis, and whether backward; None for independent cells."""
         for place, axis in enumerate(reversed(self.axes)):
             if axis.continuation:
                 return place, axis.continuation == "backward"
@@ -198,7 +197,7 @@ class Spec:
         return with_values(self.outline(), self.points or {axis.name: axis.values for axis in self.axes})
 
     def outline(self) -> dict[str, Any]:
-        """``resolved`` without the values of axes and points: of these their names and number, of axes the ends."""
+        """``resolved`` without the values of axes and points: only names, numbers of values, and the ends of axes."""
         cells: dict[str, Any]
         if self.points:
             cells = {"axes": [], "points": {"columns": [*self.points], "num": row_count(self.points)}}
@@ -209,7 +208,7 @@ class Spec:
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
-        """The inverse of ``resolved``, tile shape aside."""
+        """The inverse of ``resolved``, except for the tile shape."""
         axes = {
             axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
             for axis in resolved["axes"]
@@ -218,16 +217,16 @@ class Spec:
 
     @classmethod
     def from_outline(cls, outline: Mapping[str, Any], read: Callable[[], Values]) -> "Spec":
-        """The inverse of ``outline``, with the values that ``read`` gives by name, at first use."""
+        """The inverse of ``outline``; ``read`` gives the values by name at first use."""
         points = outline.get("points")
         columns = None if points is None else StoredColumns(points["columns"], checked_num("points", points), read)
         return cls._of(outline, {axis["name"]: StoredAxis(axis, read) for axis in outline["axes"]}, columns)
 
     @classmethod
     def from_dataset(cls, ds: Any) -> "Spec":
-        """The spec of an atlas that was opened, exported or loaded whole, as an xarray Dataset; tile shape aside.
+        """The spec of an atlas opened, exported or loaded whole as an xarray Dataset, except for the tile shape.
 
-        InputError where it does not have its spec, or not all of its cells.
+        InputError if the dataset lacks its spec or some of its cells.
         """
         checked_atlas(ds)
         try:
@@ -241,9 +240,9 @@ class Spec:
 
     @classmethod
     def _of(cls, resolved: Mapping[str, Any], axes: Mapping[str, Axis], points: Mapping[str, Any] | None) -> "Spec":
-        """The spec of a resolved one or an outline, with these cells."""
-        given = axes, resolved["parameters"], resolved["solve"]
-        return cls(resolved_system(resolved), *given, points=points, attractors=resolved.get("attractors"))
+        """The spec of a resolved spec or an outline, with these cells."""
+        parts = axes, resolved["parameters"], resolved["solve"]
+        return cls(resolved_system(resolved), *parts, points=points, attractors=resolved.get("attractors"))
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -251,14 +250,14 @@ class Spec:
         return self.record.variables(self.settings, attractors=self.coexistence, basins=self.basins)
 
     def observing(self, observe: str) -> "Spec":
-        """The same spec, with these observables, see ``workers.Settings``."""
+        """The same spec with these observables, see ``workers.Settings``."""
         other = copy(self)
         asked = replace(self.settings, observe=observe)
         object.__setattr__(other, "settings", observable_settings(asked, self.record))
         return other
 
     def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
-        """The same spec, with tiles of this shape."""
+        """The same spec with tiles of this shape."""
         other = copy(self)
         object.__setattr__(other, "tile", tile)
         return other
@@ -270,7 +269,7 @@ class Spec:
 
     @property
     def of_states(self) -> bool:
-        """Whether all its axes are components of the initial state: its cells are of one machine."""
+        """Whether all its axes are components of the initial state, so that its cells belong to one machine."""
         names = [*self.points] if self.points else [axis.name for axis in self.axes]
         return {*self.record.states}.issuperset(names)
 
@@ -285,7 +284,7 @@ class Spec:
         return resolved_digest(self.resolved())
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
-        """Parameters of a block of cells as solve_tile takes them: axes as arrays that broadcast to its shape."""
+        """Parameters of a block of cells as for solve_tile: axes as arrays that broadcast to its shape."""
         params: dict[str, float | np.ndarray] = dict(self.parameters)
         if self.points:
             (rows,) = slices
@@ -298,7 +297,7 @@ class Spec:
 
 
 def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by name, given as a mapping, as keywords or as both, like xarray's ``sel``."""
+    """Values by name, from a mapping, keywords or both, as in xarray's ``sel``."""
     if given is not None and not isinstance(given, Mapping):
         raise InputError(f"found {shown(given)}, must be values by name, such as omega=3 or {{'omega': 3}}")
     for name in named:
@@ -308,7 +307,7 @@ def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> d
 
 
 def given_settings(given: Settings | None) -> Settings:
-    """The settings that a call gives; the defaults for None."""
+    """The settings in a call; the defaults for None."""
     return Settings() if given is None else checked_kind("settings", given, Settings, "atlas.Settings(...)")
 
 
@@ -321,20 +320,20 @@ def check_parameters(record: System, given: Iterable[object], kind: str = "param
 
 
 def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
-    """All parameters of a system, those given checked against their ranges, the others at their defaults."""
+    """All parameters of a system: given ones checked against their ranges, others at their defaults."""
     check_parameters(record, given)
     return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in record.parameters}
 
 
 def checked_settings(given: Mapping[str, Any]) -> Settings:
-    """Settings from the [solve] table; InputError that names the setting otherwise."""
+    """Settings from the [solve] table; InputError with the setting otherwise."""
     if not isinstance(given, Mapping):
         raise InputError(f"solve: found {shown(given)}, must be a table")
     check_names("key in solve", given, [field.name for field in fields(Settings)])
     for name, value in given.items():
         if is_whole(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
             raise InputError(f"solve.{name}: found {shown(value)}, must be less than 2**63")
-    # A whole tolerance is the same number, and has to have the same digest, as a float.
+    # A whole tolerance must have the same digest as the equal float.
     whole: dict[str, Any] = {
         name: float(value) if name == "tolerance" and is_whole(value) else value for name, value in given.items()
     }
@@ -345,7 +344,7 @@ def checked_settings(given: Mapping[str, Any]) -> Settings:
 
 
 def observable_settings(settings: Settings, record: System) -> Settings:
-    """These settings; InputError where they ask for an observable that the system does not have."""
+    """These settings; InputError for an observable that the system does not have."""
     try:
         record.observables(settings)
     except ValueError as error:
@@ -353,18 +352,18 @@ def observable_settings(settings: Settings, record: System) -> Settings:
     return settings
 
 
-def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:
-    """A spec's tables with a file of points in place of its axes; InputError unless each axis is a column there."""
-    check_names("key", given, SECTIONS)
-    if "system" not in given:
+def _with_points(tables: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:
+    """A spec's tables with a file of points in place of its axes; InputError unless each axis is a column."""
+    check_names("key", tables, SECTIONS)
+    if "system" not in tables:
         raise InputError("system missing")
-    columns = checked_points({FILE: points}, checked_system(given["system"], folder))
-    axes = given.get("axes", {})
+    columns = checked_points({FILE: points}, checked_system(tables["system"], folder))
+    axes = tables.get("axes", {})
     for name in axes if isinstance(axes, Mapping) else ():
         if name not in columns:
             raise InputError(f"{name} is an axis but not a column of {points}; add the column or remove the axis")
-    replaced = ("axes", "store") if "axes" in given else ()  # the tile shape of the axes does not fit the rows
-    return {**{key: table for key, table in given.items() if key not in replaced}, "points": columns}
+    replaced = ("axes", "store") if "axes" in tables else ()  # the tile shape of the axes does not fit the rows
+    return {**{key: table for key, table in tables.items() if key not in replaced}, "points": columns}
 
 
 def _settings_of(solve: Mapping[str, Any] | Settings | None) -> Settings:

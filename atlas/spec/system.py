@@ -11,9 +11,9 @@ from workers.model.system import System, find_system
 
 
 def checked_system(system: object, folder: Path | None = None) -> System:
-    """The system of that name, of that .toml file (in the folder, if any), or of a table; a System is itself.
+    """The system of this name, .toml file (relative to the folder, if any), or table; a System is returned as it is.
 
-    InputError with the nearest known name for another name, and for a definition that is wrong.
+    InputError for an unknown name, with the nearest known one, and for a wrong definition.
     """
     if not isinstance(system, str | Mapping | System):
         raise InputError(f"system: found {shown(system)}, must be the name of a system, a .toml file or a table")
@@ -28,7 +28,7 @@ def checked_system(system: object, folder: Path | None = None) -> System:
 
 
 def resolved_system(resolved: Mapping[str, Any]) -> System:
-    """The system of a resolved spec; InputError where this program cannot make it."""
+    """The system of a resolved spec; InputError if this program cannot make it."""
     try:
         return System.from_resolved(resolved)
     except KeyError as error:
@@ -38,12 +38,12 @@ def resolved_system(resolved: Mapping[str, Any]) -> System:
 
 
 def stored_system(attributes: Mapping[Any, Any]) -> System | None:
-    """The system of the store with these root attributes, or None where they name none that is known."""
+    """The system of the store with these root attributes, or None if they name no known system."""
     return _of_text(str(attributes.get("spec", "")))
 
 
 def stored_name(attributes: Mapping[Any, Any]) -> str:
-    """The name that a store has for its system, whether it is known or not; an empty one where it has none."""
+    """The name that a store has for its system, known or not; empty if it has none."""
     try:
         system = json.loads(attributes["spec"])["system"]
         return str(system["name"] if isinstance(system, Mapping) else system)
@@ -53,7 +53,7 @@ def stored_name(attributes: Mapping[Any, Any]) -> str:
 
 @lru_cache(maxsize=16)
 def _of_text(text: str) -> System | None:
-    """A picture asks for the same system at every label."""
+    """Cached: a picture asks for the same system at every label."""
     try:
         return resolved_system(json.loads(text))
     except (InputError, KeyError, TypeError, ValueError):
@@ -61,10 +61,10 @@ def _of_text(text: str) -> System | None:
 
 
 def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
-    """Impacts of an orbit at the upper and at the lower stop, p-q; "sticks" where they are infinitely many.
+    """Impacts of an orbit at the upper and at the lower stop, p-q; "sticks" if there are infinitely many.
 
-    With several contacts, the counts of each, in the order of the definition, p-q/r-s; where the cell does not have
-    them, those of all together.
+    With several contacts, the counts of each in the order of the definition, p-q/r-s, or the total if the cell lacks
+    them.
     """
     one_by_one = [(f"{contact.name}_upper", f"{contact.name}_lower") for contact in record.definition.contacts]
     if not record.has_modes or not any(name in cell for pair in one_by_one for name in pair):
@@ -74,7 +74,7 @@ def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
 
 
 def unused_lines(record: System) -> list[str]:
-    """A line about the parameters that change nothing; none where all are used."""
+    """A line about parameters without effect; none if all are used."""
     return [f"no entry of {record.name} uses {', '.join(record.unused)}"] if record.unused else []
 
 

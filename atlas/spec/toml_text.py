@@ -1,4 +1,4 @@
-"""A spec as the text of a TOML file that a person can edit."""
+"""A spec as the text of a TOML file for editing."""
 
 from dataclasses import fields
 from typing import Any
@@ -12,7 +12,7 @@ from workers import Settings
 
 
 def spec_toml(spec: Spec) -> str:
-    """The text of the file of a spec; defaults are omitted. ``Spec.from_toml`` reads it."""
+    """The text of the file of a spec, without defaults. ``Spec.from_toml`` reads it."""
     system, settings = spec.record, spec.settings
     defaults = {parameter.name: parameter.default for parameter in system.parameters}
     tables = {
@@ -28,9 +28,9 @@ def spec_toml(spec: Spec) -> str:
 
 
 def _axis_table(axis: Axis) -> dict[str, Any]:
-    """An axis by its ends where it is spaced evenly on its scale, else by its values."""
+    """An axis by its ends if it is evenly spaced on its scale, else by its values."""
     outline = axis.outline()
-    given = ("start", "stop", "num") if spaced_again(outline) == tuple(axis.values) else ()
-    table = {key: outline[key] for key in given} or {"values": list(axis.values)}
+    keys = ("start", "stop", "num") if spaced_again(outline) == tuple(axis.values) else ()
+    table = {key: outline[key] for key in keys} or {"values": list(axis.values)}
     kept = {key: outline[key] for key in ("scale", "continuation") if key in outline}
     return table | {key: value for key, value in kept.items() if value != "linear"}

@@ -1,1 +1,1 @@
-"""One tile, on a worker."""
+"""Solving of one tile on a worker."""

@@ -1,4 +1,4 @@
-"""A job of a run, and its attempt at a tile."""
+"""A job of a run, and one attempt at a tile."""
 
 import sys
 from dataclasses import replace
@@ -23,11 +23,11 @@ from atlas.task.task import (
 )
 
 DEATHS = 2
-"""Attempts at a tile in one run that did not live, after which it is not tried again."""
+"""Attempts at a tile in one run that died with their process, after which the run gives the tile up."""
 
 
 def do_job(job: Job) -> Receipt | Made:
-    """Do any job of a run: a tile, a chunk of the overviews, or the labels of basins."""
+    """Run any job of a run: a tile, a chunk of the overviews, or the labels of basins."""
     if job.level == LABELS:
         return label_basins(job)
     return make_chunk(job) if job.level else run_job(job)
@@ -38,15 +38,15 @@ def run_job(job: Job) -> Receipt:
 
     NetworkError if the store does not answer within the job's patience.
 
-    While it runs, a note of the store has the token of this attempt. With another token in the note, of an
-    attempt that began later, nothing more is written by this one, which its run may no longer reach. A note that is
-    there is one of an attempt that did not live to remove it: after DEATHS of these in one run the tile is taken for
-    one that kills its process. RunError then names the last, and the note stays, so that only another run tries again.
+    During the attempt a note of the store holds its token. If a later attempt replaces the token, this one, perhaps out
+    of reach of its run, writes nothing more. A note found at the start is left by an attempt that died: after DEATHS of
+    them in one run the tile counts as one that kills its process. RunError then names the last attempt, and the note
+    stays, so that only another run tries again.
     """
     with file_errors(job.site.store):
         handle = job.handle()
         notes = notes_of(handle.place)
-        if is_done(handle, job.index):  # its worker died after it was written, before its report
+        if is_done(handle, job.index):  # its worker died between writing and reporting
             solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
             receipt = receipt_of(handle, job.index, stored_tile(handle, job.index), solved)
             return replace(receipt, record=stored_record(handle, job.index))
@@ -55,6 +55,6 @@ def run_job(job: Job) -> Receipt:
         job = replace(job, attempt=attempt.token)
         return solve_and_write(job, job.site.fenced(handle, job.note, job.attempt))
     finally:
-        if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
+        if not isinstance(sys.exception(), NetworkError):  # its network would only be waited for again
             with file_errors(job.site.store):
                 attempt.remove(notes, job.note)

@@ -1,4 +1,4 @@
-"""The last step of an atlas of basins: labels of attractors beyond the reference set, and the table of all."""
+"""The last step of an atlas of basins: labels of attractors beyond the reference set, and the table of attractors."""
 
 import itertools
 import math
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 POINTS = 256
 """Section states of each attractor in the table."""
 BYTES_OF_LABEL = 64
-"""Of a cell that is labelled, besides its state: labels, its place and the order."""
+"""Bytes per cell to be labelled, besides its state: labels, position and order."""
 
 
 def complete_basins(handle: Atlas) -> None:
-    """Give every initial state its last label, and write the table of the attractors.
+    """Give every initial state its final label and write the table of the attractors.
 
-    Cells are labelled in the order of the plane, so that tiles, workers and interruptions decide no label, and band by
-    band of tiles, so that the memory does not grow with the plane: see ``labelling_bytes``. Nothing is done while tiles
-    are missing, or if all is done.
+    Cells are labelled in the order of the plane, so labels do not depend on tiles, workers and interruptions, and by
+    bands of tiles, so memory does not grow with the plane: see ``labelling_bytes``. Does nothing while tiles are
+    missing, or after completion.
     """
     from workers.attractors.basins import AttractorTable, fixed_values
 
@@ -49,22 +49,22 @@ def complete_basins(handle: Atlas) -> None:
     hits: Counter[int] = Counter()
     for _, band in itertools.groupby(tiles, lambda index: index[: _leading(handle.tile)]):
         for index, labels in _label_band(handle, table, reference, list(band)):
-            found, counts = np.unique(labels, return_counts=True)
-            hits.update(dict(zip(found.tolist(), counts.tolist(), strict=True)))
+            present, counts = np.unique(labels, return_counts=True)
+            hits.update(dict(zip(present.tolist(), counts.tolist(), strict=True)))
             solved += int((read_tile(handle, index, [REGIME.name])[REGIME.name] != INVALID).sum())
     columns = _columns(handle, table, hits, solved)
     write_table(handle, ATTRACTORS, columns, {"title": "attractors by their labels"})
 
 
 def labelling_bytes(handle: Atlas) -> int:
-    """Memory that ``complete_basins`` takes at most, besides that of a tile: where a whole band is beyond the table."""
+    """Most memory of ``complete_basins`` besides a tile: for a whole band beyond the table."""
     place = _leading(handle.tile)
     cells = math.prod(handle.tile[:place]) * math.prod(handle.spec.shape[place:])
     return cells * (2 * 8 * len(handle.spec.record.states) + BYTES_OF_LABEL)
 
 
 def _leading(tile: tuple[int, ...]) -> int:
-    """How many leading dimensions tell bands apart: in the order of the plane each band ends before the next begins."""
+    """Number of leading dimensions that separate bands: in plane order one band ends before the next begins."""
     return next((dim for dim, side in enumerate(tile) if side > 1), len(tile) - 1) + 1
 
 
@@ -75,14 +75,14 @@ def _labels(handle: Atlas, index: tuple[int, ...]) -> NDArray[np.int64]:
 def _label_band(
     handle: Atlas, table: "AttractorTable", reference: int, band: list[tuple[int, ...]]
 ) -> Iterator[tuple[tuple[int, ...], NDArray[np.int64]]]:
-    """The tiles of a band and their last labels, once these are written.
+    """The tiles of a band and their final labels, once written.
 
-    What is beyond the ``reference`` attractors is labelled, what an attempt that died has labelled too.
+    Cells beyond the ``reference`` attractors are labelled, also those that a dead attempt has labelled.
     """
     from workers.attractors.basins import added
 
     labels = {index: _labels(handle, index) for index in band}
-    beyond = {index: (each == BEYOND_TABLE) | (each >= reference) for index, each in labels.items()}
+    beyond = {index: (label == BEYOND_TABLE) | (label >= reference) for index, label in labels.items()}
     beyond = {index: mask for index, mask in beyond.items() if mask.any()}
     if beyond:
         places = np.concatenate([_places(handle, index, mask) for index, mask in beyond.items()])
@@ -90,16 +90,16 @@ def _label_band(
         order, last = np.argsort(places), np.empty(places.size, dtype=np.int64)
         last[order] = added(table, states[order])
         ends = np.cumsum([int(mask.sum()) for mask in beyond.values()])
-        for (index, mask), given in zip(beyond.items(), np.split(last, ends[:-1]), strict=True):
-            labels[index][mask] = given
+        for (index, mask), new in zip(beyond.items(), np.split(last, ends[:-1]), strict=True):
+            labels[index][mask] = new
             arrays = read_tile(handle, index)
-            arrays[LABEL.name][mask] = given
+            arrays[LABEL.name][mask] = new
             relabel_tile(handle, index, arrays)
     yield from labels.items()
 
 
 def _places(handle: Atlas, index: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The places of some cells of a tile in the order of the plane."""
+    """Positions of some cells of a tile in the order of the plane."""
     begins = [part.start for part in handle.tiling.at(index).slices]
     return np.ravel_multi_index(tuple((np.argwhere(mask) + begins).T), handle.spec.shape)
 
@@ -107,13 +107,13 @@ def _places(handle: Atlas, index: tuple[int, ...], mask: NDArray[np.bool_]) -> N
 def _columns(
     handle: Atlas, table: "AttractorTable", cells: Mapping[int, int], solved: int
 ) -> Mapping[str, StoredArray]:
-    """The table's variables, by the cells of each label. Shares are of initial states that are not beyond a stop."""
+    """The table's variables, from the cells of each label. Shares refer to initial states within the stops."""
     from workers.attractors.basins import section_points
 
     count = len(table.attractors)
     hits = np.array([cells[k] for k in range(count)], dtype=np.int64)
     low, high = wilson(hits, max(solved, 1))
-    columns: dict[str, tuple[NDArray[Any], str]] = {
+    shares: dict[str, tuple[NDArray[Any], str]] = {
         "cells": (hits, "initial states of the plane that reach it"),
         "share": (hits / max(solved, 1), "share of the plane that reaches it"),
         "share_low": (low, "lower end of the 95 % Wilson interval of the share"),
@@ -122,14 +122,14 @@ def _columns(
         "points": (section_points(table, POINTS), "section states; of an orbit each once"),
     }
     axes = (ATTRACTOR, "point", DIMENSIONS["state"])
-    made = {
+    columns = {
         name: StoredArray(values, axes[: values.ndim], {"long_name": meaning, "units": "1"})
-        for name, (values, meaning) in columns.items()
+        for name, (values, meaning) in shares.items()
     }
     for variable in table.record.variables(table.settings):
-        values: list[Any] = [each.result[variable.name] for each in table.attractors]
+        values: list[Any] = [attractor.result[variable.name] for attractor in table.attractors]
         dims = (ATTRACTOR, *(DIMENSIONS.get(dim, dim) for dim in variable.extra))
         shape = np.shape(values[0]) if values else tuple(0 for _ in variable.extra)
         array = np.array(values, dtype=variable.dtype).reshape(count, *shape)
-        made[variable.name] = StoredArray(array, dims, variable_attributes(variable, []))
-    return made
+        columns[variable.name] = StoredArray(array, dims, variable_attributes(variable, []))
+    return columns

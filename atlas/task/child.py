@@ -1,4 +1,4 @@
-"""Python in a process of its own, with the same modules as this one."""
+"""Python in a child process, with the same modules as this one."""
 
 import os
 import subprocess
@@ -9,8 +9,8 @@ from queue import SimpleQueue
 from threading import Event
 
 
-def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
-    """The exit status of code run in a child process; each line that it writes goes to ``told``, which may raise."""
+def watched(code: str, *arguments: str, on_line: Callable[[str], None]) -> int:
+    """The exit status of code run in a child process; each output line is passed to ``on_line``, which may raise."""
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         env=_environment(),
@@ -21,18 +21,18 @@ def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
     ) as child:
         try:
             for line in child.stdout or ():
-                told(line)
+                on_line(line)
         except BaseException:
             child.kill()
             raise
         return child.wait()
 
 
-def watched_together(code: str, arguments: Sequence[str], told: Callable[[int, str], None]) -> list[int]:
-    """The exit statuses of code run in child processes side by side, one for each argument.
+def watched_together(code: str, arguments: Sequence[str], on_line: Callable[[int, str], None]) -> list[int]:
+    """The exit statuses of code run in parallel child processes, one for each argument.
 
-    Each line that one writes goes to ``told`` with the place of its argument, in this thread. Where that raises, or the
-    wait is interrupted, each child ends at its next line.
+    Each line of output is passed to ``on_line`` with the index of the child's argument, in this thread. If that raises,
+    or the wait is interrupted, each child ends at its next line.
     """
     lines, given_up = SimpleQueue[tuple[int, str | None]](), Event()
 
@@ -43,7 +43,7 @@ def watched_together(code: str, arguments: Sequence[str], told: Callable[[int, s
 
     def watch(place: int) -> int:
         try:
-            return watched(code, arguments[place], told=lambda line: heard(place, line))
+            return watched(code, arguments[place], on_line=lambda line: heard(place, line))
         finally:
             lines.put((place, None))
 
@@ -56,11 +56,11 @@ def watched_together(code: str, arguments: Sequence[str], told: Callable[[int, s
                 if line is None:
                     under_way -= 1
                 else:
-                    told(place, line)
+                    on_line(place, line)
         except BaseException:
             given_up.set()
             raise
-        return [each.result() for each in running]
+        return [future.result() for future in running]
 
 
 def _environment() -> dict[str, str]:

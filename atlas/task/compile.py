@@ -1,4 +1,4 @@
-"""Compilation of the kernels, once on a machine, by the first process."""
+"""Compilation of the kernels, once per machine, by the first process."""
 
 import gc
 import json
@@ -23,33 +23,33 @@ from workers.settings import Settings
 
 CELLS, ATTRACTORS, ORBITS, PATHS, MEASURES, OBSERVED = "", "attractors", "orbits", "paths", "measures", "observed"
 MODES, MODES_ATTRACTORS, MODES_ORBITS, MODES_PATHS = "modes", "modes-attractors", "modes-orbits", "modes-paths"
-"""Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
-as equations of their impacts, for branches, curves and labels; those of motion between events, for portraits; those
-that measure motions; those that observe them; and those of the first four for machines whose law changes."""
+"""Parts: kernels that solve cells, needed by all others; that compare motions with known attractors; of orbits as
+equations of their impacts, for branches, curves and labels; of motion between events, for portraits; that measure
+motions; that observe them; and the first four for machines with modes."""
 
 SECONDS = {
     CELLS: 45, ATTRACTORS: 10, ORBITS: 15, PATHS: 2, MEASURES: 20, OBSERVED: 25,
     MODES: 80, MODES_ATTRACTORS: 10, MODES_ORBITS: 20, MODES_PATHS: 18,
 }  # fmt: skip
-"""What each part takes, roughly: processors differ by a factor of two."""
+"""Approximate seconds of each part: processors differ by a factor of two."""
 FUNCTIONS = {
     CELLS: 257, ATTRACTORS: 36, ORBITS: 143, MEASURES: 116, OBSERVED: 125,
     MODES: 338, MODES_ATTRACTORS: 40, MODES_ORBITS: 40,
 }  # fmt: skip
-"""How many functions each part compiles in a process that has compiled nothing else."""
+"""Functions that each part compiles in a process that has compiled nothing else."""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"
-"""Pieces of the kernels that solve cells: functions compiled once and called by symbol; then, side by side, the two
-largest kernels, that of stretches of periods and that of orbits."""
+"""Pieces of the kernels that solve cells: functions compiled once and called by symbol; then, in parallel, the two
+largest kernels, for stretches of periods and for orbits."""
 
 AT_A_TIME = 2
-"""Pieces that are compiled side by side at most, each by a process of its own."""
+"""Most pieces compiled in parallel, each by its own process."""
 
 SPARED = {CELLS: 10, MODES: 10}
-"""Seconds that compiling side by side spares, roughly."""
+"""Approximate seconds saved by compiling in parallel."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
-"""A cell of the default system whose initial states all reach one orbit, soon."""
+"""A cell of the default system whose initial states soon reach the same orbit."""
 AN_ORBIT = {"omega": 3.5, "b": 0.15}
 """A cell of the default system whose orbit has impacts."""
 
@@ -76,23 +76,23 @@ WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
     "restitution": 0.5,
     "measures": {"all": {"displacement": [1.0], "report": ["peak"]}},
 }
-"""A machine that is measured, with one rigid contact that it does not reach."""
+"""A machine that is measured, with one rigid contact that it never reaches."""
 
 _OF_MODES = {ATTRACTORS: MODES_ATTRACTORS, ORBITS: MODES_ORBITS, PATHS: MODES_PATHS}
-"""The parts of machines whose law changes, in place of others."""
+"""The parts of machines with modes, in place of others."""
 
 YOUNG_OBJECTS = 50_000
-"""New objects before Python looks for unreachable ones: a compiler's live until it ends, and looking through
-them as often as is usual takes time."""
+"""New objects before Python looks for unreachable ones: a compiler's objects live until it ends, and frequent searches
+through them take time."""
 TICK = 1.0
 """Seconds between two reports."""
 
 
 @dataclass(frozen=True)
 class Compilation:
-    """How far a compilation is: functions compiled, about how many there are, and seconds since it began.
+    """Progress of a compilation: functions compiled, approximate number of all, and seconds since it began.
 
-    Of none where another process compiles, which is waited for.
+    The number is 0 while waiting for another process that compiles.
     """
 
     done: int
@@ -104,9 +104,9 @@ Report = Callable[[Compilation], None]
 
 
 def kernels_for(record: System, *more: str, settings: Settings | None = None) -> tuple[str, ...]:
-    """The parts that cells of a system take with these settings, and ``more``, as the functions below are given them.
+    """The parts needed by cells of a system with these settings, and ``more``, as arguments of the functions below.
 
-    Those that observe motions are the same for every system.
+    The part that observes motions is the same for every system.
     """
     more = (*more, OBSERVED) if settings is not None and settings.observe else more
     if record.has_modes:
@@ -115,7 +115,7 @@ def kernels_for(record: System, *more: str, settings: Settings | None = None) ->
 
 
 def warming(*more: str) -> str:
-    """What compile_once is about to do, for the user who waits for it."""
+    """Announcement of compile_once for the waiting user."""
     missing = _missing(more)
     if not missing:
         return "loading the kernels"
@@ -125,11 +125,11 @@ def warming(*more: str) -> str:
 
 
 def compile_once(*more: str, report: Report | None = None) -> None:
-    """See to it that the kernels of cells, and ``more``, are in the cache on disk, which other processes read.
+    """Make sure that the kernels of cells, and ``more``, are in the cache on disk, which other processes read.
 
     They serve every system, see ``kernels_for``, and all settings. Processes of one machine, or with one cache folder,
-    wait for the first of them. It leaves that to a child, since compiling takes twice the memory that solving does.
-    ``report`` hears how far that is, every second. Nothing is done without a folder.
+    wait for the first of them. A child process compiles, since compiling takes twice the memory of solving. ``report``
+    is called with the progress every second. Does nothing without a folder.
     """
     folder = _cache()
     if folder is None or not _missing(more):
@@ -146,9 +146,9 @@ def compile_once(*more: str, report: Report | None = None) -> None:
 
 
 def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bool:
-    """warm_up in a process of its own; whether that came to its end. If not, who needs a kernel compiles it.
+    """warm_up in a child process; whether it completed. If not, each process compiles the kernels that it needs.
 
-    Where two processors are free for it, pieces of the cells' kernels are compiled side by side beforehand.
+    With two free processors, pieces of the cells' kernels are first compiled in parallel.
     """
     begin, of, done = time.monotonic(), sum(FUNCTIONS[part] for part in parts), Counter[str]()
     stages: list[Iterable[tuple[str, ...]]] = [[parts]]
@@ -156,26 +156,26 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
     if cells and processors() >= AT_A_TIME:
         stages = [[(APART,)], *([(BATCH, part), (SETTLE, part)] for part in cells), [parts]]
     for stage in stages:
-        given = [json.dumps(pieces) for pieces in stage]
+        stage_parts = [json.dumps(pieces) for pieces in stage]
 
-        def told(place: int, line: str, given: list[str] = given) -> None:
-            done[given[place]] = int(line)
+        def count(place: int, line: str, stage_parts: list[str] = stage_parts) -> None:
+            done[stage_parts[place]] = int(line)
             if report is not None:
                 report(Compilation(min(done.total(), of), of, time.monotonic() - begin))
 
-        ended = watched_together("from atlas.task.compile import main; main()", given, told)
+        ended = watched_together("from atlas.task.compile import main; main()", stage_parts, count)
     return ended == [0]
 
 
 def main() -> None:
-    """warm_up for parts that are given as JSON; the number of functions compiled goes to stdout every second."""
+    """warm_up for parts given as JSON; writes the number of functions compiled to stdout every second."""
     from numba.core import event
 
     class Counter(event.Listener):
         done = 0
 
         def on_start(self, event: object) -> None:
-            """Nothing: it is counted at its end."""
+            """Do nothing: functions are counted at their end."""
 
         def on_end(self, event: object) -> None:
             self.done += 1
@@ -201,7 +201,7 @@ def main() -> None:
 
 
 def compile_piece(piece: str, part: str = CELLS) -> None:
-    """Compile a piece of the kernels that solve cells of this part, CELLS or MODES, without solving any."""
+    """Compile a piece of the kernels that solve cells of this part, CELLS or MODES, without solving cells."""
     from workers.cell.stretch import run
     from workers.kernel.apart import load
     from workers.orbit.newton import no_orbits, settle_each
@@ -230,11 +230,11 @@ def _a_batch(record: System) -> tuple[Any, Any]:
 
 
 def warm_up(*parts: str) -> None:
-    """Compile the kernels of cells, or load them, by one period of the default cell: every kernel is called.
+    """Compile or load the kernels of cells by one period of the default cell: every kernel is called.
 
-    Those of attractors by all of a cell with one orbit, and by the scale that twins are compared at; those of orbits
-    by a short branch. What a kernel is compiled for depends neither on the system nor on the settings: they make
-    arrays longer or empty.
+    Kernels of attractors: all attractors of a cell with one orbit, and the scale for comparing twins. Kernels of
+    orbits: a short branch. The compiled types depend neither on the system nor on the settings, which only change the
+    lengths of arrays.
     """
     from workers.tile import solve_tile
 
@@ -263,7 +263,7 @@ def warm_up(*parts: str) -> None:
 
 
 def _warm_up_modes(parts: tuple[str, ...]) -> None:
-    """warm_up of machines whose law changes."""
+    """warm_up of machines with modes."""
     from workers.attractors.starts import Starts
     from workers.attractors.waves import solve_attractors
     from workers.tile import solve_tile
@@ -280,7 +280,7 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
 
 
 def _end_no_cells(record: System) -> None:
-    """The kernels that the default cell does not come to: those of rest, of flight without a contact, of growth."""
+    """Call the kernels that the default cell does not reach: those of rest, of flight without a contact, of growth."""
     from workers.kernel.lanes.run import run_alone
     from workers.orbit.escape import escaping, escaping_in_modes
     from workers.orbit.linear import contact_free, linear_orbits
@@ -300,7 +300,7 @@ def _end_no_cells(record: System) -> None:
 
 
 def _observe_a_period() -> None:
-    """What a period shows of a machine whose law changes: all others are observed as such."""
+    """Observe a period of a machine with modes: all other machines are observed as such."""
     from workers.cell.observing import observe_orbits
 
     record = System.from_mapping(WITH_MODES)
@@ -309,7 +309,7 @@ def _observe_a_period() -> None:
 
 
 def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
-    """A short branch of the orbit of a cell; and its motion between events."""
+    """Follow a short branch of the orbit of a cell, and its motion between events."""
     from workers.continuation import branch, family_of, orbit_from_state, section_state
     from workers.tile import solve_tile
 
@@ -337,25 +337,25 @@ def _wait_for(lock: FileLock, report: Report | None) -> None:
             if report is not None:
                 report(Compilation(0, 0, time.monotonic() - begin))
             continue
-        except OSError:  # a file system without locks: each for itself
+        except OSError:  # a file system without locks: each process compiles
             pass
         return
 
 
 def _missing(more: tuple[str, ...]) -> tuple[str, ...]:
-    """The parts that are not in the cache; without one, all."""
+    """The parts missing in the cache; all without a cache."""
     folder, parts = _cache(), more if MODES in more else (CELLS, *more)
     return tuple(part for part in parts if folder is None or not _marker(folder, part).exists())
 
 
 def _marker(folder: Path, part: str) -> Path:
-    """The file that says that a part has been compiled for this kind of processor, and by these settings of Numba."""
+    """The file that marks a part as compiled for this kind of processor and these settings of Numba."""
     name = f"compiled-{part}-" if part else "compiled-"
     return folder / f"{name}{compiled_for()}"
 
 
 def _cache() -> Path | None:
-    """The folder of the compiled kernels, None where there is none."""
+    """The folder of the compiled kernels, None if there is none."""
     from workers.kernel.cache import CACHE
 
     return CACHE

@@ -1,4 +1,4 @@
-"""Handles of the stores that this process works on: read once, and again after a change."""
+"""Handles of the stores in use by this process: read once, and again after a change."""
 
 from collections.abc import Hashable
 from threading import Lock
@@ -11,11 +11,11 @@ from atlas.store.store import ROOT, Atlas, open_handle
 _reading = Lock()
 _records: dict[Place, Records] = {}
 _headers: dict[tuple[Place, float], tuple[Hashable, Atlas]] = {}
-"""By place and patience: each with the state of the store's root."""
+"""Handles by place and patience, each with the state of the store's root."""
 
 
 def known_handle(store: str | Place, patience: float = LONG) -> Atlas:
-    """The handle of a store, by one look at the state of its root; errors as of ``open_handle``."""
+    """The handle of a store, after one check of its root's state; errors as of ``open_handle``."""
     place = waiting(place_of(store), patience)
     version = place.version(ROOT)
     with _reading:  # the threads of a worker come at once
@@ -27,7 +27,7 @@ def known_handle(store: str | Place, patience: float = LONG) -> Atlas:
 
 
 def known_records(handle: Atlas) -> Records:
-    """The records of the tiles of a store that changes no more."""
+    """The records of the tiles of a store that no longer changes."""
     if handle.place not in _records:
         _records[handle.place] = Records(handle)
     return _records[handle.place]

@@ -21,19 +21,19 @@ from workers.results import PENDING, REGIME, empty_results
 
 
 class Shared(NamedTuple):
-    """Positions along an axis of the values that two atlases have in common, to the bit."""
+    """Positions along an axis of the values common to two atlases, to the bit."""
 
     here: NDArray[np.intp]
     there: NDArray[np.intp]
 
 
 class ReusedCells(NamedTuple):
-    """The known results of a tile before it is solved.
+    """The known results of a tile before solving.
 
-    arrays   of all its cells; in a retried atlas the allowances too, which are those of the solution to come
-    regime   of each cell in the origin, PENDING where that does not give it
+    arrays   of all its cells; in a retried atlas also the allowances of the coming solution
+    regime   of each cell in the origin, PENDING if unknown
     due      the mask of the cells to solve
-    source   the origin, if it has the same cells in the same tiles, so that its objects may be taken over
+    source   the origin, if it has the same cells in the same tiles, so that its objects may be copied
     """
 
     arrays: dict[str, np.ndarray]
@@ -46,7 +46,7 @@ def known_cells(handle: Atlas, slices: Slices) -> ReusedCells:
     """The known results of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(handle.spec.variables, shape, extra_sizes(handle.spec))
-    arrays |= {each.name: np.full(shape, each.fill, each.dtype) for each in handle.allowances}
+    arrays |= {allowance.name: np.full(shape, allowance.fill, allowance.dtype) for allowance in handle.allowances}
     origin = None if handle.origin is None else _origin_of(handle)
     if origin is not None:
         _copy_known(handle, origin, slices, arrays)
@@ -55,13 +55,13 @@ def known_cells(handle: Atlas, slices: Slices) -> ReusedCells:
     if handle.origin is None or handle.origin.retry is None:
         return ReusedCells(arrays, regime, due)
     again = handle.origin.retry.selects(arrays)
-    for each in handle.allowances:
-        arrays[each.name][again] = np.maximum(arrays[each.name], handle.origin.retry.given(each))[again]
+    for allowance in handle.allowances:
+        arrays[allowance.name][again] = np.maximum(arrays[allowance.name], handle.origin.retry.given(allowance))[again]
     return ReusedCells(arrays, regime, due | again, origin)
 
 
 def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
-    """What two atlases of the same axes have in common, by dimension: ``here`` in the new, ``there`` in the old."""
+    """The values common to two atlases of the same axes, by dimension: ``here`` in the new, ``there`` in the old."""
     pairs = zip(reversed(new.axes), reversed(old.axes), strict=True)
     return tuple(
         Shared(*np.intersect1d(ours.values, theirs.values, assume_unique=True, return_indices=True)[1:])
@@ -70,7 +70,7 @@ def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
 
 
 def _copy_known(handle: Atlas, origin: Atlas, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
-    """Put the finished cells of the origin that lie in a tile into its arrays."""
+    """Copy the origin's finished cells in a tile into its arrays."""
     first = True
     for index, here, there in _meetings(shared(origin.spec, handle.spec), slices, origin.tile):
         if not is_done(origin, index):
@@ -79,20 +79,20 @@ def _copy_known(handle: Atlas, origin: Atlas, slices: Slices, arrays: dict[str, 
             first = False
             for machine in machines(origin):
                 record_machine(handle, machine)
-        found = read_tile(origin, index, arrays=origin.readable)
-        if is_exchanged(known_records(origin), index, record_of(origin, index, found)):
+        known = read_tile(origin, index, arrays=origin.readable)
+        if is_exchanged(known_records(origin), index, record_of(origin, index, known)):
             raise ChunkError(origin.place, {chunk_key(origin.regime, index): EXCHANGED})
-        if not handle.allowances:  # a cell that was given more than the spec says does not come out the same here
-            for each in ALLOWANCES:
-                found[REGIME.name][found.pop(each.name) != each.of_spec(origin.spec)] = PENDING
-        for name, values in found.items():
+        if not handle.allowances:  # a cell with an allowance above the spec's has other results here
+            for allowance in ALLOWANCES:
+                known[REGIME.name][known.pop(allowance.name) != allowance.of_spec(origin.spec)] = PENDING
+        for name, values in known.items():
             arrays[name][np.ix_(*here)] = values[np.ix_(*there)]
 
 
 def _meetings(
     dimensions: tuple[Shared, ...], slices: Slices, tile: tuple[int, ...]
 ) -> Iterator[tuple[tuple[int, ...], list[NDArray[np.intp]], list[NDArray[np.intp]]]]:
-    """The origin's tiles that have cells of a tile here: each one's index, and the cells within both tiles."""
+    """The origin's tiles with cells of a tile here: the index of each, and the cells within both tiles."""
     parts = []
     for (here, there), part, length in zip(dimensions, slices, tile, strict=True):
         inside = (here >= part.start) & (here < part.stop)
@@ -120,7 +120,7 @@ def _origin_of(handle: Atlas) -> Atlas:
 
 
 def count_shared(origin: Atlas, spec: Spec, done: set[tuple[int, ...]]) -> int:
-    """How many finished cells of the origin a grown atlas has; ``done`` are its finished tiles."""
+    """Number of finished cells of the origin in a grown atlas; ``done`` are the origin's finished tiles."""
     counts = [
         np.bincount(there // length, minlength=tiles)
         for (_, there), length, tiles in zip(shared(origin.spec, spec), origin.tile, origin.tiling.grid, strict=True)

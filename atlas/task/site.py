@@ -1,4 +1,4 @@
-"""The store of a run as its jobs use it: checked, fenced, with a place for parts."""
+"""The store of a run for its jobs: checked, fenced, with a place for parts."""
 
 import errno
 from collections.abc import Iterator, Sequence
@@ -24,15 +24,15 @@ class RefusedError(RunError):
 
 
 class StoreFullError(RunError):
-    """There is no room for the store: no worker can go on."""
+    """There is no room for the store: no worker can continue."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """The store that the jobs of a run work on, as it crosses the scheduler.
+    """The store of the jobs of a run, as sent through the scheduler.
 
-    ``claim`` is the token of the run's claim of the store: once that is lost, nothing is written. A job done by hand
-    has none. ``patience`` is how many seconds to wait for a store at a URL that does not answer.
+    ``claim`` is the token of the run's claim of the store: once it is lost, nothing is written. A job run by hand has
+    none. ``patience``: seconds to wait for a store at a URL that does not answer.
     """
 
     store: str | Place
@@ -44,30 +44,30 @@ class Site:
     def handle(self, note: str = "", attempt: str = "") -> Atlas:
         """The handle of the store, see ``checked_handle``, behind the fence of the run's claim.
 
-        With the token of an ``attempt`` also behind that of the ``note`` that holds it.
+        With the token of an ``attempt`` also behind the fence of the ``note`` that holds it.
         """
         with file_errors(self.store):
             handle = checked_handle(self.store, self.run_id, self.solver_version, self.patience)
             return self.fenced(handle, note, attempt)
 
     def fenced(self, handle: Atlas, note: str = "", attempt: str = "") -> Atlas:
-        """The same handle, behind these fences."""
+        """The same handle behind these fences."""
         return handle.at(self._guarded(handle.place, note, attempt))
 
     def keep(self, handle: Atlas, group: str, name: str, data: bytes) -> None:
-        """Keep a part of a group."""
+        """Store a part of a group."""
         with file_errors(self.store):
             put_part(handle, group, name, data)
 
     def forget(self) -> None:
-        """Drop what this process keeps of the store."""
+        """Drop this process's cached handles of the store."""
         forget_handle(self.store, self.patience)
 
     def _guarded(self, place: Place, note: str, attempt: str) -> Place:
         """A place behind the fence of a job: its run has the claim, and a note holds the token of the attempt.
 
-        RefusedError where another run has the claim; RunError where there was another attempt, since nothing is wrong
-        with this worker.
+        RefusedError if another run has the claim; RunError after another attempt, since nothing is wrong with this
+        worker.
         """
         fences: list[Fence] = []
         if self.claim:
@@ -78,23 +78,23 @@ class Site:
             fences.append(note_fence(place, note, attempt, RunError, lost))
 
         def fence() -> None:
-            for each in fences:
-                each()
+            for check in fences:
+                check()
 
         return place.behind(fence) if fences else place
 
 
 def prepare(site: Site, kernels: Sequence[str]) -> None:
-    """Check what any job needs of this worker, and see to it that its kernels are compiled."""
+    """Check the needs of any job on this worker, and make sure that its kernels are compiled."""
     site.handle()
     compile_once(*kernels)
 
 
 def checked_handle(store: str | Place, run_id: str, solver_version: int, patience: float = BRIEF) -> Atlas:
-    """The handle of the store that a run asks this worker to work on, see ``known_handle``.
+    """The handle of the store of a run on this worker, see ``known_handle``.
 
-    Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
-    where the store's disk or server refused.
+    Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError if the
+    store's disk or server refused.
     """
     check_solver(solver_version)
     try:
@@ -129,7 +129,7 @@ def file_errors(store: object) -> Iterator[None]:
 
 
 def stored_part(handle: Atlas, group: str, name: str) -> bytes:
-    """A part that a job has kept; RefusedError if there is none."""
+    """A part stored by a job; RefusedError if there is none."""
     data = get_part(handle, group, name)
     if data is None:
         raise RefusedError(f"{handle.place}: has no part {name}; is the path the same on all hosts?")

@@ -1,4 +1,4 @@
-"""A block of a spec's cells, solved one by one, or in whole lines where an axis is continued."""
+"""A block of a spec's cells, solved one by one, or in whole lines along a continued axis."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def kernels_of(spec: Spec) -> tuple[str, ...]:
-    """The kernels that cells of the spec take, see compile.kernels_for."""
+    """The kernels needed by cells of the spec, see compile.kernels_for."""
     return kernels_for(spec.record, *(() if spec.attractors is None else (ATTRACTORS,)), settings=spec.settings)
 
 
@@ -41,7 +41,7 @@ def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "R
 def solve_block(spec: Spec, slices: Slices) -> "Results":
     """Results of the cells in these slices.
 
-    Along a continued axis a cell depends on all cells before it in its line: RunError for a part of a line.
+    Along a continued axis a cell depends on all earlier cells of its line: RunError for a part of a line.
     """
     params = spec.cell_params(slices)
     if spec.continuation is None:
@@ -55,18 +55,18 @@ def solve_block(spec: Spec, slices: Slices) -> "Results":
 
 
 def solve_due(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "NDArray[np.bool_]") -> "Results":
-    """The known results of the cells in these slices, with those of the cells that are due solved.
+    """The known results of the cells in these slices, with the due cells solved.
 
-    A cell depends on nothing but its parameters, the settings and the solver, so that cells known from another store
-    have the values that they would get here. With allowances among the known arrays each cell gets its own.
+    A cell depends only on its parameters, the settings and the solver, so cells known from another store have the
+    values that they would get here. Allowances among the known arrays apply to each cell.
     """
-    if due.all() and not any(each.name in known for each in ALLOWANCES):
+    if due.all() and not any(allowance.name in known for allowance in ALLOWANCES):
         return solve_block(spec, slices)
     arrays = {name: values.copy() for name, values in known.items()}
     params = {name: np.broadcast_to(value, due.shape) for name, value in spec.cell_params(slices).items()}
     for settings, cells in _by_settings(spec, known, due):
-        found = solve_apart(spec, {name: values[cells] for name, values in params.items()}, settings)
-        for name, values in found.items():
+        results = solve_apart(spec, {name: values[cells] for name, values in params.items()}, settings)
+        for name, values in results.items():
             arrays[name][cells] = values
     return arrays
 
@@ -74,12 +74,12 @@ def solve_due(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "NDArra
 def _by_settings(
     spec: Spec, known: Mapping[str, Any], due: "NDArray[np.bool_]"
 ) -> "Iterator[tuple[Settings, NDArray[np.bool_]]]":
-    """The masks of the cells that are due, by the settings that they are given."""
-    allowances = [each for each in ALLOWANCES if each.name in known]
+    """Masks of the due cells, by their settings."""
+    allowances = [allowance for allowance in ALLOWANCES if allowance.name in known]
     if not allowances:
         yield from [(spec.settings, due)] if due.any() else []
         return
-    given = np.stack([known[each.name] for each in allowances], axis=-1)
-    for amounts in np.unique(given[due], axis=0).tolist():
-        more: dict[str, Any] = {each.setting: n for each, n in zip(allowances, amounts, strict=True)}
-        yield replace(spec.settings, **more), due & (given == amounts).all(axis=-1)
+    amounts_of = np.stack([known[allowance.name] for allowance in allowances], axis=-1)
+    for amounts in np.unique(amounts_of[due], axis=0).tolist():
+        more: dict[str, Any] = {allowance.setting: n for allowance, n in zip(allowances, amounts, strict=True)}
+        yield replace(spec.settings, **more), due & (amounts_of == amounts).all(axis=-1)

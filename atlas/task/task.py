@@ -23,16 +23,16 @@ from workers.results import PENDING, REASON, REGIME, REGIMES, reason_counts
 Arrays = dict[str, np.ndarray]
 
 LABELS = -1
-"""The level of the job that labels basins."""
+"""Level of the job that labels basins."""
 
 
 @dataclass(frozen=True)
 class Job:
     """A task sent to a worker: one tile of a store. ``attempt.do_job`` runs it locally.
 
-    With a ``level`` above 0 it is the chunk of that level of the overviews that has this index; at level LABELS, the
-    last labels of basins. ``attempt`` is the token of this attempt at the tile, which ``attempt.run_job`` gives it: of
-    two attempts that live the first writes nothing more.
+    With a ``level`` above 0 it is a chunk of that level of the overviews; at level LABELS, the last labels of basins.
+    ``attempt`` is the token of this attempt at the tile, from ``attempt.run_job``: of two live attempts the first
+    writes nothing more.
     """
 
     index: tuple[int, ...]
@@ -42,20 +42,20 @@ class Job:
 
     @property
     def note(self) -> str:
-        """The name of the note that holds the token of the present attempt at the tile."""
+        """The name of the note with the token of the current attempt at the tile."""
         return "started-" + "-".join(map(str, self.index))
 
     def handle(self) -> Atlas:
-        """The handle of the store as it is now, behind the fences of the run and of the attempt."""
+        """The handle of the store in its present state, behind the fences of the run and of the attempt."""
         return self.site.handle(self.note, self.attempt)
 
 
 @dataclass(frozen=True)
 class Receipt:
-    """What a finished tile reports.
+    """The report of a finished tile.
 
-    cells, counts, reasons          cells solved; by regime; by the reason why they have no certain result
-    taken                           cells copied from the store that this one extends
+    cells, counts, reasons          cells solved; by regime; by the reason of an uncertain result
+    taken                           cells copied from the origin of the store
     solve_seconds, write_seconds    inside the solver; inside the store
     processor_seconds               of the solver's thread
     periods                         forcing periods simulated
@@ -80,7 +80,7 @@ class Receipt:
 
 @dataclass(frozen=True)
 class Made:
-    """The receipt of a job that is no tile: new records of tiles, and its failures."""
+    """The receipt of a job other than a tile: new records of tiles, and failures."""
 
     index: tuple[int, ...]
     records: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
@@ -105,22 +105,22 @@ def label_basins(job: Job) -> Made:
     with file_errors(job.site.store):
         handle = job.handle()
         complete_basins(handle)
-        # All of them: an attempt that died may have written a tile again.
+        # All tiles: a dead attempt may have written one again.
         return Made(job.index, tuple((index, stored_record(handle, index)) for index in single_records(handle)))
 
 
 def solve_and_write(job: Job, handle: Atlas) -> Receipt:
-    """Solve the cells of a tile that the store's origin does not give, and write it."""
+    """Solve the cells of a tile that are unknown in the store's origin, and write it."""
     with file_errors(job.site.store):
         slices = handle.tiling.at(job.index).slices
         known = known_cells(handle, slices)
-    compile_once(*kernels_of(handle.spec))  # its own disk may be full, which is not the store's
+    compile_once(*kernels_of(handle.spec))  # its own disk may be full, which is not the store's fault
     begin, busy = time.perf_counter(), time.thread_time()
     arrays = solve_cells(handle.spec, slices, known.arrays, known.due)
     middle, processor = time.perf_counter(), time.thread_time() - busy
     with file_errors(job.site.store):
-        handle = job.handle()  # it may be another store by now
-        if is_done(handle, job.index):  # another attempt has finished meanwhile: what is stored stays
+        handle = job.handle()  # the store may have been replaced
+        if is_done(handle, job.index):  # another attempt has finished it: the stored tile stays
             arrays, record = stored_tile(handle, job.index), stored_record(handle, job.index)
         else:
             record = commit(handle, job, arrays, known.source if not known.due.any() else None)
@@ -136,7 +136,7 @@ def solve_and_write(job: Job, handle: Atlas) -> Receipt:
 
 
 def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> Arrays:
-    """The known arrays, with the cells that are due solved: part by part, which limits the memory."""
+    """The known arrays with the due cells solved, part by part to limit the memory."""
     if spec.continuation is not None or max(due.shape) <= PART:  # a part of a line has no results of its own
         return solve_due(spec, slices, known, due)
     arrays = {name: values.copy() for name, values in known.items()}
@@ -150,10 +150,10 @@ def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> A
 
 
 def commit(handle: Atlas, job: Job, arrays: Arrays, source: Atlas | None = None) -> tuple[float, ...]:
-    """Write a tile, unless the job may not any more, and the overview over it alone; return its record.
+    """Write a tile, if the job still may, and the overview over it alone; return its record.
 
-    ``source`` is a store that has the same tile, whose objects are taken over. A worker that stands still between a
-    look at the notes and the write that follows writes later than it may, but the same bits as any other.
+    ``source`` is a store with the same tile, whose objects are copied. A worker suspended between reading the notes and
+    writing writes too late, but the same bits as any other.
     """
     record = write_tile(handle, job.index, arrays) if source is None else take_tile(handle, source, job.index, arrays)
     pyramid_of(handle).make_over(job.index, arrays)
@@ -166,9 +166,9 @@ def stored_tile(handle: Atlas, index: tuple[int, ...]) -> Arrays:
 
 
 def stored_record(handle: Atlas, index: tuple[int, ...]) -> tuple[float, ...]:
-    """The record of a tile that was finished before, as a receipt has it."""
-    found = read_record(handle, index)
-    return () if found is None else tuple(found.tolist())
+    """The record of a tile finished before, in the form of a receipt."""
+    record = read_record(handle, index)
+    return () if record is None else tuple(record.tolist())
 
 
 def receipt_of(

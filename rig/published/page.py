@@ -46,7 +46,8 @@ def summary(entries: list[Record]) -> str:
     rows = ["| work | entry | agree |", "|---|---|---|"]
     for entry in entries:
         anchor = re.sub(r"[^\w\- ]", "", entry["title"].lower()).replace(" ", "-")
-        count = agreement(entry) if all(each["agrees"] for each in entry["statements"]) else f"**{agreement(entry)}**"
+        agrees = all(statement["agrees"] for statement in entry["statements"])
+        count = agreement(entry) if agrees else f"**{agreement(entry)}**"
         rows.append(f"| {entry['work']} | [{entry['title']}](#{anchor}) | {count} |")
     return "\n".join(rows) + "\n"
 
@@ -74,7 +75,7 @@ def section(entry: Record) -> str:
         parts += [wrapped(f"*{entry['caption']} Table: `{again}`, picture: `{again} --picture {picture}`.*")]
     else:
         parts += [wrapped(f"*Table: `{again}`.*")]
-    reasons = dict.fromkeys(each["reason"] for each in entry["statements"] if not each["agrees"])
+    reasons = dict.fromkeys(statement["reason"] for statement in entry["statements"] if not statement["agrees"])
     parts += [wrapped(f"Why it differs: {reason or 'not known.'}") for reason in reasons]
     return "\n\n".join([*parts, "</details>"]) + "\n"
 
@@ -82,13 +83,13 @@ def section(entry: Record) -> str:
 def table(statements: list[Record]) -> str:
     """The statements of an entry."""
     rows = ["| statement | basis | reference | ours | difference |", "|---|---|---|---|---|"]
-    for each in statements:
-        reference, ours = each["reference"], each["ours"]
+    for statement in statements:
+        reference, ours = statement["reference"], statement["ours"]
         words = isinstance(reference, str | int) or isinstance(ours, str | int)
         apart = "" if words else f"{abs(ours - reference):.0e}"
-        apart = apart if each["agrees"] else f"**{apart or 'differs'}**"
-        digits = 4 if each["tolerance"] > 1e-4 else 10
-        cells = [each["text"], each["basis"], shown(reference, digits), shown(ours, digits), apart]
+        apart = apart if statement["agrees"] else f"**{apart or 'differs'}**"
+        digits = 4 if statement["tolerance"] > 1e-4 else 10
+        cells = [statement["text"], statement["basis"], shown(reference, digits), shown(ours, digits), apart]
         rows.append("| " + " | ".join(cells) + " |")
     return "\n".join(rows)
 

@@ -49,7 +49,7 @@ def plane_with_bounds(path: Path, example: str, bounds: Bounds) -> None:
         values = ds[ds["period"].dims[0]].values
         y = np.linspace(float(values[0]), float(values[-1]), 400)
         for label, (style, bound) in bounds.items():
-            ax.plot([bound(each) for each in y], y, style, color="black", lw=1.5, label=label, scalex=False)
+            ax.plot([bound(value) for value in y], y, style, color="black", lw=1.5, label=label, scalex=False)
         name = ax.xaxis.label
         font = {"family": name.get_fontfamily(), "size": 0.9 * name.get_fontsize()}
         figure.set_figheight(figure.get_figheight() + 0.3)

@@ -82,9 +82,9 @@ def solve(cells: Sequence[Drawn], settings: Settings) -> Findings:
 def contradictions(result: dict[str, Any]) -> list[str]:
     """Which results of a cell do not go together."""
     regime, spectrum, largest = int(result["regime"]), np.asarray(result["spectrum"]), float(result["largest"])
-    told = regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC)
+    known = regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC)
     wrong = {
-        "exponents are not in order": told and bool(np.any(spectrum[1:] > spectrum[:-1])) and regime != QUASIPERIODIC,
+        "exponents are not in order": known and bool(np.any(spectrum[1:] > spectrum[:-1])) and regime != QUASIPERIODIC,
         "the largest exponent is not the first": regime in (NO_IMPACT, PERIODIC) and largest != spectrum[0],
         "a periodic cell without a period": regime == PERIODIC and int(result["period"]) < 1,
         "a periodic orbit that grows": regime == PERIODIC and largest > NEUTRAL,

@@ -116,7 +116,7 @@ def table(facts: dict[str, Any]) -> list[tuple[str, str]]:
         return sum(count for what, count in checked.items() if what.startswith(starts))
 
     def largest(*starts: str) -> float:
-        return max((each["value"] for what, each in worst.items() if what.startswith(starts)), default=0.0)
+        return max((finding["value"] for what, finding in worst.items() if what.startswith(starts)), default=0.0)
 
     reasons = "".join(f"; {count}: {why}" for why, count in facts["failed"].items())
     rows = [

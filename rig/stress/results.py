@@ -119,10 +119,10 @@ def contradictions(cell: Drawn, result: Result) -> list[str]:
     """Which results of a cell do not go together."""
     regime, spectrum = int(result["regime"]), np.asarray(result["spectrum"])
     upper, lower, rate = int(result["impacts_upper"]), int(result["impacts_lower"]), float(result["impacts_per_period"])
-    told = regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC)
+    known = regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC)
     largest, period = float(result["largest"]), int(result["period"])
     wrong = {
-        "exponents are not in order": told and np.any(spectrum[1:] > spectrum[:-1]) and regime != QUASIPERIODIC,
+        "exponents are not in order": known and np.any(spectrum[1:] > spectrum[:-1]) and regime != QUASIPERIODIC,
         "the largest exponent is not the first": regime in (NO_IMPACT, PERIODIC) and largest != spectrum[0],
         "impacts without an impact": regime == NO_IMPACT and (bool(result["sticks"]) or rate != 0.0),
         "a periodic cell without a period": regime == PERIODIC and period < 1,
@@ -132,7 +132,7 @@ def contradictions(cell: Drawn, result: Result) -> list[str]:
         and not math.isclose(rate * period, upper + lower),
         "a periodic orbit that grows": regime == PERIODIC and largest > NEUTRAL,
         "chaos without growth": regime == CHAOTIC and not largest > 0.0,
-        "impacts on a stop that is not there": told
+        "impacts on a stop that is not there": known
         and not result["sticks"]
         and ((upper > 0 and cell.upper == math.inf) or (lower > 0 and cell.lower == -math.inf)),
     }

@@ -114,8 +114,8 @@ def _with_forces_of(machine: Machine, harmonics: list[dict[str, Any]]) -> Machin
     with mp.workdps(40):
         parts = [
             [
-                [mp.mpf(a) * of(mp.mpf(p)) for a, p in zip(each["force"], each["phase"], strict=True)]
-                for each in harmonics
+                [mp.mpf(a) * of(mp.mpf(p)) for a, p in zip(harmonic["force"], harmonic["phase"], strict=True)]
+                for harmonic in harmonics
             ]
             for of in (mp.cos, mp.sin)
         ]

@@ -39,9 +39,9 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
         return None
     _, shorter, leg, time = min(found, key=lambda each: each[0])
     if shorter.itinerary.is_cycle and shorter.itinerary.sides:  # times count from the first event
-        first = float(shorter.times[0])
-        shorter, time = shorter._replace(times=shorter.times - first), time - first
-    turns = 0.0 if shorter.itinerary.sides else math.floor(time / span)
+        begin = float(shorter.times[0])
+        shorter, time = shorter._replace(times=shorter.times - begin), time - begin
+    turns = 0 if shorter.itinerary.sides else math.floor(time / span)
     mirrored = turns % 2 != 0 and orbit.itinerary.symmetric
     return shorter, leg.mirrored if mirrored else leg, time - turns * span
 

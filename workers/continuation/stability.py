@@ -12,13 +12,13 @@ from workers.model.oscillator import Array, one_of
 def multipliers(motion: OrbitMotion) -> NDArray[np.complex128]:
     """Multipliers (N, 2n) of a turn, those of D_G for symmetric orbits, of largest modulus first; inf where an impact
     has no speed, and exactly 0 in directions that are lost. Of a cycle all (N, 2n - 1) but the 1 along it."""
-    maps = _across(motion) if motion.itinerary.is_cycle else motion.turn.maps
+    maps: Array = _across(motion) if motion.itinerary.is_cycle else motion.turn.maps
     found = np.full(maps.shape[:2], np.inf, dtype=np.complex128)
     finite = np.isfinite(maps).all(axis=(1, 2))
     found[finite] = np.linalg.eigvals(maps[finite])
     found = np.take_along_axis(found, np.argsort(-np.abs(found), axis=1, kind="stable"), axis=1)
     if motion.lost:
-        found[:, max(0, found.shape[1] - motion.lost) :] = 0.0
+        found[:, max(0, maps.shape[1] - motion.lost) :] = 0.0
     return found
 
 
@@ -26,7 +26,8 @@ def _across(motion: OrbitMotion) -> Array:
     """The maps (N, 2n - 1, 2n - 1) of a turn of cycles, of disturbances less their share along the motion f: the map
     takes f to itself, so that these have all its other multipliers."""
     maps, mode = motion.turn.maps, motion.plan.reached[0, MODE]
-    found, f = np.empty(np.array(maps.shape) - (0, 1, 1)), np.empty((1, maps.shape[1]))
+    size = maps.shape[1]
+    found, f = np.empty((len(maps), size - 1, size - 1)), np.empty((1, size))
     for r, start in enumerate(motion.start):
         right_hand_side(one_of(motion.pieces, r), mode, start, turned(0.0, motion.pieces.waves.shape[3]), f[0])
         across = np.linalg.svd(f)[2][1:]

@@ -69,7 +69,7 @@ class Laws:
         self.omega = mp.mpf(machine.omega)
         self.period = 2 * mp.pi / self.omega
         self.inverse = mp.inverse(_matrix(machine.mass))
-        self.orders = sorted({force.order for each in self.machines for force in each.forces})
+        self.orders = sorted({force.order for machine in self.machines for force in machine.forces})
         self.size = 2 * self.n + 2 * len(self.orders) + 1
         self._laws: dict[Mode, Law] = {}
 
@@ -229,8 +229,8 @@ class Laws:
         for i, (contact, state) in enumerate(zip(machine.contacts, mode.contacts, strict=True)):
             side, doing = side_of(state), state[:-1]
             if state == "open":
-                for each, stop in contact.stops.items():
-                    yield Guard("reach", i, self.position(contact.row, stop, each), each)
+                for end, stop in contact.stops.items():
+                    yield Guard("reach", i, self.position(contact.row, stop, end), end)
             elif doing in RESTS:
                 pull = _sum([(mp.mpf(side), pressure["contact", i])])
                 yield Guard("leave", i, self._less(pull, self._held_back(mode, i)), side)

@@ -35,7 +35,7 @@ def statements() -> list[Statement]:
             found.append(Statement(f"a = {a}: omega at the graze {where} the resonance", exact, ours))
         sides = [cell("soft-impact", given | {"omega": share * lower})["impacts_upper"] for share in (0.999, 1.001)]
         found.append(Statement(f"a = {a}: contact 0.1 % below and above the lower graze", "no, yes",
-                               ", ".join("yes" if each else "no" for each in sides)))  # fmt: skip
+                               ", ".join("yes" if side else "no" for side in sides)))  # fmt: skip
     return found
 
 

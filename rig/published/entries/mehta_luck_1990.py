@@ -46,7 +46,7 @@ def statements() -> list[Statement]:
     rests = [cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": share * border, "R": 0.0})["sticks"]
              for share in (0.999, 1.001)]  # fmt: skip
     found.append(Statement("rest 0.1 % below and above a = sqrt(1 + pi²)", "yes, no",
-                           ", ".join("yes" if each else "no" for each in rests)))  # fmt: skip
+                           ", ".join("yes" if rest else "no" for rest in rests)))  # fmt: skip
     sides = [cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": share * sqrt(4.0 + pi**2), "R": 0.0})["period"]
              for share in (0.999, 1.001)]  # fmt: skip
     found.append(Statement("period 0.1 % below and above a = sqrt(4 + pi²)", "1, 2", ", ".join(map(str, sides))))

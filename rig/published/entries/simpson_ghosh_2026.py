@@ -69,7 +69,7 @@ def draw(path: Path) -> None:
     """The curves near the resonant graze: computed points on the closed forms."""
     curves, figure = curves_of(EXAMPLE), Figure(figsize=(5.0, 3.4), layout="constrained")
     ax, omega = figure.subplots(), np.linspace(1.8, 2.2, 400)
-    laws = [(OneImpact(each, ZETA, R), OneImpact(each, ZETA, R, 2)) for each in omega]
+    laws = [(OneImpact(frequency, ZETA, R), OneImpact(frequency, ZETA, R, 2)) for frequency in omega]
     graze = np.array([1.0 / one.response for one, _ in laws])
     doubling = np.array([1.0 / one.doubling if one.doubling_ratio > 0.0 else np.nan for one, _ in laws])
     fold = np.array([1.0 / two.fold if two.alpha > 0.0 else np.nan for _, two in laws])
