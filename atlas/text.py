@@ -42,6 +42,11 @@ def plural(count: int, noun: str, many: str = "") -> str:
     return f"{count} {noun if count == 1 else many or f'{noun}s'}"
 
 
+def motion_name(period: int, upper: int, lower: int) -> str:
+    """A periodic motion as n-p-q: its forcing periods, its impacts at the upper and at the lower stop."""
+    return f"{period}-{upper}-{lower}"
+
+
 def byte_size(count: int) -> str:
     """Bytes with a unit: 12 B, 3.4 kB, 1.2 GB."""
     size = float(count)

@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from atlas.cell.coexisting import attractors_listed
 from atlas.explore.known import Cell
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Question
 from atlas.explore.subject import Arrays, Subject
+from atlas.query.attractors import attractors_listed
 from atlas.query.queries import at
 from workers.results import ATTRACTOR
 

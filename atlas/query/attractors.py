@@ -1,13 +1,13 @@
 """Atlases of all attractors: one attractor of every cell as a dataset, and all of one cell as a list."""
 
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_atlas
-from atlas.cell.coexisting import attractors_listed
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.store.groups import LABELS, group_attributes
-from workers.results import ATTRACTOR, LABEL, PENDING, REGIME
+from workers.results import ATTRACTOR, LABEL, PENDING, REASON, REGIME, in_words
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -65,3 +65,22 @@ def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
     """The attractors of one cell, read: see ``attractors_listed``."""
     many = [str(name) for name in cell.data_vars if ATTRACTOR in cell[name].dims]
     return attractors_listed({name: cell[name].values for name in ("attractors", *many)}, many)
+
+
+def attractors_listed(cell: Mapping[str, Any], many: Iterable[str]) -> list[dict[str, Any]]:
+    """The attractors of one cell, as entries of all their numbers, regime and reason by name; the largest share first.
+
+    cell   its results by name; those named in ``many`` are arrays (keep, ...), states, spectra and sections among them
+    There are none where no initial state is decided.
+    """
+    names = list(many)
+    kept = min(int(cell["attractors"]), len(cell[REGIME.name]))
+    return [attractor_in_words({name: cell[name][k].tolist() for name in names}) for k in range(kept)]
+
+
+def attractor_in_words(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of one attractor: regime and reason in words, its shares, the rest."""
+    first = ("share", "share_low", "share_high")
+    ordered = {name: values[name] for name in first if name in values}
+    rest = {name: value for name, value in values.items() if name not in (*first, REGIME.name, REASON.name)}
+    return in_words(values) | ordered | rest

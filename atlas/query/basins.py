@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.cell.coexisting import attractor_in_words
 from atlas.errors import InputError
+from atlas.query.attractors import attractor_in_words
 from atlas.query.open import handle_of, open_table
 from atlas.query.window import Window, axis_names, within
 from atlas.store.groups import ATTRACTORS, group_attributes

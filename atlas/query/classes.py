@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from atlas.arguments import checked_name
 from atlas.errors import InputError, check_names, shown
 from atlas.query.walk import CellBlock
+from atlas.text import motion_name
 from workers.results import PENDING, PERIODIC, REGIME
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class Classes:
             return REGIME.meaning(key[0]).name
         if self.by == "period":
             return key[0]
-        return STICKS if key == _STUCK else "-".join(map(str, key))
+        return STICKS if key == _STUCK else motion_name(*key)
 
 
 def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[np.intp]]:

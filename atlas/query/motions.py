@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import machine
 from atlas.query.plane import Cells, Plane
+from atlas.text import motion_name
 from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ class MotionName(NamedTuple):
     @property
     def label(self) -> str:
         """Its name in a legend."""
-        return f"{self.n}-{self.p}-{self.q}" if self.p >= 0 else "periodic, sticks"
+        return motion_name(*self) if self.p >= 0 else "periodic, sticks"
 
 
 def motions(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
-from atlas.cell.coexisting import attractors_listed
+from atlas.query.attractors import attractors_listed
 from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system

@@ -99,17 +99,6 @@ def read_group(handle: Atlas, group: str) -> tuple[dict[str, NDArray[Any]], dict
     return arrays, attributes
 
 
-def values_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """A digest of arrays by name: of their shapes and values."""
-    found = hashlib.sha256()
-    for name in sorted(arrays):
-        values = arrays[name]
-        found.update(f"{name} {values.shape} ".encode())
-        texts = values.dtype.kind not in "biuf"
-        found.update(json.dumps(values.tolist()).encode() if texts else np.ascontiguousarray(values).tobytes())
-    return found.hexdigest()
-
-
 def _names(handle: Atlas, group: str) -> list[str]:
     """The names of the arrays of a group that does not list them, by a listing."""
     keys = (key.split("/") for key in handle.place.list_keys(f"{group}/"))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from atlas.query import machine
 from atlas.spec.resolved import digest_of
-from atlas.text import plural
+from atlas.text import motion_name, plural
 from workers.model.observables import Observable
 from workers.model.parameter import OMEGA
 from workers.model.system import System, identity
@@ -241,8 +241,8 @@ def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
 
 
 def orbit_name(period: int, upper: int, lower: int, symmetric: bool) -> str:
-    """An orbit as n-p-q: its periods, and its impacts at the upper and at the lower stop."""
-    return f"{period}-{upper}-{lower}{' symmetric' if symmetric else ''}"
+    """An orbit as n-p-q, and whether it is its own mirror image."""
+    return motion_name(period, upper, lower) + (" symmetric" if symmetric else "")
 
 
 def modulus(point: "Point", own: "Itinerary") -> float:

@@ -103,7 +103,29 @@ def margins(points: Array, chords: Chords) -> Margins:
 
 def distances(points: Array, first: Array, last: Array) -> Array:
     """The distance of each point (N, 2) to its own chord, from ``first`` (N, 2) to ``last`` (N, 2)."""
+    return np.asarray(np.hypot(*feet(points, first, last)[1].T))
+
+
+def feet(points: Array, first: Array, last: Array) -> tuple[Array, Array]:
+    """The nearest place on a chord to each point (..., 2), as a share (...) of the chord; the way (..., 2) from there.
+
+    Points and chords broadcast.
+    """
     steps, off = last - first, points - first
     square = np.vecdot(steps, steps)
     share = np.clip(np.vecdot(off, steps) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-    return np.asarray(np.hypot(*(off - share[:, None] * steps).T))
+    return share, off - share[..., None] * steps
+
+
+def passes(points: Array, at: Array, near: float) -> list[tuple[int, float]]:
+    """Chords of a curve through points (N, 2) nearer than ``near`` to a point (2,), one for each time that it passes.
+
+    The nearest one, by its number, and the share of it. Chords of length 0 do not count.
+    """
+    shares, way = feet(at, points[:-1], points[1:])
+    off = np.hypot(*way.T)
+    close = np.flatnonzero((off < near) & np.any(points[1:] != points[:-1], axis=1))
+    if not len(close):
+        return []
+    best = [part[np.argmin(off[part])] for part in np.split(close, np.flatnonzero(np.diff(close) > 1) + 1)]
+    return [(int(k), float(shares[k])) for k in best]

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.orbits.curves.cells import CEASES, CellOrbits
+from atlas.orbits.curves.chords import passes
 from workers.continuation import Condition, Event, Family, Itinerary, Orbit, Point, branch, curve
 from workers.continuation.branches import EDGE, BranchRun, Until
 from workers.continuation.curves import loses_impact, without_impact
@@ -212,7 +213,7 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
     if event.kind != known.of.kind or _length(event.orbit.itinerary) != _length(known.of.orbit.itinerary):
         return False
     width = orbits.plane.width
-    for place, share in _nearest(known.values / width, event.values / width):
+    for place, share in passes(known.values / width, event.values / width, NEAR):
         found = _solved_at(orbits.family, event, known, place, share, width)
         if found is None:
             continue
@@ -222,21 +223,6 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
         if near and same_orbit(event.orbit, orbit, omega, SAME_ORBIT):
             return True
     return False
-
-
-def _nearest(points: Array, at: Array) -> list[tuple[int, float]]:
-    """Chords of a polyline near a point, one for each time that it passes: the chord's number, and the share of it."""
-    chords = np.diff(points, axis=0)
-    lengths = np.einsum("ij,ij->i", chords, chords)
-    safe = np.where(lengths > 0.0, lengths, 1.0)
-    shares = np.clip(np.einsum("ij,ij->i", at - points[:-1], chords) / safe, 0.0, 1.0)
-    off = np.linalg.norm(points[:-1] + shares[:, None] * chords - at, axis=1)
-    near = np.flatnonzero((off < NEAR) & (lengths > 0.0))
-    if not len(near):
-        return []
-    passes = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
-    best = [part[np.argmin(off[part])] for part in passes]
-    return [(int(k), float(shares[k])) for k in best]
 
 
 def _is_alike(one: Itinerary, other: Itinerary) -> bool:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.orbits.curves.chords import feet
 from atlas.orbits.curves.following import Followed
 from atlas.orbits.curves.plane import Cells, CurvePlane
 from workers.continuation import Orbit
@@ -37,15 +38,11 @@ def passed(plane: CurvePlane, values: Array, at: Array) -> tuple[NDArray[np.int6
     that comes nearest, and the share of it.
     """
     points = plane.places(values)
-    chords, starts = np.diff(points, axis=0), points[:-1]
-    lengths = np.einsum("ij,ij->i", chords, chords)
-    safe = np.where(lengths > 0.0, lengths, 1.0)
     rows, which, shares = [], [], []
     near = np.flatnonzero(np.all((at > points.min(0) - ONE_CELL) & (at < points.max(0) + ONE_CELL), axis=1))
-    for part in np.array_split(near, max(1, len(near) * len(chords) // TOGETHER + 1)) if len(near) else []:
-        off = at[part][:, None, :] - starts
-        share = np.clip(np.einsum("esk,sk->es", off, chords) / safe, 0.0, 1.0)
-        distance = np.max(np.abs(off - share[..., None] * chords), axis=2)
+    for part in np.array_split(near, max(1, len(near) * len(points) // TOGETHER + 1)) if len(near) else []:
+        share, way = feet(at[part][:, None], points[:-1], points[1:])
+        distance = np.max(np.abs(way), axis=2)
         chord = np.argmin(distance, axis=1)
         each = np.arange(len(part))
         close = distance[each, chord] <= ONE_CELL

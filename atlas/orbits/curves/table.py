@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
-from atlas.orbits.curves.stored import read_arrays, write_arrays
-from atlas.store.groups import CURVES
+from atlas.store.groups import CURVES, read_group, write_group
 from atlas.store.schema import StoredArray
 from atlas.store.store import Atlas
+from atlas.text import motion_name
+
+VERSION = 1
+"""Of the form of the group; one of another version counts as absent."""
 
 KINDS = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
@@ -64,7 +67,7 @@ class Curve:
     def label(self) -> str:
         """The orbit as n-p-q: periods, impacts at the upper and at the lower stop; in turn where these change."""
         counts = zip(self.impacts_upper.tolist(), self.impacts_lower.tolist(), strict=True)
-        return ", ".join(dict.fromkeys(f"{self.period}-{upper}-{lower}" for upper, lower in counts))
+        return ", ".join(dict.fromkeys(motion_name(self.period, upper, lower) for upper, lower in counts))
 
     @property
     def bounding(self) -> NDArray[np.bool_]:
@@ -122,13 +125,14 @@ class Curves:
 
 def write_curves(handle: Atlas, found: Curves) -> None:
     """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
-    write_arrays(handle, as_arrays(found), {"axes": list(found.axes), "report": dict(found.report)})
+    own = {"version": VERSION, "axes": list(found.axes), "report": dict(found.report)}
+    write_group(handle, CURVES, as_arrays(found), own)
 
 
 def read_curves(handle: Atlas) -> Curves | None:
     """The curves that a store keeps, None where it keeps none; ChunkError where they are damaged."""
-    stored = read_arrays(handle)
-    if stored is None:
+    stored = read_group(handle, CURVES)
+    if stored is None or stored[1].get("version") != VERSION:
         return None
     try:
         return from_arrays(*stored)
