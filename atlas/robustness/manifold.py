@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.orbits.curves.chords import distances
 from workers.model.oscillator import Array
 
 Map = Callable[[Array], Array]
@@ -144,7 +145,7 @@ def _next(
     if place < 0:
         return None
     point = points[-1] + step * np.array([np.cos(centre), np.sin(centre)])
-    away = _distance(image(point[None])[0], first[place], last[place])
+    away = distances(image(point[None]), first[place], last[place])[0]  # NaN where there is no image
     return (point, place) if away <= tolerance else None
 
 
@@ -173,11 +174,3 @@ def _crossing(images: Array, first: Array, last: Array, turn: Array) -> tuple[in
     rows, columns = np.nonzero(hits)
     best = int(np.argmin(np.minimum(turn[rows], turn[rows + 1])))
     return int(rows[best]), float(s[rows[best], columns[best]]), int(columns[best])
-
-
-def _distance(point: Array, first: Array, last: Array) -> float:
-    """The distance of a point from a segment; infinite for NaN."""
-    step = last - first
-    share = np.clip((point - first) @ step / max(float(step @ step), 1e-300), 0.0, 1.0)
-    away = float(np.linalg.norm(point - first - share * step))
-    return away if np.isfinite(away) else np.inf

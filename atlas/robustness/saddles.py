@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from atlas.robustness.manifold import Across, ManifoldHalf
-    from atlas.robustness.saddle import Saddle
+    from atlas.robustness.tracking import Saddle
     from atlas.spec.spec import Spec
     from workers.attractors.basins import AttractorTable
     from workers.model.oscillator import Array
@@ -72,7 +72,7 @@ def saddles_between(
     asked: AttractorSearch, norm: Mapping[str, float] | None = None, manifolds: bool = False, box: Box | None = None
 ) -> dict[str, Any]:
     """``saddles`` of a search."""
-    from atlas.robustness.saddle import saddles_of
+    from atlas.robustness.tracking import saddles_of
 
     record = asked.record
     must_offer(record, "saddles")

@@ -10,7 +10,7 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.robustness import saddle as tracking
+from atlas.robustness import tracking
 from atlas.robustness.manifold import OUTSIDE
 from workers import solve_tile, trace
 

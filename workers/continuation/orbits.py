@@ -123,21 +123,6 @@ def orbit_from_state(
     return orbit if half is orbit else refined(family, half, none)
 
 
-def recorded_each(
-    system: System, values: Mapping[str, Array], states: Array, periods: Sequence[int], symmetric: Sequence[bool]
-) -> list[Orbit | None]:
-    """Orbits as they are recorded from physical section states (N, 2n) of machines with values (N,) of each parameter;
-    None where that cannot be, see ``orbit_from_state``."""
-    found = list[Orbit | None]()
-    machines, _ = machines_over(system, {}, tuple(values))(np.stack(list(values.values()), axis=1))
-    for k, (state, length, half) in enumerate(zip(states, periods, symmetric, strict=True)):
-        try:
-            found.append(recorded(machines.taken(np.array([k])), state, int(length), bool(half)))
-        except ValueError:
-            found.append(None)
-    return found
-
-
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
     found = continued_to(family, many_of([orbit], values[None]), values[None])

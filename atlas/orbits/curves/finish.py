@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.orbits.curves.chords import feet
 from atlas.orbits.curves.following import Followed, lies_on
 from atlas.orbits.curves.search import BASIN, CURVE, NONE, OPEN, TRIED, CurveSearch
 from atlas.orbits.curves.table import KINDS, Corner, Curve, Curves
@@ -114,12 +115,8 @@ def _after(points: NDArray[np.float64], at: NDArray[np.float64]) -> int:
         return 0
     width = np.ptp(points, axis=0)
     scale = np.where(width > 0.0, width, 1.0)
-    starts, chords = points[:-1] / scale, np.diff(points / scale, axis=0)
-    lengths = np.einsum("ij,ij->i", chords, chords)
-    share = np.clip(
-        np.einsum("ij,ij->i", at / scale - starts, chords) / np.where(lengths > 0.0, lengths, 1.0), 0.0, 1.0
-    )
-    nearest = int(np.argmin(np.linalg.norm(starts + share[:, None] * chords - at / scale, axis=1)))
+    share, way = feet(at / scale, points[:-1] / scale, points[1:] / scale)
+    nearest = int(np.argmin(np.hypot(*way.T)))
     return nearest + int(share[nearest] == 1.0)
 
 
