@@ -16,7 +16,8 @@ FRUITLESS = 3
 """Looks without an event after which the border to cells of no known orbit is left, unless most looks found one."""
 
 OPEN, BASIN = 0, 1
-"""As in ``atlas.orbits.curves.search``: edges of which nothing is known, and those where an orbit exists on both sides."""
+"""As in ``atlas.orbits.curves.search``: edges of which nothing is known, and those where an orbit exists on both
+sides."""
 
 BETWEEN, BESIDE, BASINS = range(3)
 """Borders in the order of their importance: between regions; of a region with other cells; where only basins end."""
