@@ -40,7 +40,6 @@ from atlas.service.status import Census
 from atlas.store.location import place_of
 from atlas.store.making import create
 from atlas.store.record import record_key
-from atlas.store.schema import extra_sizes
 from atlas.store.store import Atlas, chunk_key, open_handle
 from atlas.store.tiles import write_tile
 from rig import ROOT
@@ -209,7 +208,7 @@ HEAD = (
 def left_by_workers(handle: Atlas, indices: Iterable[tuple[int, ...]]) -> dict[str, bytes]:
     """The objects by which tiles are done, as workers leave them: regime and record, all those of the first tile."""
     first = (0,) * len(handle.spec.shape)
-    states = extra_sizes(handle.spec)
+    states = handle.spec.extra_sizes
     arrays = empty_results(handle.spec.variables, handle.tiling.at(first).shape, states)
     arrays[REGIME.name][...] = PERIODIC
     write_tile(handle, first, arrays)

@@ -13,7 +13,7 @@ from atlas.spec.spec import Spec
 from atlas.store.groups import TABLES
 from atlas.store.machine import MACHINES
 from atlas.store.record import RECORD, TILES
-from atlas.store.schema import OVERVIEWS, extra_sizes
+from atlas.store.schema import OVERVIEWS
 from atlas.store.spare import alone
 from atlas.store.store import ROOT, ZOOM, Atlas, arrays_by, open_arrays, own_nodes
 from atlas.store.tiles import covered_variables, encoded, object_shape
@@ -37,7 +37,7 @@ def metadata_faults(handle: Atlas) -> list[str]:
         own, copied = arrays_by(handle, own_nodes(handle)), arrays_by(handle, handle.nodes)
     except ChunkError as error:
         return [*faults, *(f"{key} {fault}" for key, fault in error.faults.items())]
-    sizes, variables = extra_sizes(spec), handle.variables
+    sizes, variables = spec.extra_sizes, handle.variables
     shapes = {name: coordinate.values.shape for name, coordinate in handle.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
     for name in [*shapes, *(own.keys() | copied.keys()) - shapes.keys()]:

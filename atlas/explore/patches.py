@@ -130,7 +130,7 @@ def answer(sent: Sent) -> Answer:
         return Answer(sent.index, refused=str(error))
 
 
-class Wanted(Iterator[PatchJob]):
+class WantedJobs(Iterator[PatchJob]):
     """Which job comes first: of all who want some in turn, the first that is ready and not under way.
 
     As an iterator it may have none now and one later.
@@ -198,7 +198,7 @@ class Patches:
     def __init__(self, connect: Callable[[], "AbstractContextManager[Client]"], timing: Timing = TIMING) -> None:
         self._connect, self._timing = connect, timing
         self._lock, self._stopped, self._woken = threading.Lock(), threading.Event(), threading.Event()
-        self._wanted, self._numbers = Wanted(), count()
+        self._wanted, self._numbers = WantedJobs(), count()
         self._sent: dict[tuple[int, ...], tuple[PatchJob, Any]] = {}  # for this service's own thread alone
         self._solved: deque[tuple[float, int]] = deque()
         self._state = WorkState()

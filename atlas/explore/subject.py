@@ -22,7 +22,6 @@ from atlas.spec.cells import edges_of, nearest
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import is_url, place_of
-from atlas.store.schema import extra_sizes
 from atlas.store.store import Atlas, open_handle
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
@@ -209,7 +208,7 @@ class Subject:
 
     def without_results(self, names: Collection[str], shape: tuple[int, int]) -> Arrays:
         """Arrays of cells that have no results yet."""
-        return empty_results(tuple(self.variables[name] for name in names), shape, extra_sizes(self.spec))
+        return empty_results(tuple(self.variables[name] for name in names), shape, self.spec.extra_sizes)
 
     def values(self, plane: SubjectPlane, x: float, y: float) -> dict[str, float]:
         """All parameters of a cell of a plane."""

@@ -36,9 +36,8 @@ from atlas.overview.coordinates import level_coordinates, level_dims, multiscale
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
-from atlas.store.build import codecs, consolidate, create_whole
 from atlas.store.making import metadata_apart
-from atlas.store.schema import OVERVIEWS
+from atlas.store.schema import OVERVIEWS, codecs, consolidate, create_whole
 from atlas.store.store import ROOT, Atlas, chunk_key, open_group
 from atlas.store.tiles import encoded
 from atlas.store.tiling import chunk_index

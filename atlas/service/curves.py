@@ -14,10 +14,9 @@ from atlas.orbits.curves.search import CurveSearch
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.table import Curves, read_curves, write_curves
 from atlas.robustness.table import MARGIN, drop_family
-from atlas.service.crew import Crew
+from atlas.service.crew import Crew, called
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
-from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
 from atlas.store.groups import CURVES
 from atlas.store.location import Given
@@ -105,14 +104,8 @@ def find_curves(
         if stored is not None:
             return CurvesSummary(str(handle.place), stored)
         refuse_packed(handle.place)
-        client = joined(client, options, stack)
-        workers = worker_count(client, options)
-        claim = stack.enter_context(claimed_place(handle.place, options))
-        handle = handle.at(claim.guard(handle.place))
-        crew = Crew(
-            handle, do_and_keep, kernels_for(handle.spec.record, ORBITS), options, claim, stack, workers, client
-        )
-        return _Coordinator(handle, search, digest, crew).run()
+        crew = Crew.at_work(handle, do_and_keep, kernels_for(handle.spec.record, ORBITS), client, options, stack)
+        return _Coordinator(crew.handle, search, digest, crew).run()
 
 
 def _stored(handle: Atlas, digest: str) -> Curves | None:
@@ -136,30 +129,24 @@ class _Coordinator:
     search: CurveSearch
     digest: str
     crew: Crew[CurveJob, CurveReceipt]
-    tasks: int = 0
-    processor_seconds: float = 0.0
 
     def run(self) -> CurvesSummary:
         """Do the stages that are due, and write the curves."""
         kept = kept_parts(self.handle, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
-            self.crew.do(jobs, self._count, self._progress)
+            self.crew.do(jobs, self._progress)
             self.search.take([read_part(self.handle, name) for name in tasks])
         found = finished(self.search)
         drop_family(self.handle, MARGIN)  # margins are to the curves before
         write_curves(self.handle, found)
         drop_parts(self.handle, CURVES)
-        seconds, workers = time.monotonic() - self.crew.begin, self.crew.threads
-        return CurvesSummary(str(self.handle.place), found, seconds, self.processor_seconds, workers, self.tasks)
+        crew, seconds = self.crew, time.monotonic() - self.crew.begin
+        return CurvesSummary(str(self.handle.place), found, seconds, crew.processor_seconds, crew.threads, crew.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         index = self.search.stage, number
         return CurveJob(index, name, task, self.search.settings, self.digest, self.crew.site)
-
-    def _count(self, receipt: CurveReceipt) -> None:
-        self.tasks += 1
-        self.processor_seconds += receipt.processor_seconds
 
     def _progress(self) -> Progress:
         search = self.search

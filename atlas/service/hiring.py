@@ -4,8 +4,18 @@ from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING
 
-from atlas.errors import InputError
-from atlas.service.cluster import dashboard_link, has_dashboard, local_cluster, loss_reported, performance_reported
+from atlas.errors import InputError, shown
+from atlas.platform import processors
+from atlas.service.cluster import (
+    active_client,
+    connected,
+    count_threads,
+    dashboard_link,
+    has_dashboard,
+    local_cluster,
+    loss_reported,
+    performance_reported,
+)
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
 from atlas.text import plural
@@ -28,6 +38,39 @@ def hired(client: "Client | None", count: int, options: RunOptions, stack: ExitS
             options.report(Progress(stage, note=f"dashboard of the workers: {link}"))
     stack.enter_context(performance_reported(client, options.performance_report, partial(_not_written, options)))
     return client
+
+
+def check_client(client: "Client | None", options: RunOptions) -> None:
+    """InputError for what is no client, and if a number of workers is given for a cluster that is the caller's."""
+    if client is not None and not hasattr(client, "scheduler_info"):
+        raise InputError(f"client: found {shown(client)}, must be a Dask client")
+    if client is not None and options.workers is not None:
+        raise InputError(f"workers: found {options.workers}, applies to a local cluster only, not to a client")
+
+
+def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
+    """The client to work on: the one given, one of the scheduler asked for, or the one that the caller has open.
+
+    None for a local cluster: where none is open, or a number of workers is asked for. InputError if its scheduler
+    cannot draw the performance report that the options ask for.
+    """
+    if client is None and options.scheduler is not None:
+        options.report(Progress(f"connecting to {options.scheduler}", passing=True))
+        client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
+    elif client is None and options.workers is None:
+        client = active_client()
+        if client is not None:
+            address = getattr(client.scheduler, "address", "a scheduler that is gone")
+            options.report(Progress(f"using the Dask client that is open, of {address}"))
+    check_report(client, options)
+    return client
+
+
+def worker_count(client: "Client | None", options: RunOptions) -> int:
+    """Threads of the cluster that a run works on, or the processes that it is going to start."""
+    if client is None:
+        return options.workers or processors()
+    return count_threads(client, options.wait_for_first, options.wait, options.timing.poll)
 
 
 def check_report(client: "Client | None", options: RunOptions) -> None:

@@ -5,10 +5,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Unpack
 
 from atlas.orbits.labels.table import Count, labels_of, stored_count, write_labels
+from atlas.service.crew import claimed_place, waiting_handle
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.service.run import claimed_place, waiting_handle
 from atlas.spec.system import must_offer
 from atlas.store.archive import refuse_packed
 from atlas.store.location import Given

@@ -36,10 +36,9 @@ from atlas.robustness.table import (
     summary_of,
     write_measures,
 )
-from atlas.service.crew import Crew
+from atlas.service.crew import Crew, called
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress
-from atlas.service.run import called, claimed_place, joined, worker_count
 from atlas.store.archive import refuse_packed
 from atlas.store.location import Given
 from atlas.store.parts import drop_parts, kept_parts
@@ -121,29 +120,26 @@ def measure_attractors(
         if not missing and stored.requests == before.requests:
             return MeasureSummary(str(handle.place), summary_of(stored.arrays), stored.requests)
         refuse_packed(handle.place)
-        begin, busy, tasks = time.monotonic(), 0.0, 0
+        begin = time.monotonic()
         families = [family for family in missing if family != MARGIN]
-        client = joined(client, options, stack) if families else None
-        workers = worker_count(client, options) if families else 0
-        claim = stack.enter_context(claimed_place(handle.place, options))
-        handle = handle.at(claim.guard(handle.place))
+        kernels = kernels_of(handle.spec)
+        crew = Crew.at_work(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
+        handle = crew.handle
         if read_measures(handle).requests != before.requests:  # what it has found must not be lost
             raise RunError(f"{handle.place}: another run has measured it meanwhile; run the same command again")
         found = Stored(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
             found.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
         if families:
-            crew = Crew(handle, measure_and_keep, kernels_of(handle.spec), options, claim, stack, workers, client)
             job = _Measuring(handle, crew, tuple(weights.items()))
             found.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
-            busy, tasks = job.processor_seconds, job.tasks
         found.requests.update({family: wanted[family] for family in missing})
         ordered = {name: found.arrays[name] for name in MEASURES if name in found.arrays}
         write_measures(handle, Stored(ordered, found.requests))
         for family in families:
             drop_parts(handle, group_of(family))
-        seconds = time.monotonic() - begin
-        return MeasureSummary(str(handle.place), summary_of(ordered), found.requests, seconds, busy, tasks)
+        seconds, busy = time.monotonic() - begin, crew.processor_seconds
+        return MeasureSummary(str(handle.place), summary_of(ordered), found.requests, seconds, busy, crew.tasks)
 
 
 def _requests(handle: Atlas, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
@@ -190,8 +186,6 @@ class _Measuring:
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
     done: int = 0
-    tasks: int = 0
-    processor_seconds: float = 0.0
 
     def run(self, families: Mapping[str, str]) -> Arrays:
         """The measures of some families over all cells; the digest of each says for which request parts are kept."""
@@ -209,7 +203,7 @@ class _Measuring:
             for k, (family, name, tile, first, last) in enumerate(parts)
             if name not in kept
         ]
-        self.crew.do(jobs, self._count, self._progress)
+        self.crew.do(jobs, self._progress, self._count)
         many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
         found: Arrays = {}
         for family in families:
@@ -223,9 +217,7 @@ class _Measuring:
         return found
 
     def _count(self, receipt: MeasureReceipt) -> None:
-        self.tasks += 1
         self.done += receipt.cells
-        self.processor_seconds += receipt.processor_seconds
 
     def _progress(self) -> Progress:
         stage = f"measuring: {self.done} of {plural(self.cells, 'cell')}"

@@ -3,19 +3,21 @@
 import math
 import shutil
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from atlas.errors import InputError
+from atlas.errors import InputError, shown
 from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import Levels
 from atlas.platform import processors
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.spec.system import unused_lines
-from atlas.store.schema import extra_sizes
-from atlas.store.tiling import Tiling
+from atlas.store.location import Place
+from atlas.store.store import Atlas
+from atlas.store.tiling import Index, Tiling
 from atlas.text import byte_size, duration, html_table, plural
 from workers.results import REGIMES
 
@@ -58,15 +60,25 @@ class Plan:
 
     tiling    how the cells of the spec are cut into tiles
     workers   how many are to share the work
-    bytes     an upper bound of the store's size: no compression assumed
     probe     measured time, or None
     """
 
     spec: Spec = field(repr=False)
     tiling: Tiling
     workers: int
-    bytes: int
     probe: Probe | None = None
+
+    @cached_property
+    def bytes(self) -> int:
+        """An upper bound of the store's size: every chunk in whole file blocks, coordinates and overviews, unpacked."""
+        spec, tiling = self.spec, self.tiling
+        total = 8 * sum(spec.shape) * (1 + len(spec.points))
+        for chunk in _chunks(spec, tiling.tile).values():
+            total += tiling.count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
+        levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
+        cells = sum(math.prod(levels.shape_of(level)) for level in range(1, levels.count + 1))
+        sizes = (np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.variables))
+        return total + cells * sum(sizes)
 
     @property
     def note(self) -> str:
@@ -146,8 +158,22 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
             f"store.tile: the values of {name} in tiles of {' x '.join(map(str, chosen))} take {size} bytes a chunk, "
             f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
         )
-    tiling = Tiling(spec.shape, chosen)
-    return Plan(spec, tiling, count, _bytes_needed(spec, tiling))
+    return Plan(spec, Tiling(spec.shape, chosen), count)
+
+
+def plan_of_run(spec: Spec, place: Place, handle: Atlas | None, workers: int, tile: Index | None) -> Plan:
+    """The plan of a run that makes the store at a place, or completes the one with this handle.
+
+    InputError if a new store cannot be made, or its disk cannot hold it, and if there is no ``tile`` of that index.
+    """
+    plan = make_plan(spec, workers, None if handle is None else handle.tile)
+    if handle is None and place.local is not None:
+        refuse_shortage(plan, place.local)
+    grid = plan.tiling.grid
+    if tile is not None and not (len(tile) == len(grid) and all(0 <= i < n for i, n in zip(tile, grid, strict=True))):
+        found, most = shown(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)
+        raise InputError(f"tile: found {found}, must be the index of a tile: {most}")
+    return plan
 
 
 def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:
@@ -190,20 +216,9 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
     return tuple(tile)
 
 
-def _bytes_needed(spec: Spec, tiling: Tiling) -> int:
-    """Every chunk of every variable in whole file blocks, the coordinates, and the overviews, all uncompressed."""
-    total = 8 * sum(spec.shape) * (1 + len(spec.points))
-    for chunk in _chunks(spec, tiling.tile).values():
-        total += tiling.count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
-    levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
-    cells = sum(math.prod(levels.shape_of(level)) for level in range(1, levels.count + 1))
-    sizes = (np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.variables))
-    return total + cells * sum(sizes)
-
-
 def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
     """Bytes of a chunk of each variable."""
-    sizes = extra_sizes(spec)
+    sizes = spec.extra_sizes
     return {
         variable.name: np.dtype(variable.dtype).itemsize
         * math.prod(tile)

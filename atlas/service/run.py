@@ -1,35 +1,31 @@
 """Running an atlas: plan, claim, create or resume, solve the tiles due, add up their receipts."""
 
 import math
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 from atlas.arguments import checked_kind
-from atlas.errors import InputError, RunError, shown
+from atlas.errors import InputError, RunError
 from atlas.overview.upkeep import Overviews
-from atlas.platform import processors
 from atlas.service.batches import LEAST_MEMORY
-from atlas.service.cluster import active_client, connected, count_threads, leave_if_bootstrapping
-from atlas.service.crew import Crew
+from atlas.service.cluster import leave_if_bootstrapping
+from atlas.service.crew import Crew, claimed_place
 from atlas.service.dispatch import Workers
-from atlas.service.hiring import check_report
-from atlas.service.lease import Claim, claimed
+from atlas.service.hiring import check_client, joined, worker_count
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
-from atlas.service.plan import Plan, make_plan, refuse_shortage
+from atlas.service.plan import Plan, plan_of_run, refuse_shortage
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
 from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.location import Given, Place, place_of, waiting
-from atlas.store.making import check_run, create, remove_half_made
+from atlas.store.making import check_run, create
 from atlas.store.origin import Origin
 from atlas.store.records import Records, RunRecords
-from atlas.store.sidecar import CLAIM, claim_token, notes_of
-from atlas.store.store import Atlas, done_tiles, find, open_handle
+from atlas.store.store import Atlas, done_tiles, find
 from atlas.store.tiling import Index
 from atlas.task.attempt import do_job, run_job
 from atlas.task.basins import labelling_bytes
@@ -97,26 +93,22 @@ def complete(
     check_client(client, options)
     with ExitStack() as stack:
         handle = find(place)  # only read, so that bad input leaves no trace
-        _check(spec, place, handle, options, origin, run_id)
+        check_run(place, spec, handle, origin, run_id)
         client = joined(client, options, stack)
         workers = worker_count(client, options)
-        plan = _plan(spec, place, handle, workers)
-        if options.tile is not None:
-            _check_index(options.tile, plan.tiling.grid)
+        plan = plan_of_run(spec, place, handle, workers, options.tile)
         claim = stack.enter_context(claimed_place(place, options))
         place = claim.guard(waiting(place, options.patience))
         before = handle  # before the claim another run may have made the store, or another one in its place
         handle = find(place) if before is None else before.at(place).current()
         if handle is None or before is None or handle.run_id != before.run_id:
-            _check(spec, place, handle, options, origin, run_id)
+            check_run(place, spec, handle, origin, run_id)
         if handle is None:
             options.report(Progress("making the store"))
             handle = create(place, spec, plan.tiling.tile, origin, run_id)
-        elif handle.tile != plan.tiling.tile:
-            plan = _plan(spec, place, handle, workers)
         kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
         crew = Crew(handle, do_job, kernels, options, claim, stack, workers, client, memory)
-        run = _Run(handle, crew, plan)
+        run = _Run(handle, crew, replace(plan, tiling=handle.tiling))
         if options.tile is not None:
             run.do_alone(options.tile)
             return run.totals.summary(str(place))
@@ -125,36 +117,6 @@ def complete(
             run.hand_out()
         run.finish()
     return run.totals.summary(str(place))
-
-
-def _check(
-    spec: Spec, place: Place, handle: Atlas | None, options: RunOptions, origin: Origin | None, run_id: str
-) -> None:
-    """InputError or RunError unless a run may make the store at a place, or complete the one with this handle."""
-    check_run(place, spec, handle)
-    if handle is None:
-        return
-    if run_id and run_id != handle.run_id:
-        raise RunError(f"{place}: not the store of run {run_id}")
-    if origin and origin != handle.origin:
-        raise InputError(f"{place}: is a store already, and not this one made from {origin.store}; choose another path")
-
-
-def _check_index(index: Index, grid: Index) -> None:
-    """InputError unless a tile of that index exists in a grid of this shape."""
-    if len(index) != len(grid) or not all(0 <= i < n for i, n in zip(index, grid, strict=True)):
-        found, most = shown(tuple(index)), ", ".join(f"0 to {n - 1}" for n in grid)
-        raise InputError(f"tile: found {found}, must be the index of a tile: {most}")
-
-
-def _plan(spec: Spec, place: Place, handle: Atlas | None, workers: int) -> Plan:
-    """The plan of a run; InputError if a new store cannot be made, or its disk cannot hold it."""
-    if handle is not None:
-        return make_plan(spec, workers, handle.tile)
-    plan = make_plan(spec, workers)
-    if place.local is not None:
-        refuse_shortage(plan, place.local)
-    return plan
 
 
 class _Run:
@@ -250,89 +212,3 @@ class _Run:
 def memory_of(cells: int) -> int:
     """Bytes that a worker needs for tiles of that number of cells."""
     return LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL)
-
-
-def check_client(client: "Client | None", options: RunOptions) -> None:
-    """InputError for what is no client, and if a number of workers is given for a cluster that is the caller's."""
-    if client is not None and not hasattr(client, "scheduler_info"):
-        raise InputError(f"client: found {shown(client)}, must be a Dask client")
-    if client is not None and options.workers is not None:
-        raise InputError(f"workers: found {options.workers}, applies to a local cluster only, not to a client")
-
-
-def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
-    """The client to work on: the one given, one of the scheduler asked for, or the one that the caller has open.
-
-    None for a local cluster: where none is open, or a number of workers is asked for. InputError if its scheduler
-    cannot draw the performance report that the options ask for.
-    """
-    if client is None and options.scheduler is not None:
-        options.report(Progress(f"connecting to {options.scheduler}", passing=True))
-        client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
-    elif client is None and options.workers is None:
-        client = active_client()
-        if client is not None:
-            address = getattr(client.scheduler, "address", "a scheduler that is gone")
-            options.report(Progress(f"using the Dask client that is open, of {address}"))
-    check_report(client, options)
-    return client
-
-
-def worker_count(client: "Client | None", options: RunOptions) -> int:
-    """Threads of the cluster that a run works on, or the processes that it is going to start."""
-    if client is None:
-        return options.workers or processors()
-    return count_threads(client, options.wait_for_first, options.wait, options.timing.poll)
-
-
-@contextmanager
-def called(
-    store: "Given | Atlas", client: "Client | None", options: RunOptions
-) -> Iterator[tuple[Atlas, RunOptions, ExitStack]]:
-    """A call that works on a store: its handle, the options with what reports progress, and what ends with the call.
-
-    InputError for a client that does not go with the options, and if there is no atlas.
-    """
-    leave_if_bootstrapping()
-    check_client(client, options)
-    with reporting(options.on_progress) as report, ExitStack() as stack:
-        options = replace(options, on_progress=report)
-        yield waiting_handle(store, options), options, stack
-
-
-def waiting_handle(store: "Given | Atlas", options: RunOptions) -> Atlas:
-    """The handle of a store that a call works on, which waits for its server as long as the options say."""
-    if isinstance(store, Atlas):
-        return store.at(waiting(store.place, options.patience))
-    return open_handle(waiting(place_of(store, storage_options=options.storage_options), options.patience))
-
-
-@contextmanager
-def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
-    """Hold the claim of a store. Leftovers of dead runs are removed when it begins, their notes when it ends.
-
-    A beat waits only for the place's own patience: another follows, and none should delay the end of a run whose store
-    is away. To remove the notes, and for a beat to succeed, a run waits as long as the options say; meanwhile nothing
-    is written without a look at the claim.
-    """
-    notes = notes_of(waiting(place, options.patience))
-
-    def say(text: str) -> None:
-        options.report(Progress(text))
-
-    def tidy() -> None:
-        if claim_token(notes) == claim.token:  # else they are another run's
-            notes.clear(keep=CLAIM)
-
-    patience = options.patience if place.local is None else 0.0
-    with claimed(notes_of(place), str(place), say, options.timing, patience) as claim:
-        if place.local is not None:
-            remove_half_made(place.local)
-        try:
-            yield claim
-        except Exception:
-            raise  # tiles that were begun may have something to do with it: their notes stay
-        except BaseException:
-            tidy()
-            raise
-        tidy()

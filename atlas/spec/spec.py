@@ -19,9 +19,10 @@ from atlas.spec.resolved import outlined, resolved_digest, with_values
 from atlas.spec.system import checked_system, resolved_system
 from workers import Settings
 from workers.attractors.starts import Starts
+from workers.model.observables import VALUE
 from workers.model.system import System
 from workers.model.toml_text import TomlError, parse_toml, read_toml
-from workers.results import Variable
+from workers.results import ATTRACTOR, Variable
 
 SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "store")
 MOST_AXES = 3
@@ -248,6 +249,13 @@ class Spec:
     def variables(self) -> tuple[Variable, ...]:
         """The results of each cell, ``regime`` last."""
         return self.record.variables(self.settings, attractors=self.coexistence, basins=self.basins)
+
+    @property
+    def extra_sizes(self) -> dict[str, int]:
+        """Lengths of the dimensions that a variable may have after the axes."""
+        kept = {ATTRACTOR: self.attractors.keep} if self.attractors is not None and self.coexistence else {}
+        asked = {"sample": self.settings.section_samples, VALUE: self.settings.observe_values}
+        return {"exponent": self.record.exponents, "state": len(self.record.states)} | asked | kept
 
     def observing(self, observe: str) -> "Spec":
         """The same spec with these observables, see ``workers.Settings``."""

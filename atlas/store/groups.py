@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
-from atlas.store.build import consolidate, create_whole
-from atlas.store.schema import StoredArray, coordinates
+from atlas.store.schema import StoredArray, consolidate, coordinates, create_whole
 from atlas.store.store import ROOT, Atlas, open_group
 
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"

@@ -12,19 +12,27 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
-from atlas.store.axes import ROOT
-from atlas.store.build import build, consolidate
+from atlas.store.axes import ROOT, copies
 from atlas.store.location import Given, LocalPlace, Place, place_of, refused
 from atlas.store.machine import MACHINES
-from atlas.store.origin import Origin
-from atlas.store.record import TILES
-from atlas.store.schema import coordinate_names
-from atlas.store.spare import SPARE, remedy
+from atlas.store.origin import ALLOWANCES, Origin, allowances_in
+from atlas.store.record import TILES, create_arrays
+from atlas.store.schema import (
+    codecs,
+    consolidate,
+    coordinate_names,
+    coordinates,
+    create_variable,
+    create_whole,
+    root_attributes,
+)
+from atlas.store.spare import SPARE, packed_spare, remedy
 from atlas.store.store import Atlas, open_handle
+from atlas.store.tiling import Tiling
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES
 from workers.results import REGIME
@@ -32,8 +40,12 @@ from workers.results import REGIME
 TRIAL = ".trial-"
 
 
-def check_run(place: Place, spec: Spec, handle: Atlas | None) -> None:
-    """InputError unless a run of a spec may make the store at a place, or resume the one with that handle."""
+def check_run(place: Place, spec: Spec, handle: Atlas | None, origin: Origin | None = None, run_id: str = "") -> None:
+    """InputError unless a run of a spec may make the store at a place, or resume the one with that handle.
+
+    ``origin``, if given, is the store that cells are taken from, ``run_id`` that of the run that has the store, else
+    RunError.
+    """
     refuse_packed(place)
     if handle is None:
         with refused(place, "written"):
@@ -55,6 +67,10 @@ def check_run(place: Place, spec: Spec, handle: Atlas | None) -> None:
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         elif root := place.get(ROOT):
             place.put_new(ROOT, root)  # writes nothing, and a missing permission is refused in another way
+    if run_id and run_id != handle.run_id:
+        raise RunError(f"{place}: not the store of run {run_id}")
+    if origin and origin != handle.origin:
+        raise InputError(f"{place}: is a store already, and not this one made from {origin.store}; choose another path")
 
 
 def _refuse_foreign(place: Place, spec: Spec) -> None:
@@ -85,7 +101,16 @@ def create(
 
 
 def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Make a store without a result, which appears at once or not at all.
+    """Make a store without a result, which appears at once or not at all."""
+    with _appearing(place) as folder:
+        if place.local is not None and folder.with_name(folder.name.swapcase()).exists():
+            refuse_equal_names(place.local, spec)
+        _build(folder, spec, tile, origin, run_id)
+
+
+@contextmanager
+def _appearing(place: Place) -> Iterator[Path]:
+    """A folder whose content appears at a place at the end of the block.
 
     On a disk a rename does that; at a URL the root's metadata do, which are put after all others and only if there are
     none. Their spare follows, so that it is that of the run whose root it is.
@@ -94,7 +119,7 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
     if path is None:
         with tempfile.TemporaryDirectory() as folder:
             built = LocalPlace(Path(folder) / "store")
-            build(built.path, spec, tile, origin, run_id)
+            yield built.path
             place.put_all(built.get_all(key for key in built.list_keys() if key not in (ROOT, SPARE)))
             if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
                 raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
@@ -104,13 +129,30 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         building.mkdir()
-        if building.with_name(building.name.swapcase()).exists():
-            refuse_equal_names(path, spec)
-        build(building, spec, tile, origin, run_id)
+        yield building
         place.confirm()
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)
+
+
+def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
+    """Make a store without a result in a folder of this machine."""
+    import zarr
+
+    variables, tiling = spec.variables, Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
+    group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
+    group.create_group(MACHINES, attributes={"long_name": "processors and software that solved this atlas"})
+    for name, coordinate in coordinates(spec).items():
+        create_whole(group, name, coordinate)
+    retried = allowances_in(spec) if origin and origin.retry else ()
+    for variable in (*variables, *retried):
+        create_variable(group, variable, spec, tiling)
+    create_arrays(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
+    consolidate(group)
+    for key, data in copies(spec).items():
+        LocalPlace(path).put(key, data)
+    LocalPlace(path).put(SPARE, packed_spare((path / ROOT).read_bytes()))
 
 
 def refuse_equal_names(path: Path, spec: Spec) -> None:

@@ -1,9 +1,10 @@
-"""Coordinates and attributes of a store."""
+"""Coordinates, attributes and arrays of a store, as they are made."""
 
 import json
 import uuid
+import warnings
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -11,10 +12,13 @@ from atlas.spec.points import POINT
 from atlas.spec.spec import Spec
 from atlas.store.machine import package_version
 from atlas.store.origin import Origin
+from atlas.store.tiling import Tiling, part_side
 from workers import SOLVER_VERSION
-from workers.model.observables import VALUE
 from workers.model.parameter import Parameter
-from workers.results import ATTRACTOR, Regime, Variable
+from workers.results import Regime, Variable
+
+if TYPE_CHECKING:
+    import zarr
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 1
@@ -26,14 +30,6 @@ ZOOM = "zoom"
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
 """New names of dimensions: xarray takes a variable that is named like one of its dimensions for a coordinate."""
-
-
-def extra_sizes(spec: Spec) -> dict[str, int]:
-    """Lengths of the dimensions that a variable may have after the axes."""
-    states = len(spec.record.states)
-    kept = {ATTRACTOR: spec.attractors.keep} if spec.attractors is not None and spec.coexistence else {}
-    asked = {"sample": spec.settings.section_samples, VALUE: spec.settings.observe_values}
-    return {"exponent": spec.record.exponents, "state": states} | asked | kept
 
 
 class StoredArray(NamedTuple):
@@ -106,6 +102,58 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
     if named := " ".join(fixed):
         attributes["coordinates"] = named
     return attributes
+
+
+def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
+    """Make an array of one chunk with its values, in the place of one that is there."""
+    values, dims, attributes = stored
+    array: Any = group.create_array(
+        name,
+        shape=values.shape,
+        chunks=tuple(max(1, size) for size in values.shape),
+        dtype="str" if values.dtype.kind == "T" else values.dtype,
+        dimension_names=dims,
+        compressors=codecs(),
+        attributes=attributes,
+        overwrite=True,
+    )
+    if values.size:
+        array.with_config({"write_empty_chunks": True})[...] = values
+
+
+def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling) -> None:
+    """Make the array of a result, one object a tile: a chunk, of a large tile a shard of smaller ones."""
+    extra = tuple(spec.extra_sizes[dim] for dim in variable.extra)
+    part = tuple(map(part_side, tiling.tile))
+    group.create_array(
+        variable.name,
+        shape=tiling.shape + extra,
+        chunks=part + extra,
+        shards=tiling.tile + extra if part != tiling.tile else None,
+        dtype=variable.dtype,
+        fill_value=variable.fill,
+        dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
+        compressors=codecs(),
+        attributes=variable_attributes(variable, [*spec.parameters, *spec.points]),
+    )
+
+
+def consolidate(group: "zarr.Group", path: str = "") -> None:
+    """Copy the metadata of all arrays below a group into its own metadata, which is all that xarray reads."""
+    import zarr
+
+    with warnings.catch_warnings():
+        # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
+        warnings.filterwarnings("ignore", message="Consolidated metadata")
+        warnings.filterwarnings("ignore", message="Object at parts is not")  # of a search that is still at work
+        zarr.consolidate_metadata(group.store, path=path or None)
+
+
+def codecs() -> list[Any]:
+    """How every chunk is packed."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk
 
 
 def _described(parameter: Parameter) -> dict[str, Any]:

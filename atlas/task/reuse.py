@@ -13,7 +13,6 @@ from atlas.store.location import beside
 from atlas.store.machines import machines, record_machine
 from atlas.store.origin import ALLOWANCES
 from atlas.store.records import EXCHANGED, is_exchanged
-from atlas.store.schema import extra_sizes
 from atlas.store.store import Atlas, chunk_key, is_done
 from atlas.store.tiles import read_tile, record_of
 from atlas.task.known import known_handle, known_records
@@ -45,7 +44,7 @@ class ReusedCells(NamedTuple):
 def known_cells(handle: Atlas, slices: Slices) -> ReusedCells:
     """The known results of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
-    arrays = empty_results(handle.spec.variables, shape, extra_sizes(handle.spec))
+    arrays = empty_results(handle.spec.variables, shape, handle.spec.extra_sizes)
     arrays |= {allowance.name: np.full(shape, allowance.fill, allowance.dtype) for allowance in handle.allowances}
     origin = None if handle.origin is None else _origin_of(handle)
     if origin is not None:

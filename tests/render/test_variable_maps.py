@@ -18,7 +18,6 @@ from atlas.query.extremes import extremes
 from atlas.render import scales
 from atlas.render.kinds import TABLE
 from atlas.store.making import create
-from atlas.store.schema import extra_sizes
 from atlas.store.tiles import write_tile
 from tests.pictures import colour, labels, line, pixel, plane
 from tests.planes import plane_of
@@ -147,7 +146,7 @@ def test_a_sweep_has_no_map() -> None:
 
 def test_the_command_draws_a_variable_of_a_store_or_says_why_not_and_writes_nothing(tmp_path: Path) -> None:
     handle, out = create(tmp_path / "plane.zarr", plane_of((5, 7)), (5, 7)), tmp_path / "speed.png"
-    arrays = empty_results(handle.spec.variables, (5, 7), extra_sizes(handle.spec))
+    arrays = empty_results(handle.spec.variables, (5, 7), handle.spec.extra_sizes)
     arrays["regime"][:], arrays["min_impact_speed"][:] = PERIODIC, np.linspace(0.1, 1.0, 7)
     write_tile(handle, (0, 0), arrays)
     call = ["plot", str(handle.path), "-o", str(out), "--variable"]

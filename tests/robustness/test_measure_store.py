@@ -324,7 +324,7 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
         write_measures(handle, theirs)
         yield SimpleNamespace(guard=lambda place: place)
 
-    monkeypatch.setattr("atlas.service.measures.claimed_place", claimed_late)
+    monkeypatch.setattr("atlas.service.crew.claimed_place", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; run the same command again"):
         measure_attractors(with_margins, margin=True, scale={"omega": 0.5})
     assert read_measures(handle).requests == theirs.requests

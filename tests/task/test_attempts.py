@@ -16,7 +16,6 @@ from atlas import Spec
 from atlas.errors import RunError
 from atlas.store.location import LocalPlace
 from atlas.store.making import create
-from atlas.store.schema import extra_sizes
 from atlas.store.sidecar import TileAttempt, notes_of, put_attempt
 from atlas.store.store import Atlas, chunk_key, done_tiles, open_handle
 from atlas.store.tiles import read_tile, write_tile
@@ -129,7 +128,7 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
     """As a first attempt that was cut off has left them: all but the regime, or all of them."""
     axes = {name: {"start": 0.1, "stop": 0.5, "num": side} for name in ("omega", "b")}
     handle = create(tmp_path / "large.zarr", Spec("two-mass", axes), (side, side))
-    arrays = empty_results(handle.spec.variables, (side, side), extra_sizes(handle.spec))
+    arrays = empty_results(handle.spec.variables, (side, side), handle.spec.extra_sizes)
     write_tile(handle, (0, 0), arrays)
     handle.place.remove(chunk_key(handle.regime, (0, 0)))
     removed: list[str] = []

@@ -14,7 +14,6 @@ import atlas
 from atlas.errors import RunError
 from atlas.service import run as running
 from atlas.store.making import create
-from atlas.store.schema import extra_sizes
 from atlas.store.store import Atlas
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import basins
@@ -37,7 +36,7 @@ def beyond(path: Path, rows: int, columns: int = SIDE) -> Atlas:
     """A plane whose every cell is on an attractor that the table has not; its x1 is the cell's place in the plane."""
     handle = create(path, spec_of(rows, columns), (SIDE, SIDE))
     for tile in handle.tiling.tiles():
-        arrays = empty_results(handle.spec.variables, tile.shape, extra_sizes(handle.spec))
+        arrays = empty_results(handle.spec.variables, tile.shape, handle.spec.extra_sizes)
         arrays["label"][...], arrays["regime"][...] = BEYOND_TABLE, 1
         i, j = np.mgrid[tile.slices]
         arrays["state"][..., 0] = i * columns + j
