@@ -1,6 +1,6 @@
-"""What tests and scripts share: simulators, published results, random machines, a browser, faults on cue."""
+"""Shared by tests and scripts: simulators, published results, random machines, a browser, fault injection."""
 
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-"""The checkout."""
+"""Folder of the checkout."""

@@ -1,4 +1,4 @@
-"""A page of the explorer in Debian's chromium, driven by Playwright; tests skip where there is none, outside CI."""
+"""A page of the explorer in Debian's chromium, driven by Playwright; tests skip without it, except in CI."""
 
 import os
 import shutil
@@ -14,13 +14,13 @@ WHY = "needs chromium: apt-get install -y chromium"
 
 
 def needs_browser() -> None:
-    """Skip where there is no chromium; fail in CI, where there has to be one."""
+    """Skip without chromium; fail in CI, where it is required."""
     if CHROMIUM is None:
         (pytest.fail if os.environ.get("CI") else pytest.skip)(WHY)
 
 
 class Tab:
-    """A tab: what the browser complained of, which hosts it asked, and the state of the page's models.
+    """A tab: complaints of the browser, hosts asked, and the state of the page's models.
 
     ``sent`` and ``received`` are the bytes of each message of its websockets.
     """
@@ -37,7 +37,7 @@ class Tab:
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
 
     def _hear(self, said: Any) -> None:
-        # A driver speaks of its own speed, and Bokeh of plots that have no data yet.
+        # A driver speaks of its own speed, and Bokeh of plots without data yet.
         known = "GL Driver Message", "could not set initial ranges"
         if said.type in ("error", "warning") and not any(words in said.text for words in known):
             self.complaints.append(said.text)
@@ -47,11 +47,11 @@ class Tab:
             socket.on(event, lambda content, sizes=sizes: sizes.append(len(content)))
 
     def address(self) -> str:
-        """The address that the tab shows now."""
+        """The address shown in the tab."""
         return str(self.page.evaluate("() => window.location.href"))
 
     def image(self) -> list[float] | None:
-        """The window (x, y, width, height) that the picture fills; None while there is none."""
+        """The window (x, y, width, height) filled by the picture; None if there is none."""
         found = self.page.evaluate(
             """() => {
                 if (!window.Bokeh || !Bokeh.documents.length) return null
@@ -64,7 +64,7 @@ class Tab:
         return found if found is None else list(found)
 
     def mark(self) -> tuple[float, float] | None:
-        """Where the page marks a cell, (x, y); None while it marks none."""
+        """The cell marked on the page, (x, y); None if there is none."""
         found = self.page.evaluate(
             """() => {
                 for (const model of Bokeh.documents[0]._all_models.values())
@@ -81,7 +81,7 @@ class Tab:
         return list(self.page.evaluate(script, [kind, name]))
 
     def text(self) -> str:
-        """All that stands on the page, but for the options of its menus."""
+        """All text on the page, except the options of its menus."""
         return str(
             self.page.evaluate(
                 """() => {
@@ -95,7 +95,7 @@ class Tab:
         )
 
     def plot(self, label: str = "") -> tuple[float, float, float, float]:
-        """The plot area, in pixels of the tab, of the first plot with such a label: left, top, width, height."""
+        """The plot area of the first plot with such a label, in pixels of the tab: left, top, width, height."""
         box = self.page.evaluate(
             """(label) => {
                 const view = [...Bokeh.index.roots].map(function find(view) {
@@ -113,7 +113,7 @@ class Tab:
         return left, top, width, height
 
     def wheel(self, times: int, at: tuple[float, float] = (0.3, 0.6)) -> None:
-        """Turn the wheel so often, at once, over a point of the plane, given as shares of its width and height."""
+        """Turn the wheel this many times at once over a point of the plane, given as shares of its width and height."""
         left, top, width, height = self.plot()
         self.page.evaluate(
             """([x, y, times]) => {
@@ -131,20 +131,20 @@ class Tab:
         )
 
     def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> Any:
-        """What a condition gives, once it is true; fails after so many seconds."""
+        """The value of a condition once it is true; fails after this many seconds."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             with suppress_navigation():
                 found = condition()
                 if found:
                     return found
-            self.page.wait_for_timeout(50)  # what happens in the browser is heard meanwhile
+            self.page.wait_for_timeout(50)  # events of the browser are handled meanwhile
         raise AssertionError(f"not within {seconds:g} s; the page says: {self.text()[-600:]}")
 
 
 @contextmanager
 def suppress_navigation() -> Iterator[None]:
-    """Let pass that a page was left while something was read from it."""
+    """Ignore that a page was left while it was read."""
     from playwright.sync_api import Error
 
     try:
@@ -170,7 +170,7 @@ def started() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, url: str, width: int = 1000, height: int = 440, **options: Any) -> Iterator[Tab]:
-    """A tab that shows an address; further options are those of a context of Playwright's."""
+    """A tab that shows an address; further options go to a context of Playwright."""
     context = browser.new_context(viewport={"width": width, "height": height}, **options)
     try:
         tab = Tab(context.new_page())

@@ -1,4 +1,4 @@
-"""A general integrator with events, variational equations and saltation, which the benchmarks compare with."""
+"""A general integrator with events, variational equations and saltation: the reference of the benchmarks."""
 
 import math
 from collections.abc import Callable
@@ -51,8 +51,8 @@ class GeneralIntegrator:
     """The reference: the two-mass oscillator by DOP853, event by event.
 
     ``state`` is (x1, x2, v1, v2) at the start of a forcing period, ``frame`` the orthonormal tangent vectors,
-    ``growth`` the sums of the logarithms of their stretching and ``periods`` how many periods went into it.
-    ``keep_step``: start each flight with the largest step of the one before, instead of scipy's own choice.
+    ``growth`` the sums of the logarithms of their stretching over ``periods`` periods. ``keep_step``: start each flight
+    with the largest step of the one before, instead of scipy's own choice.
     """
 
     params: dict[str, float]
@@ -131,14 +131,14 @@ class GeneralIntegrator:
         return np.column_stack([after, law[:, None] * tangent + np.outer(correction, tangent[0])]).ravel()
 
     def run(self, periods: int) -> None:
-        """Advance by that many periods, orthonormalising after each, and add up the logarithms."""
+        """Advance by this many periods, orthonormalising after each, and add up the logarithms."""
         for _ in range(periods):
             self.frame, upper_triangle = np.linalg.qr(self.one_period(self.frame))
             self.growth += np.log(np.abs(np.diag(upper_triangle)))
         self.periods += periods
 
     def restart_average(self) -> None:
-        """Forget the growth so far, keep state and frame."""
+        """Reset the growth; state and frame stay."""
         self.growth, self.periods, self.impacts = np.zeros(self.vectors), 0, 0
 
     @property

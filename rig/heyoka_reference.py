@@ -3,8 +3,8 @@
 ``Taylor``      the two-mass oscillator
 ``SoftTaylor``  one mass with a soft stop, the packaged system soft-impact
 
-The impact law, the saltation of the tangent vectors and their orthonormalisation are compiled by Numba, so that
-what is measured is the integrator. heyoka is optional: pip install heyoka.
+The impact law, the saltation of the tangent vectors and their orthonormalisation are compiled by Numba, so that only
+the integrator is measured. heyoka is optional: pip install heyoka.
 """
 
 import math
@@ -54,7 +54,7 @@ def orthonormalise(flat: Array, growth: Array, size: int = 4) -> None:
 
 
 def equations(vectors: int) -> tuple[list[tuple[Any, Any]], Any]:
-    """The two-mass oscillator with so many tangent vectors, and its displacement x1; par[0:8] are two rows of A."""
+    """The two-mass oscillator with this many tangent vectors, and its displacement x1; par[0:8] are two rows of A."""
     parts = ["x1", "x2", "v1", "v2"] + [f"w{k}{i}" for k in range(vectors) for i in range(4)]
     symbols = heyoka.make_vars(*parts)
     par = heyoka.par
@@ -75,7 +75,7 @@ def parameters(params: dict[str, float]) -> list[float]:
 
 
 class Taylor:
-    """One compiled integrator with so many tangent vectors, 0 to 4; the parameters are set per cell."""
+    """One compiled integrator with 0 to 4 tangent vectors; the parameters are set per cell."""
 
     def __init__(self, vectors: int) -> None:
         self.vectors = vectors
@@ -96,10 +96,10 @@ class Taylor:
         start = [0.0] * len(system)
         self.integrator = heyoka.taylor_adaptive(system, start, t_events=events, pars=[0.0] * 13, tol=1e-10)
         self.state, self.pars = self.integrator.state, self.integrator.pars
-        self.run(FIGURES["3"], (2,))  # compiles what Numba compiles
+        self.run(FIGURES["3"], (2,))  # compiles the Numba functions
 
     def run(self, params: dict[str, float], lengths: tuple[int, ...]) -> list[tuple[int, float, Array]]:
-        """(periods, processor seconds, exponents) at each length, a quarter of it dropped, from one run."""
+        """(periods, processor seconds, exponents) at each length from one run, without its first quarter."""
         self.pars[:] = parameters(params)
         self.R = params["R"]
         self.state[:] = 0.0

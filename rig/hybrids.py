@@ -1,7 +1,7 @@
-"""Machines of the oracle in the solver's form, and motions of the solver one at a time, with all that it tells of them.
+"""Machines of the oracle in the solver's form, and single motions of the solver with their full record.
 
-``machines_of``  what rig/oracle/pieces calls a Machine, as rows of HybridMachines
-``follow``       one motion through any number of periods, modes built as they are missing
+``machines_of``  machines of rig/oracle/pieces as rows of HybridMachines
+``follow``       one motion through any number of periods, with missing modes built
 """
 
 import math
@@ -31,14 +31,14 @@ from workers.results import NO_REASON
 Array = NDArray[np.float64]
 
 EVENTS = 2000
-"""Events of a period that are written down at most."""
+"""Most events of a period that are recorded."""
 
 STATES = {"open": OPEN, "held": ON, "engaged": ON, "detached": DETACHED}
 SLIPS = {"slip+": 1, "slip-": -1, "stick": 0}
 
 
 def machines_of(machines: Sequence[Machine], drift: int | None = None) -> HybridMachines:
-    """Machines of the same numbers of coordinates and elements, contacts soft or rigid alike, forced with tau = 0.
+    """Machines of equal numbers of coordinates and elements, with contacts soft or rigid alike, forced with tau = 0.
 
     drift: the coordinate of all of them that may drift.
     """
@@ -74,21 +74,24 @@ def _fields_of(machine: Machine, H: int) -> tuple[Any, ...]:
 
 
 def built(machine: Machine) -> Oscillator:
-    """A machine as the kernels run it, without a mode yet; it is fit for that."""
-    found, reasons = build_hybrid(machines_of([machine]))
+    """A machine as kernels run it, without a mode yet; it must be valid."""
+    oscillators, reasons = build_hybrid(machines_of([machine]))
     assert reasons[0] == NO_REASON
-    return found
+    return oscillators
 
 
 def code_in(mode: Mode) -> Code:
-    """A mode of the oracle as the solver calls it; no mode of it is "edge"."""
+    """A mode of the oracle as a Code of the solver; the oracle's "edge" has none."""
     contacts = tuple(STATES[name.rstrip("+-")] * (-1 if name.endswith("-") else 1) for name in mode.contacts)
     return Code(mode.phase, contacts, tuple(SLIPS[name] for name in mode.friction))
 
 
 class Event(NamedTuple):
-    """What happened ``t`` after the start: the signal of a contact (its position or, ``force``, its push) or of a
-    friction reached an end of its range on a side, at a rate; see hybrid.Pieces."""
+    """An event ``t`` after the start, at the end of the range of a signal.
+
+    The signal is that of a contact (its position or, ``force``, its push) or of a friction; with side and rate. See
+    hybrid.Pieces.
+    """
 
     t: float
     element: str
@@ -100,8 +103,12 @@ class Event(NamedTuple):
 
 @dataclass
 class Followed:
-    """A motion from one section to another: the state (x, v) there, its derivative by that at the start, the number of
-    its mode and of those at each section, its events, contacts (time, +-(1 + contact), speed) and counts."""
+    """A motion from one section to another.
+
+    The state (x, v) at the end, its derivative by the initial state, the number of its mode and of the mode at each
+    section,
+    its events, contacts (time, +-(1 + contact), speed) and counts.
+    """
 
     state: Array
     jacobian: Array
@@ -115,12 +122,12 @@ class Followed:
 
     @property
     def status(self) -> int:
-        """RUNNING, or why it stopped before its end."""
+        """RUNNING, or the reason of an early end."""
         return int(self.tally[STATUS])
 
 
 def shown(hybrid: Oscillator, state: Array | Sequence[float]) -> int:
-    """The number of the mode that a section state shows."""
+    """The number of the mode of a section state."""
     elements = one_of(hybrid, 0).table.elements
     return int(shown_number(elements, np.array(state, dtype=np.float64)))
 
@@ -137,7 +144,7 @@ def follow(
 ) -> Followed:
     """Follow the first machine from a section through some periods, or for a ``duration`` <= one period.
 
-    number: of its mode there; without one the state shows it. frame (m, 2n): tangent vectors, the axes without it;
+    number: of the initial mode; by default that of the state. frame (m, 2n): tangent vectors, by default the axes;
     framed: they are made orthonormal on the way, and their growth is counted.
     """
     z = np.array(state, dtype=np.float64)
@@ -145,32 +152,32 @@ def follow(
     period = 2.0 * math.pi / hybrid.table.machines.omega[0]
     start = shown(hybrid, z) if number is None else number
     growth = np.zeros(len(W) if framed else 0)
-    found = Followed(z, W.T, start, [start], [z], [], np.zeros((0, 3)), NOTHING_COUNTED.copy(), growth)
+    motion = Followed(z, W.T, start, [start], [z], [], np.zeros((0, 3)), NOTHING_COUNTED.copy(), growth)
     for k in range(periods):
-        _go_on(hybrid, found, k * period, period if duration is None else duration)
-        if found.status != RUNNING:
+        _go_on(hybrid, motion, k * period, period if duration is None else duration)
+        if motion.status != RUNNING:
             break
-    return found
+    return motion
 
 
-def _go_on(hybrid: Oscillator, found: Followed, since: float, duration: float) -> None:
-    """Take a motion on from a section, again from there each time that a mode had to be built."""
+def _go_on(hybrid: Oscillator, motion: Followed, since: float, duration: float) -> None:
+    """Advance a motion from a section; repeated from there whenever a mode had to be built."""
     table = one_of(hybrid, 0).table
     going = True
     while going:
-        z, W, growth, tally = (array.copy() for array in (found.state, found.jacobian.T, found.growth, found.tally))
-        W, code = np.ascontiguousarray(W), np.array([found.number])
+        z, W, growth, tally = (array.copy() for array in (motion.state, motion.jacobian.T, motion.growth, motion.tally))
+        W, code = np.ascontiguousarray(W), np.array([motion.number])
         hits, events = np.zeros((EVENTS, 3)), np.empty((EVENTS, LEG_STATE + len(z) + table.pieces.ends.shape[1]))
         tally[WORK], tally[RECORDED] = WORK_OF_A_TRIAL, 0.0
         through_modes(table, z, W, code, growth, np.zeros((0, 0)), tally, hits, events, duration)
         going = tally[STATUS] == MODE_MISSING and len(hybrid.table.build_missing(np.zeros(1, dtype=np.int64))) > 0
     hits = hits[: int(tally[RECORDED])]
     hits[:, 0] += since
-    found.state, found.jacobian, found.number, found.tally, found.growth = z, W.T, int(code[0]), tally, growth
-    found.numbers.append(found.number)
-    found.sections.append(z)
-    found.hits = np.concatenate([found.hits, hits])
-    found.events += [_event(hybrid, row, since) for row in events[events[:, 1] >= 0.0]]
+    motion.state, motion.jacobian, motion.number, motion.tally, motion.growth = z, W.T, int(code[0]), tally, growth
+    motion.numbers.append(motion.number)
+    motion.sections.append(z)
+    motion.hits = np.concatenate([motion.hits, hits])
+    motion.events += [_event(hybrid, row, since) for row in events[events[:, 1] >= 0.0]]
 
 
 def _event(hybrid: Oscillator, row: Array, since: float) -> Event:

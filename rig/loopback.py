@@ -1,8 +1,8 @@
-"""An object store in a process of its own, for tests of what is asked of one: it keeps a record, and fails on cue.
+"""An object store in a child process, for tests of its clients: it records requests, and fails on cue.
 
-It plays what obstore asks of S3, of Google's XML interface and of Azure's blobs: objects with their conditions and
-ranges, and for the first two listings, in pages, and removals of many at once. Nothing is checked of signatures. In a
-process of its own, since obstore can keep Python's lock while it waits for an answer.
+It plays the parts of S3, of Google's XML interface and of Azure's blobs used by obstore: objects with conditions and
+ranges, and for the first two also listings in pages and bulk removals. Signatures are not checked. It is a process of
+its own, since obstore can hold Python's lock while it waits for an answer.
 """
 
 import json
@@ -38,13 +38,13 @@ CREDENTIALS = {
 
 
 PAGE = 1000
-"""Keys that one listing gives, as those of real stores."""
+"""Keys per page of a listing, as in real stores."""
 _CONTROL = "/.control"
 
 
 @dataclass
 class Request:
-    """What was asked: the key is that of the object, with its bucket, or of a listing what all its keys begin with.
+    """A request: the key of the object with its bucket, or for a listing the prefix of its keys.
 
     ``kind`` is get, head, put, delete, "delete many" or list: one page of a listing.
     """
@@ -57,9 +57,9 @@ class Request:
 
 @dataclass
 class Trouble:
-    """What goes wrong: from the put number ``after`` of a key that begins with ``mark`` on, the next ``left`` requests.
+    """A fault: from put number ``after`` of a key beginning with ``mark`` on, the next ``left`` requests fail.
 
-    ``how`` is a status to answer with, "drop" to close the connection, "lost" to do what is asked and then close it.
+    ``how`` is a status to answer with, "drop" to close the connection, "lost" to do the request and then close it.
     """
 
     after: int = 0
@@ -68,7 +68,7 @@ class Trouble:
     mark: str = "bucket/plane.zarr/regime/c/"
 
     def of(self, request: Request) -> int | str | None:
-        """What is to go wrong at a request."""
+        """The fault of a request."""
         self.after -= request.method == "PUT" and request.key.startswith(self.mark)
         if self.after > 0 or self.left <= 0:
             return None
@@ -78,7 +78,7 @@ class Trouble:
 
 @dataclass
 class _Served:
-    """Objects by bucket and key, each with its generation; all requests so far; what is to go wrong; a delay."""
+    """Objects by bucket and key, each with its generation; all requests so far; the fault; a delay."""
 
     objects: dict[str, tuple[bytes, int]] = field(default_factory=dict)
     requests: list[Request] = field(default_factory=list)
@@ -88,7 +88,7 @@ class _Served:
     lock: Lock = field(default_factory=Lock)
 
     def control(self, asked: dict[str, Any]) -> Any:
-        """What the test does with it from its own process."""
+        """Commands of the test from its own process."""
         if "trouble" in asked:
             self.trouble = Trouble(**asked["trouble"])
         if "delay" in asked:
@@ -117,7 +117,7 @@ class _Served:
     def answer(self, request: Request, query: dict[str, list[str]], body: bytes) -> tuple[int, bytes, int]:
         """Status, body and the generation of the object."""
         key = request.key
-        if request.method == "POST":  # S3 removes many at once
+        if request.method == "POST":  # S3 removes many objects at once
             found = re.findall(r"<Key>(.*?)</Key>", body.decode())
             for name in found:
                 self.objects.pop(f"{key.strip('/')}/{unescape(name)}", None)
@@ -210,28 +210,28 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class ObjectStore:
-    """The server as a test sees it: what was asked of it, what it holds, and what is to go wrong in it."""
+    """The server from the view of a test: its requests, objects and faults."""
 
     def __init__(self, url: str) -> None:
         self.url = url
 
     @property
     def environment(self) -> dict[str, str]:
-        """The variables by which clients of all three kinds find it."""
+        """The variables by which clients of all three kinds find the server."""
         return dict.fromkeys(ENDPOINTS, self.url) | CREDENTIALS
 
     @property
     def requests(self) -> list[Request]:
-        """All requests so far, those that failed too."""
+        """All requests so far, including failed ones."""
         return [Request(**request) for request in self._control(requests=True)["requests"]]
 
     @property
     def counts(self) -> Counter[str]:
-        """How many requests there were of each kind since the last ``forget``."""
+        """Number of requests of each kind since the last ``forget``."""
         return Counter(self._control()["counts"])
 
     def forget(self) -> None:
-        """Count from none again."""
+        """Reset the counts."""
         self._control(forget=True)
 
     @property
@@ -246,7 +246,7 @@ class ObjectStore:
 
     @property
     def trouble(self) -> Trouble:
-        """What is to go wrong from now on."""
+        """The current fault."""
         return Trouble(**self._control()["trouble"])
 
     @trouble.setter
@@ -254,7 +254,7 @@ class ObjectStore:
         self._control(trouble=asdict(trouble))
 
     def delay(self, seconds: float) -> None:
-        """Answer each request after so many seconds, however many are under way."""
+        """Answer each request after this delay, also many at once."""
         self._control(delay=seconds)
 
     def _control(self, **asked: Any) -> Any:
@@ -264,15 +264,15 @@ class ObjectStore:
 
 @contextmanager
 def object_store() -> Iterator[ObjectStore]:
-    """An empty one, serving inside the ``with`` block."""
+    """An empty store, serving inside the ``with`` block."""
     command = [sys.executable, "-m", "rig.loopback"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, cwd=ROOT, **pipes) as process:  # type: ignore[call-overload]
-        yield ObjectStore(process.stdout.readline().decode().strip())  # and then its stdin ends, and so does it
+        yield ObjectStore(process.stdout.readline().decode().strip())  # the end of its stdin ends it
 
 
 def main() -> None:
-    """Serve at a free port, which is said on stdout, until stdin ends."""
+    """Serve at a free port, printed on stdout, until stdin ends."""
 
     class Server(ThreadingHTTPServer):
         daemon_threads = True

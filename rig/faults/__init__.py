@@ -1,4 +1,4 @@
-"""Faults on cue, for tests: what a script of them needs in its environment."""
+"""Fault injection for tests: the environment of a scripted process."""
 
 import json
 import os
@@ -9,11 +9,11 @@ from pathlib import Path
 from rig import ROOT
 
 ATLAS = [sys.executable, "-c", "import sys; from atlas.cli.main import main; main(sys.argv[1:])"]
-"""The command, in a process of its own."""
+"""The command, in a separate process."""
 
 
 def environment(folder: Path, script: dict[str, list[str]]) -> dict[str, str]:
-    """Variables for processes that are to meet the faults of a script; see sitecustomize.py."""
+    """Variables for processes that meet the faults of a script; see sitecustomize.py."""
     folder.mkdir(exist_ok=True)
     (folder / "script.json").write_text(json.dumps(script))
     (folder / "log").touch()
@@ -22,5 +22,5 @@ def environment(folder: Path, script: dict[str, list[str]]) -> dict[str, str]:
 
 
 def attempts(folder: Path) -> Counter[str]:
-    """How often each tile was tried."""
+    """Number of attempts at each tile."""
     return Counter(line.split()[0] for line in (folder / "log").read_text().splitlines())

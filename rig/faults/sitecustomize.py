@@ -1,8 +1,8 @@
-"""Faults on cue: Python imports this at start where its folder is on PYTHONPATH, so that it reaches every process.
+"""Fault injection: Python imports this module at start if its folder is on PYTHONPATH, so it reaches every process.
 
-FAULTS names a folder. ``script.json`` in it maps a tile ("0-1") to what its attempts meet in turn: "ok", "fail" (an
-exception), "die" (kill -9 of the process), "slow" (0.3 s more), "full", "forbidden" (an error of the disk); the
-last word holds for all further attempts, and "*" is for tiles not named. ``log`` gets a line for each attempt.
+FAULTS names a folder. Its ``script.json`` maps a tile ("0-1") to the fates of its attempts in order: "ok", "fail" (an
+exception), "die" (kill -9 of the process), "slow" (0.3 s more), "full", "forbidden" (errors of the disk); the last word
+holds for all further attempts, and "*" for tiles not named. ``log`` gets a line for each attempt.
 """
 
 import errno
@@ -46,7 +46,7 @@ def _install(module: Any) -> None:
 
 
 class _Finder(importlib.abc.MetaPathFinder):
-    """Lets atlas.task.task load as usual, then has it changed."""
+    """Loads atlas.task.task as usual, then changes it."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
         if name != "atlas.task.task":

@@ -1,4 +1,4 @@
-"""An independent simulator of linear machines with one gap: it shares no code and no method with the solver it checks.
+"""An independent simulator of linear machines with one gap: it shares no code and no method with the solver.
 
 ``Machine``             matrices, stops and initial state of any such machine; ``two_mass`` makes one from parameters
 ``simulate``            any orbit, chatter and sticking included, in multiprecision arithmetic (mpmath)
@@ -10,8 +10,8 @@
 
 The solver flies in modal blocks and marches by curvature bounds. Here a flight is the Taylor series of displacements
 and velocities with the forcing among the unknowns, so that damping of any kind, resonance, rigid modes and mass ratios
-are no special cases, and the first crossing of a stop is isolated with Bernstein coefficients. Wherever a machine is
-asked for, the parameters of the two-mass oscillator will do.
+are no special cases; the first crossing of a stop is isolated with Bernstein coefficients. The parameters of the
+two-mass oscillator are accepted in place of a machine.
 """
 
 from rig.oracle.closed_form import ImpactOrbit, one_sided_orbit, symmetric_orbit

@@ -1,6 +1,6 @@
 """The first upward zero of a polynomial on [0, 1], isolated by Bernstein coefficients: none is missed.
 
-In integers, multiples of one unit so far below the working precision that what is rounded away does not count.
+Computed in integers, multiples of a unit so far below the working precision that rounding is negligible.
 """
 
 import itertools
@@ -59,7 +59,7 @@ def _value(polynomial: list[int], u: int, bits: int) -> tuple[int, int]:
 
 
 def _refine(polynomial: list[int], low: int, high: int, bits: int) -> Number:
-    """The one zero in (low, high) / 2^bits: Newton's method, kept inside a bracket that shrinks."""
+    """The only zero in (low, high) / 2^bits: Newton's method within a shrinking bracket."""
     settled = mp.prec // 2 + 8
     u = (low + high) >> 1
     for _ in range(4 * mp.prec):
@@ -84,7 +84,7 @@ def first_upward_zero(polynomial: list[Number], error: Number) -> Number | None:
 
     The polynomial's Bernstein coefficients on an interval enclose its values there: all below -error means no zero,
     one change of sign means exactly one. Otherwise the interval is halved. A zero of even order (the polynomial
-    touches zero to within half the working precision) counts as no crossing. ``error`` bounds the polynomial's error.
+    touches zero to within half the working precision) is no crossing. ``error`` bounds the polynomial's error.
     """
     if _surely_negative(polynomial):
         return None
@@ -92,7 +92,7 @@ def first_upward_zero(polynomial: list[Number], error: Number) -> Number | None:
     bits = mp.prec + 2 * degree
     unit = mp.ldexp(1, mp.frexp(max(map(abs, polynomial)))[1] - bits)
     values = [integer(value / unit) for value in polynomial]
-    doubt = integer(mp.ceil(error / unit)) + (2 << degree)  # with what was rounded here
+    doubt = integer(mp.ceil(error / unit)) + (2 << degree)  # including the rounding above
     narrow = 1 << (bits - mp.prec // 2)
     pending = [(0, 1 << bits, _bernstein(values))]
     while pending:

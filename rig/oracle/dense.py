@@ -1,6 +1,6 @@
-"""First impacts and clearances of many free flights in double precision, by sampling far below the fastest time scale.
+"""First impacts and clearances of many free flights in double precision, by samples far below the fastest time scale.
 
-What double precision cannot decide, a peak within about 1e-9 of a stop, is handed to the multiprecision flight.
+Cases that double precision cannot decide, peaks within about 1e-9 of a stop, go to the multiprecision flight.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,7 +29,7 @@ class FirstImpacts:
     time: Array
     side: NDArray[np.int64]
     speed: Array
-    confirmed: int  # how many flights multiprecision had to decide
+    confirmed: int  # flights decided by multiprecision
 
 
 @dataclass(frozen=True)
@@ -44,21 +44,23 @@ class _Flights:
 
     @classmethod
     def of(cls, cell: Cell, states: ArrayLike, starts: ArrayLike) -> "_Flights":
-        made = model(cell)
-        B = np.zeros((len(made.free.rows),) * 2)
-        for i, row in enumerate(made.free.rows):
+        machine = model(cell)
+        B = np.zeros((len(machine.free.rows),) * 2)
+        for i, row in enumerate(machine.free.rows):
             for j, entry in row.items():
                 B[i, j] = float(entry)
-        T, g = np.array(made.to_gap.tolist(), dtype=float), np.array(made.gap_row, dtype=float)
+        T, g = np.array(machine.to_gap.tolist(), dtype=float), np.array(machine.gap_row, dtype=float)
         x, v = np.split(np.atleast_2d(np.asarray(states, dtype=float)).T, 2)
-        angle = float(made.omega) * np.broadcast_to(np.asarray(starts, dtype=float), x.shape[1:]) + float(made.tau)
-        drive = [f(k * angle) for k in made.harmonics for f in (np.sin, np.cos)]
+        angle = float(machine.omega) * np.broadcast_to(np.asarray(starts, dtype=float), x.shape[1:]) + float(
+            machine.tau
+        )
+        drive = [f(k * angle) for k in machine.harmonics for f in (np.sin, np.cos)]
         start = np.vstack([T @ x, T @ v, *drive, np.ones(x.shape[1])])
-        stops = {side: float(stop) for side, stop in made.stops.items()}
+        stops = {side: float(stop) for side, stop in machine.stops.items()}
         for stop in stops.values():
             near = np.abs(start[Y] - stop) <= 8 * DOUBLE * (np.abs(g) @ np.abs(x) + abs(stop))
             start[Y, near] = stop
-        return cls(B, 2 * pi / (float(made.free.rate) * SAMPLES), made.n, stops, start)
+        return cls(B, 2 * pi / (float(machine.free.rate) * SAMPLES), machine.n, stops, start)
 
     @property
     def velocity(self) -> int:
@@ -66,15 +68,15 @@ class _Flights:
         return self.n + Y
 
     def limit(self, side: int) -> float:
-        """How far the gap coordinate may go toward a side."""
+        """Largest value of the gap coordinate toward a side."""
         return side * self.stops[side] if side in self.stops else inf
 
     def on_stop(self) -> NDArray[np.bool_]:
-        """Which flights start on a stop."""
+        """Mask of flights that start on a stop."""
         return np.isin(self.start[Y], list(self.stops.values()))
 
     def blocks(self, horizon: float) -> Iterator[tuple[int, Array]]:
-        """Index of the first sample, and the samples (BLOCK + 1, states, flights) of a block; they share their ends."""
+        """Index of the first sample, and the samples (BLOCK + 1, states, flights) of a block; ends are shared."""
         fine = expm(self.B * self.step * np.arange(BLOCK + 1)[:, None, None])
         for first in range(0, int(np.ceil(horizon / self.step)), BLOCK):
             yield first, fine @ (expm(self.B * self.step * first) @ self.start)
@@ -88,7 +90,7 @@ class _Flights:
         return np.array(coefficients[::-1])
 
     def after(self, state: Array, time: float) -> Array:
-        """The state a time, at most one sample step, later."""
+        """The state after a time of at most one sample step."""
         return np.array([np.polyval(self.polynomial(state, unit), time) for unit in np.eye(len(state))])
 
     def gap(self, state: Array, side: int, derivative: int = 0) -> Array:
@@ -97,7 +99,7 @@ class _Flights:
 
 
 def _bisect(rises: Callable[[float], bool], low: float, high: float) -> float:
-    """Where a predicate that is false at low and true at high turns true."""
+    """The point where a predicate, false at low and true at high, becomes true."""
     for _ in range(200):
         middle = 0.5 * (low + high)
         if not low < middle < high:
@@ -114,10 +116,10 @@ def _peak(flights: _Flights, state: Array, side: int, span: float) -> tuple[floa
 
 
 def _suspicious(flights: _Flights, samples: Array, side: int, level: Array | float) -> NDArray[np.bool_]:
-    """Intervals (m, n) in which side * y may exceed the level: it does at the end, or it has a maximum that may."""
+    """Intervals (m, n) in which side * y may exceed the level: at the end, or at a maximum."""
     position, velocity = side * samples[:, Y], side * samples[:, flights.velocity]
     higher = np.maximum(position[:-1], position[1:])
-    bulge = flights.step * np.abs(np.diff(velocity, axis=0)) / 4  # h^2 a / 8, with room for a to vary
+    bulge = flights.step * np.abs(np.diff(velocity, axis=0)) / 4  # h^2 a / 8, with room for changes of a
     turns = (velocity[:-1] > 0) & (velocity[1:] <= 0)
     result: NDArray[np.bool_] = (position[1:] >= level) | (turns & (higher + bulge >= level))
     return result
@@ -186,7 +188,7 @@ def first_impact_dense(cell: Cell, states: ArrayLike, starts: ArrayLike, horizon
 
 
 def dense_violation(cell: Cell, states: ArrayLike, starts: ArrayLike, durations: ArrayLike) -> Array:
-    """How far each of many free flights goes beyond a stop at most: positive where an impact was missed.
+    """Largest distance of each free flight beyond a stop: positive for a missed impact.
 
     ``states`` (N, 2n) at the flights' starts, ``starts`` (N) their times since the section, ``durations`` (N).
     """
@@ -198,7 +200,7 @@ def dense_violation(cell: Cell, states: ArrayLike, starts: ArrayLike, durations:
         for n in np.flatnonzero(left > 0):
             whole = min(int(left[n] / flights.step), BLOCK)
             inside = samples[: whole + 1, :, n]
-            if whole < BLOCK:  # the flight ends in this block: close it with a sample at its very end
+            if whole < BLOCK:  # the flight ends in this block, with a sample at its very end
                 rest = left[n] - whole * flights.step
                 inside = np.vstack([inside, flights.after(inside[-1], rest)])
             for s, most in highest.items():

@@ -1,4 +1,4 @@
-"""Closed forms of a free mass on a shaken table and in a shaken box: periodic orbits and where they bifurcate."""
+"""Closed forms of a free mass on a shaken table and in a shaken box: periodic orbits and their bifurcations."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from rig.oracle.linear import Number
 
 @dataclass(frozen=True)
 class FreeOrbit:
-    """An impact at that forcing ``phase``, speeds before and after it relative to the stop, and multipliers."""
+    """An impact at this forcing ``phase``, speeds before and after it relative to the stop, and multipliers."""
 
     phase: Number
     before: Number
@@ -45,7 +45,7 @@ def bouncing_ball_fold(R: Number) -> Number:
 
 
 def bouncing_ball_doubling(R: Number) -> Number:
-    """Gamma2, where the stable orbit doubles its period.
+    """Gamma2, the period doubling of the stable orbit.
 
     Multipliers -1 and -R^2 have the trace -(1 + R^2): gamma sin(phase) = 2 (1 + R^2)/(1 + R)^2. With
     gamma cos(phase) = Gamma1, gamma is the root of the sum of the squares.
@@ -57,7 +57,7 @@ def bouncing_ball_doubling(R: Number) -> Number:
 def impact_pair_orbits(clearance: Number, R: Number) -> list[FreeOrbit]:
     """Symmetric orbits with one impact a side of ``machines.impact_pair``, the saddle last.
 
-    Multipliers are those of half a period and a mirror; the orbit's are their squares.
+    Multipliers are of half a period and a mirror; those of the orbit are their squares.
 
     Box s = sin t, stops at s +- nu/2. The mass leaves the upper stop at the phase p with velocity u and arrives at the
     lower one half a period later: sin p + nu/2 + pi u = -sin p - nu/2. By symmetry it came with -u, so Newton's law
@@ -75,7 +75,7 @@ def impact_pair_orbits(clearance: Number, R: Number) -> list[FreeOrbit]:
     orbits = []
     for phase in (mp.asin(-nu / reach) - shift, mp.pi - mp.asin(-nu / reach) - shift):
         w = mp.cos(phase)
-        if w < 0:  # else the mass would come from beyond the stop
+        if w < 0:  # otherwise the mass would come from beyond the stop
             trace = 2 * R + (1 - R**2) * (mp.pi / 2) * mp.tan(phase)
             orbits.append(FreeOrbit(phase, -2 * w / (1 - R), -2 * R * w / (1 - R), _roots(trace, R**2)))
     return sorted(orbits, key=lambda orbit: mp.re(sum(orbit.multipliers)))

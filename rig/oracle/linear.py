@@ -1,7 +1,7 @@
-"""Linear autonomous systems z' = B z by Taylor series, with a bound on what the series leaves out.
+"""Linear autonomous systems z' = B z by Taylor series, with a bound on the truncation error.
 
-The terms are integers, multiples of one unit of the norm: Python's are exact and fast, and what is rounded away is
-2^-GUARD of what the series may leave out.
+The terms are integers, multiples of one unit of the norm: Python's integers are exact and fast, and rounding is
+2^-GUARD of the truncation error.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from mpmath import mp
 Number = Any  # an mpmath mpf, which has no public type
 Row = dict[int, Number]
 
-REACH = 4  # a step is at most REACH / rate long: longer ones need fewer terms a unit of time, but lose digits
+REACH = 4  # longest step times rate: longer steps need fewer terms per time, but lose digits
 GUARD = 64  # bits of a term below the working precision
 
 
@@ -67,7 +67,7 @@ class LinearSystem:
             largest = max(largest, size)
             ratio = stretch // (order + 1) + 1
             rest = (1 << bits) - ratio
-            # Each later term is at most ratio times the one before: a geometric series bounds them all.
+            # Each later term is at most ratio times the previous one: a geometric series bounds the sum.
             if 2 * ratio < 1 << bits and size * ratio << (mp.prec - 1) <= rest * largest:
                 left_out = unit * size * ratio / rest
                 return Series(terms, bits, tuple(unit / weight for weight in self.weights), left_out, self.weights)
@@ -82,7 +82,7 @@ def integer(value: Number, bits: int = 0) -> int:
 class Series:
     """z(u), u in [0, 1]: terms as integers, ``units`` of their components.
 
-    What is left out is at most ``left_out`` in the norm of these ``weights``.
+    The truncation error is at most ``left_out`` in the norm of these ``weights``.
     """
 
     terms: list[list[int]]

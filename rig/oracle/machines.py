@@ -54,7 +54,7 @@ def impact_pair(clearance: Number, R: Number, tau: Number = 0, start: tuple[Numb
 
 
 def chain(n: int, *, zeta: float = 0.05, omega: float = 1.0, upper: float = 0.3, R: float = 0.8) -> Machine:
-    """n unit masses in a row on unit springs between two walls; the first is shaken, the last one hits a stop."""
+    """n unit masses in a row on unit springs between two walls; the first is shaken, the last hits a stop."""
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     force = np.eye(n)[:1]
     none = np.zeros((1, n))
@@ -62,7 +62,7 @@ def chain(n: int, *, zeta: float = 0.05, omega: float = 1.0, upper: float = 0.3,
 
 
 DAMPINGS = ("none", "proportional", "general", "internal")
-"""No damping; a K + b M; any semidefinite matrix, often of low rank; dashpots that a rigid mode does not feel."""
+"""No damping; a K + b M; any semidefinite matrix, often of low rank; dashpots without effect on a rigid mode."""
 
 
 def random_machine(
@@ -74,12 +74,12 @@ def random_machine(
     one_sided: bool | None = None,
     R: float | None = None,
 ) -> Machine:
-    """A machine of n masses with a state inside its stops; what is not given is drawn too.
+    """A machine of n masses with a state inside its stops; unspecified properties are drawn too.
 
     Mass and stiffness are full matrices. A ``rigid`` machine has one rigid mode, which the gap sees: its stiffness is
     singular in exact arithmetic. The force has up to four harmonics with phases of their own, half of the machines a
-    load. Stops are equal, unequal or a single one. Machines that run away (a rigid mode that no load drives to the only
-    stop) or come near an undamped resonance, free or held, are not drawn.
+    load. Stops are equal, unequal or a single one. No runaway machines (a rigid mode that no load drives to the only
+    stop), and none near an undamped resonance, free or held.
     """
     for _ in range(1000):
         drawn = _draw(
@@ -96,7 +96,7 @@ def random_machine(
 
 
 def rigid_mode(machine: Machine) -> Array:
-    """The displacement (n,) that the springs do not feel, of unit length."""
+    """The displacement (n,) without effect on the springs, of unit length."""
     vector: Array = np.linalg.svd(np.asarray(machine.stiffness, dtype=float))[2][-1]
     return vector
 
@@ -129,14 +129,14 @@ def _draw(rng: Generator, n: int, *, rigid: bool, damping: str, one_sided: bool,
 
 
 def _positive(rng: Generator, n: int, low: float, high: float) -> Array:
-    """A symmetric matrix with random eigenvectors, and eigenvalues in that range."""
+    """A symmetric matrix with random eigenvectors, and eigenvalues in this range."""
     Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
     matrix = Q @ np.diag(np.exp(rng.uniform(math.log(low), math.log(high), n))) @ Q.T
     return (matrix + matrix.T) / 2
 
 
 def _springs(rng: Generator, shape: Array) -> Array:
-    """Springs among the coordinates shape @ x, none to the ground: dyadic numbers, so that it is singular exactly."""
+    """Springs among the coordinates shape @ x, none to the ground: dyadic numbers, for exact singularity."""
     n = len(shape)
     laplacian = np.zeros((n, n))
     for i in range(1, n):
@@ -214,9 +214,9 @@ def _with_stops(rng: Generator, machine: Machine, size: float, rigid: bool, one_
 
 
 def _resonates(machine: Machine) -> bool:
-    """Whether a root of the free or the held motion lies within a twentieth of a harmonic that forces it."""
+    """Whether a root of the free or the held motion lies within a twentieth of a forcing harmonic."""
     M, C, K, g = (np.asarray(part) for part in (machine.mass, machine.damping, machine.stiffness, machine.gap_row))
-    across = np.linalg.svd(g[None])[2][1:].T  # displacements that leave the gap as it is
+    across = np.linalg.svd(g[None])[2][1:].T  # displacements that leave the gap unchanged
     active = np.flatnonzero(np.any(np.concatenate([machine.force_sin, machine.force_cos], axis=1), axis=1)) + 1
     for basis in (np.eye(len(g)), across):
         m, c, k = (basis.T @ matrix @ basis for matrix in (M, C, K))

@@ -1,11 +1,11 @@
-"""A linear machine with one gap, and the linear system whose Taylor series the simulator flies.
+"""A linear machine with one gap, and the linear system for the simulator's Taylor series.
 
 M x'' + C x' + K x = sum_k (force_sin[k] sin(k phi) + force_cos[k] cos(k phi)) + load,   phi = omega t + tau
 lower <= y <= upper,   y = g.x;   an impact turns y' into -R y' by an impulse along M^-1 g
 
 The series are those of q = T x: q[0] = y, and the others u_j = x_j - y k_j, k = M^-1 g / (g M^-1 g), of all coordinates
-but the one with the largest entry in g. The force of a stop cannot be felt by u: an impact changes y' alone, and while
-y rests on a stop u obeys the equations that it has in free flight.
+but the one with the largest entry in g. The force of a stop has no effect on u: an impact changes only y', and while y
+rests on a stop u obeys the equations of free flight.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ STATES = ("x1", "x2", "v1", "v2")
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A machine and its state at t = 0; entries are doubles, taken as the exact numbers that they are, or mpmath's.
+    """A machine and its state at t = 0; entries are doubles, taken as exact, or mpmath's numbers.
 
     ``mass``, ``damping``, ``stiffness`` (n, n), ``gap_row`` and ``load`` (n,); ``force_sin`` and ``force_cos`` (H, n),
     row k - 1 for the harmonic k; ``upper`` and ``lower`` positions of the stops, or infinite; ``start`` (2n,)
@@ -81,13 +81,13 @@ def two_mass(params: Mapping[str, float | Number]) -> Machine:
 
 
 def machine_of(cell: Cell) -> Machine:
-    """The machine that a cell is."""
+    """The machine of a cell."""
     return cell if isinstance(cell, Machine) else two_mass(cell)
 
 
 @dataclass(frozen=True)
 class Model:
-    """A machine in the working precision of the moment it was made.
+    """A machine in the working precision at its construction.
 
     A state of ``free`` is (q, q', drive), the drive (sin k phi, cos k phi for each of ``harmonics``, 1).
     """
@@ -111,7 +111,7 @@ class Model:
 
     @property
     def acceleration(self) -> Row:
-        """The free acceleration of the gap coordinate, on a state."""
+        """The free acceleration of the gap coordinate, as a functional of the state."""
         return self.free.rows[self.n + Y]
 
     def drive(self, time: Number) -> list[Number]:
@@ -130,13 +130,13 @@ class Model:
         return [*(self.from_gap * q), *(self.from_gap * rates)]
 
     def held(self) -> LinearSystem:
-        """The motion with the gap coordinate at rest where it is."""
+        """The motion with the gap coordinate at rest in its place."""
         rows = [{} if i in (Y, self.n + Y) else row for i, row in enumerate(self.free.rows)]
         return LinearSystem.of(rows, self.free.weights)
 
 
 def model(cell: Cell) -> Model:
-    """The machine of a cell, made ready to fly."""
+    """The machine of a cell, ready for simulation."""
     machine = machine_of(cell)
     n = len(machine.gap_row)
     g, load = _vector(machine.gap_row), _vector(machine.load)
@@ -201,10 +201,10 @@ def _to_gap(inverse_mass: Any, g: Any) -> Any:
 
 
 def _weights(rows: Sequence[Row], n: int, omega: Number) -> list[Number]:
-    """Weights that make the norm of B about the fastest rate in the system: any would do, these need few steps.
+    """Weights that make the norm of B about the fastest rate in the system, for few steps; any weights are valid.
 
-    Those of (q, q') come near the inverse of the Perron vector of |A|, by a few steps of power iteration; those of the
-    drive make its share in the norm a tenth.
+    Weights of (q, q') approximate the inverse of the Perron vector of |A| by a few steps of power iteration; weights of
+    the drive make its share in the norm a tenth.
     """
     A = np.zeros((2 * n, 2 * n))
     for i, row in enumerate(rows[: 2 * n]):

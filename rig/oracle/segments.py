@@ -3,7 +3,7 @@
     x'' + c x' + k x = A cos omega t - push - rub
 
 push = law(d) + damping d' beyond ``stop`` by d > 0, never below 0; rub = law(|v|) sgn v at v = x' - belt, up to
-``static`` at v = 0. Nothing here is shared with the solver, nor with the simulator of many digits.
+``static`` at v = 0. Shares nothing with the solver, nor with the multiprecision simulator.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 CLOSE: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-13, "max_step": 0.05}
-"""A step is short enough that no guard rises and falls within it: what sticks is flown exactly at any step."""
+"""Longest step: no guard rises and falls within it; sticking is exact at any step."""
 
 Table = Sequence[tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class Mass:
-    """The numbers of the equation; a table that is empty is no contact or no friction."""
+    """The numbers of the equation; an empty table means no contact or no friction."""
 
     c: float
     k: float
@@ -37,7 +37,7 @@ class Mass:
 
 
 def simulate(mass: Mass, state: Sequence[float], periods: int) -> tuple[NDArray[np.float64], list[tuple[float, str]]]:
-    """The state after some periods of the force, and what happened when."""
+    """The state after some periods of the force, and the events with their times."""
     t, end, z = 0.0, periods * 2.0 * np.pi / mass.omega, np.array(state, float)
     depth = z[0] - mass.stop
     touch, rub = ("open", 0) if not mass.contact or depth <= 0.0 else ("on", _segment(mass.contact, depth)), ("none", 0)
@@ -54,9 +54,9 @@ def simulate(mass: Mass, state: Sequence[float], periods: int) -> tuple[NDArray[
 
         for guard, _ in events:
             guard.terminal, guard.direction = True, 1.0  # type: ignore[attr-defined]
-        found = solve_ivp(rate, (t, end), z, "DOP853", events=[guard for guard, _ in events], **CLOSE)
-        t, z = float(found.t[-1]), found.y[:, -1]
-        for (_, name), times in zip(events, found.t_events or (), strict=True):
+        solution = solve_ivp(rate, (t, end), z, "DOP853", events=[guard for guard, _ in events], **CLOSE)
+        t, z = float(solution.t[-1]), solution.y[:, -1]
+        for (_, name), times in zip(events, solution.t_events or (), strict=True):
             if len(times) and t < end:
                 happened.append((t, name))
                 touch, rub = _after(mass, name, touch, rub, t, z)
@@ -83,7 +83,7 @@ def _push(mass: Mass, j: int, z: Any) -> float:
 
 
 def _force(mass: Mass, t: float, z: Any, touch: tuple[str, int], rub: tuple[str, int]) -> float:
-    """The acceleration; of what sticks without the friction that holds it."""
+    """The acceleration; for sticking without the friction that holds it."""
     total = mass.A * np.cos(mass.omega * t) - mass.c * z[1] - mass.k * z[0]
     if touch[0] == "on":
         total -= _push(mass, touch[1], z)
@@ -97,20 +97,20 @@ Guards = list[tuple[Callable[[float, Any], float], str]]
 
 
 def _of_contact(mass: Mass, state: str, j: int) -> Guards:
-    """What rises through 0 where the contact changes."""
+    """Functions that rise through 0 where the contact changes."""
     if not mass.contact:
         return []
     if state == "open":
         return [(lambda _, z: z[0] - mass.stop, "hit")]
-    found: Guards = [(lambda _, z: mass.stop + mass.contact[j][0] - z[0], "open" if j == 0 else "shallower")]
+    guards: Guards = [(lambda _, z: mass.stop + mass.contact[j][0] - z[0], "open" if j == 0 else "shallower")]
     if j + 2 < len(mass.contact):
-        found.append((lambda _, z: z[0] - mass.stop - mass.contact[j + 1][0], "deeper"))
+        guards.append((lambda _, z: z[0] - mass.stop - mass.contact[j + 1][0], "deeper"))
     sign = -1.0 if state == "on" else 1.0
-    return [*found, (lambda _, z: sign * _push(mass, j, z), "detach" if state == "on" else "engage")]
+    return [*guards, (lambda _, z: sign * _push(mass, j, z), "detach" if state == "on" else "engage")]
 
 
 def _of_friction(mass: Mass, state: str, j: int, touch: tuple[str, int]) -> Guards:
-    """What rises through 0 where friction changes."""
+    """Functions that rise through 0 where friction changes."""
     if not mass.friction:
         return []
     if state == "stick":
@@ -120,16 +120,16 @@ def _of_friction(mass: Mass, state: str, j: int, touch: tuple[str, int]) -> Guar
 
         return [(lambda t, z: needed(t, z) - mass.static, "slip+"), (lambda t, z: -needed(t, z) - mass.static, "slip-")]
     sign, table = (1.0 if state == "+" else -1.0), mass.friction
-    found: Guards = [(lambda _, z: table[j][0] - sign * (z[1] - mass.belt), "stop" if j == 0 else "slower")]
+    guards: Guards = [(lambda _, z: table[j][0] - sign * (z[1] - mass.belt), "stop" if j == 0 else "slower")]
     if j + 2 < len(table):
-        found.append((lambda _, z: sign * (z[1] - mass.belt) - table[j + 1][0], "faster"))
-    return found
+        guards.append((lambda _, z: sign * (z[1] - mass.belt) - table[j + 1][0], "faster"))
+    return guards
 
 
 def _after(
     mass: Mass, name: str, touch: tuple[str, int], rub: tuple[str, int], t: float, z: Any
 ) -> tuple[tuple[str, int], tuple[str, int]]:
-    """What contact and friction do after an event."""
+    """States of contact and friction after an event."""
     if name in ("hit", "open"):
         return ("on" if name == "hit" else "open", 0), rub
     if name in ("shallower", "deeper"):

@@ -3,7 +3,7 @@
     y'' = load + F sin(phi),   phi = omega t + tau,   lower <= y <= upper,   impacts y' -> -R y'
 
 The acceleration changes its sign at phases known in closed form. Between two of them the velocity is monotone, so it
-has one zero at most; between the zeros of the velocity the position is monotone, so it crosses a stop once at most.
+has at most one zero; between the zeros of the velocity the position is monotone, so it crosses a stop at most once.
 Each zero is bisected. Nothing is bounded, marched or sampled: no code and no method is shared with the solver, nor with
 the multiprecision simulator. Double precision, with differences of sines written so that the shortest hop keeps its
 relative accuracy.
@@ -21,24 +21,24 @@ Counts = NDArray[np.int64]
 
 FREE, LOWER, UPPER = 0, -1, 1
 COMPLETE = 1e-11
-"""Chatter that is over within this part of a radian of the forcing counts as completed."""
+"""Duration of chatter, in radians of the forcing, that counts as completed."""
 
 AT_ONCE = 1e-9
-"""Length in phase below which a change of sign has taken place: a mass leaves a stop exactly at one."""
+"""Length in phase below which a change of sign counts as past: a mass leaves a stop exactly at one."""
 
 MOST_IMPACTS = 100_000
-"""A period: beyond it a run gives up."""
+"""Most impacts of a period: beyond it a run gives up."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a motion did, a row a period.
+    """History of a motion, one row per period.
 
     states    (N + 1, 2) y and y' at the sections; contact (N + 1,) the stop on which the mass rests there, 0 if free
     hits      (N, 2) impacts at the lower and the upper stop; rests (N,) begun or continued in that period
-    stretch   (N,) logarithm of how far a tangent vector grew; -infinity where the mass rested
-    jacobian  (2, 2) of the whole run; singular where the mass rested
-    gave_up   whether a period had more than MOST_IMPACTS impacts: the rows after it are NaN
+    stretch   (N,) log of the growth of a tangent vector; -infinity if the mass rested
+    jacobian  (2, 2) of the whole run; singular if the mass rested
+    gave_up   true if a period had more than MOST_IMPACTS impacts: the rows after it are NaN
     """
 
     states: Array
@@ -54,7 +54,7 @@ def follow(
     *, load: float, force: float, omega: float, tau: float, lower: float, upper: float, R: float,
     start: tuple[float, float], periods: int,
 ) -> Run:  # fmt: skip
-    """The motion over so many forcing periods from (y, y') at t = 0, at rest on a stop if pressed there."""
+    """The motion over these forcing periods from (y, y') at t = 0, at rest on a stop if pressed there."""
     N = periods
     states, contact = np.full((N + 1, 2), np.nan), np.zeros(N + 1, dtype=np.int64)
     hits, rests, stretch = np.zeros((N, 2), dtype=np.int64), np.zeros(N, dtype=np.int64), np.zeros(N)
@@ -69,7 +69,7 @@ def follow(
 
 @njit(cache=True)
 def _moved(load: float, force: float, omega: float, phase: float, v: float, s: float) -> tuple[float, float]:
-    """How far y and y' change in a flight of s from a phase and a velocity."""
+    """Changes of y and y' in a flight of s from a phase and a velocity."""
     x = omega * s
     rise = 2.0 * math.sin(0.5 * x) ** 2  # 1 - cos x
     if abs(x) < 0.5:
@@ -89,7 +89,7 @@ def _moved(load: float, force: float, omega: float, phase: float, v: float, s: f
 
 @njit(cache=True)
 def _turns(load: float, force: float, phase: float, reach: float, turns: Array) -> int:
-    """Write the lengths in phase, below ``reach``, after which the acceleration changes its sign; their number."""
+    """Write the lengths in phase, below ``reach``, to the sign changes of the acceleration; returns their number."""
     count = 0
     if abs(load) < abs(force):
         angle = math.asin(-load / force)
@@ -152,7 +152,7 @@ def _first_hit(
 
 @njit(cache=True)
 def _let_go(load: float, force: float, phase: float, side: int) -> float:
-    """Length in phase until the acceleration stops pressing the mass on that stop; infinite where it never does."""
+    """Length in phase until the acceleration stops pressing the mass on this stop; infinite if it never does."""
     if abs(load) >= abs(force):
         return math.inf
     angle = math.asin(-load / force)
@@ -168,7 +168,7 @@ def _follow(
     load: float, force: float, omega: float, tau: float, lower: float, upper: float, R: float,
     states: Array, contact: Counts, hits: Counts, rests: Counts, stretch: Array, jacobian: Array,
 ) -> int:  # fmt: skip
-    """Fill in the rows of a Run; the periods completed."""
+    """Write the rows of a Run; returns the periods completed."""
     T = 2.0 * math.pi / omega
     y, v, held = states[0, 0], states[0, 1], contact[0]
     vector = np.array([0.6, 0.8])

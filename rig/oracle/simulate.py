@@ -9,7 +9,7 @@ from rig.oracle.crossing import first_upward_zero
 from rig.oracle.linear import REACH, Number, Series
 from rig.oracle.model import Cell, Model, Y, machine_of, model
 
-MAX_IMPACTS = 50_000  # a period; far beyond any chatter that the rule for rest lets go on
+MAX_IMPACTS = 50_000  # per period; far beyond any chatter that the rule for rest lets continue
 DOUBLE = 2.0**-52
 
 
@@ -33,7 +33,7 @@ class Stuck:
 
 @dataclass
 class Orbit:
-    """Section states (displacements, velocities) at t = 0, T, 2T, ..., and what happened between them."""
+    """Section states (displacements, velocities) at t = 0, T, 2T, ..., and the events between them."""
 
     sections: list[list[Number]] = field(default_factory=list)
     impacts: list[Impact] = field(default_factory=list)
@@ -42,10 +42,10 @@ class Orbit:
 
 @dataclass(frozen=True)
 class Contact:
-    """How the gap coordinate stands at the start of a flight, on the stop of that side.
+    """State of the gap coordinate at the start of a flight, on the stop of this side.
 
     ``order`` derivatives of its distance vanish there exactly: 1 with a velocity, 2 with an acceleration,
-    3 with only a jerk away from the stop. ``side`` 0 and order 0: it is in between.
+    3 with only a jerk away from the stop. ``side`` 0 and order 0: between the stops.
     """
 
     side: int = 0
@@ -53,30 +53,29 @@ class Contact:
 
 
 def simulate(cell: Cell, periods: int, digits: int = 40, rest: float = 1e-10) -> Orbit:
-    """The orbit over that many forcing periods from the cell's initial state.
+    """The orbit over this many forcing periods from the cell's initial state.
 
-    A sequence of impacts that is bound to end at rest is followed hop by hop until what is left of it lasts less than
-    ``rest`` times the system's fastest time scale; the state's error is then of the order of the cube of that.
-    Raises ValueError for a state beyond a stop and for fewer digits than the last hops need, whose height is about
-    rest^2; ArithmeticError after MAX_IMPACTS impacts in one period.
+    A sequence of impacts that must end at rest is followed hop by hop until its remainder lasts less than ``rest``
+    times the system's fastest time scale; the state's error is then of the order of the cube of that. Raises ValueError
+    for a state beyond a stop and for fewer digits than the last hops need, whose height is about rest^2;
+    ArithmeticError after MAX_IMPACTS impacts in one period.
     """
     if rest < 10.0 ** (2 - digits / 2):
         raise ValueError(
             f"{digits} digits do not resolve hops of {rest:.0e} of a time scale: more digits, or more rest"
         )
     with mp.workdps(digits):
-        made = model(cell)
-        motion = _Motion(made, made.start, mp.mpf(rest))
+        machine = model(cell)
+        motion = _Motion(machine, machine.start, mp.mpf(rest))
         for _ in range(periods):
             motion.one_period()
         return motion.orbit
 
 
 def section_jacobian(cell: Cell, periods: int, digits: int = 50) -> list[list[Number]]:
-    """d(displacements and velocities after that many periods) / d(initial ones), by central differences of orbits.
+    """d(displacements and velocities after these periods) / d(initial ones), by central differences of orbits.
 
-    The differences are 10^-(digits/3) wide, so that their error is far below double precision unless the orbit
-    itself has a kink there.
+    The differences are 10^-(digits/3) wide, with an error far below double precision unless the orbit has a kink there.
     """
     with mp.workdps(digits):
         machine, start = machine_of(cell), model(cell).start
@@ -106,19 +105,19 @@ def first_hit(cell: Cell, state: Sequence[float], start: float, span: float) -> 
 
 
 class _Motion:
-    """The orbit under way: its state now, see Model, and its history."""
+    """An orbit in progress: its present state, see Model, and its history."""
 
     def __init__(
-        self, made: Model, state: Sequence[Number], rest: Number, start: Number = mp.zero, settle: bool = True
+        self, machine: Model, state: Sequence[Number], rest: Number, start: Number = mp.zero, settle: bool = True
     ) -> None:
-        self.model = made
-        self.state = made.state(state, start)
+        self.model = machine
+        self.state = machine.state(state, start)
         self.rest = rest
         self.time = start  # since the last section
         self.offset = mp.zero  # of that section
         self.orbit = Orbit([list(state)])
         self.hit: int | None = None
-        self.held = 0  # side on which the gap coordinate rests, 0 if it moves
+        self.held = 0  # side of rest of the gap coordinate, 0 if it moves
         self.contact = Contact()
         if settle:
             self.contact = self.contact_of_state(mp.eps)
@@ -134,7 +133,7 @@ class _Motion:
         self.state[self.model.n + Y] = value
 
     def contact_of_state(self, rounding: float | Number) -> Contact:
-        """What contact a state of that relative rounding is in; ValueError beyond a stop."""
+        """The contact of a state of this relative rounding; ValueError beyond a stop."""
         terms = zip(self.model.gap_row, self.model.physical(self.state), strict=False)
         size = sum(abs(entry * x) for entry, x in terms)
         for side, stop in self.model.stops.items():
@@ -147,7 +146,7 @@ class _Motion:
         return Contact()
 
     def _settle(self) -> None:
-        """Turn the contact of an initial state into what follows from it: impact, rest or flight."""
+        """Turn the contact of an initial state into its consequence: impact, rest or flight."""
         side = self.contact.side
         if side and side * self.velocity > 0:
             self._impact(side)
@@ -158,7 +157,7 @@ class _Motion:
         return self.model.free.derivative(self.state)[self.model.n + Y]
 
     def one_period(self) -> None:
-        """Advance to the next section and note the state there."""
+        """Advance to the next section and record the state."""
         end = self.model.period
         count = len(self.orbit.impacts)
         while self.time < end:
@@ -181,7 +180,7 @@ class _Motion:
         self.hit = None
         reach = REACH / self.model.free.rate
         if contact.order == 1:
-            # A hop under a pressing acceleration lasts about 2 v / a: look there first, then further.
+            # A hop under a pressing acceleration lasts about 2 v / a: searched first.
             hop = 3 * abs(self.velocity) / (abs(self._acceleration()) + mp.mpf(10) ** -mp.dps)
             reach = min(reach, hop) if hop > 0 else reach
         while self.time < end:
@@ -218,7 +217,7 @@ class _Motion:
         self.time = end if last else self.time + u * step
 
     def _impact(self, side: int) -> None:
-        """Newton's law; then fly on, or rest if the remaining chatter is over in no time."""
+        """Newton's law; then flight, or rest if the remaining chatter is negligibly short."""
         velocity = self.velocity
         self.orbit.impacts.append(Impact(self.offset + self.time, side, abs(velocity)))
         self.velocity = -self.model.R * velocity
@@ -238,7 +237,7 @@ class _Motion:
             self._after_stop(side)
 
     def _after_stop(self, side: int) -> None:
-        """The gap coordinate is on a stop without velocity: it rests if pressed, else it leaves."""
+        """The gap coordinate is at rest on a stop: it stays if pressed, else it leaves."""
         pressing = side * self._acceleration()
         if pressing > 0:
             self.held = side

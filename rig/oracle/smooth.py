@@ -2,8 +2,8 @@
 
     x'' + c x' + spring(x) = load + A sin(omega t + phase) - push(x - stop) - rub(|v|) sgn v,   v = x' - belt
 
-The stop is rigid, x' -> -R x', or soft with the law push; at v = 0 friction holds up to rub(0). The segments that the
-package makes of such laws are nowhere here.
+The stop is rigid, x' -> -R x', or soft with the law push; at v = 0 friction holds up to rub(0). It does not use the
+package's segments of such laws.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 CLOSE: dict[str, Any] = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "max_step": 0.05}
-"""A step is short enough that no guard rises and falls within it."""
+"""Longest step: no guard rises and falls within it."""
 
 Array = NDArray[np.float64]
 Law = Callable[[float], float]
@@ -39,19 +39,19 @@ class SmoothMass:
     belt: float = 0.0
 
     def pull(self, t: float, z: Any, engaged: bool, slide: int) -> float:
-        """The acceleration; where it sticks, slide 0, without the friction that holds it."""
-        found = self.load + self.A * np.sin(self.omega * t + self.phase) - self.c * z[1] - self.spring(z[0])
+        """The acceleration; while sticking, slide 0, without the friction that holds it."""
+        acceleration = self.load + self.A * np.sin(self.omega * t + self.phase) - self.c * z[1] - self.spring(z[0])
         if engaged and self.push:
-            found -= self.push(max(0.0, z[0] - self.stop))
+            acceleration -= self.push(max(0.0, z[0] - self.stop))
         if slide and self.rub:
-            found -= slide * self.rub(max(0.0, slide * (z[1] - self.belt)))
-        return float(found)
+            acceleration -= slide * self.rub(max(0.0, slide * (z[1] - self.belt)))
+        return float(acceleration)
 
 
 def simulate(mass: SmoothMass, state: Sequence[float] | Array, periods: int = 1) -> tuple[Array, Happened]:
-    """The state after some periods of the force, and what happened on the way: time, name, speed before it.
+    """The state after some periods of the force, and the events on the way: time, name, speed before it.
 
-    Names: hit, open, stick, slip and cross, which is from sliding one way to the other.
+    Names: hit, open, stick, slip, and cross for a reversal of sliding.
     """
     t, end, z = 0.0, periods * 2.0 * np.pi / mass.omega, np.array(state, float)
     engaged, slide, happened = mass.push is not None and z[0] > mass.stop, 0, Happened()
@@ -79,9 +79,9 @@ def simulate(mass: SmoothMass, state: Sequence[float] | Array, periods: int = 1)
         def rate(t: float, z: Any, on: bool = engaged, slide: int = slide) -> list[float]:
             return [z[1], 0.0 if mass.rub and not slide else mass.pull(t, z, on, slide)]
 
-        found = solve_ivp(rate, (t, end), z, events=list(guards.values()), **CLOSE)
-        t, z = float(found.t[-1]), found.y[:, -1]
-        name = next((name for name, at in zip(guards, found.t_events, strict=True) if len(at)), "")
+        solution = solve_ivp(rate, (t, end), z, events=list(guards.values()), **CLOSE)
+        t, z = float(solution.t[-1]), solution.y[:, -1]
+        name = next((name for name, at in zip(guards, solution.t_events, strict=True) if len(at)), "")
         speed = float(z[1])
         if name == "stop" and mass.R is not None:
             z[1] *= -mass.R
@@ -99,14 +99,14 @@ def simulate(mass: SmoothMass, state: Sequence[float] | Array, periods: int = 1)
 
 
 def _held(mass: SmoothMass, t: float, z: Array, engaged: bool) -> int:
-    """0 where friction holds what does not slide, else the side to which it goes."""
+    """0 if friction holds a mass that does not slide, else the side to which it goes."""
     assert mass.rub
     force = mass.pull(t, [z[0], mass.belt], engaged, 0)
     return 0 if abs(force) < mass.rub(0.0) else int(np.sign(force))
 
 
 def orbit(mass: SmoothMass, start: Sequence[float] | Array, periods: int = 1) -> tuple[Array, Array, Happened]:
-    """State and derivative (2, 2) of the periodic motion near a start, by Newton's method, and what happens on it."""
+    """State and derivative (2, 2) of the periodic motion near a start, by Newton's method, and its events."""
     z, step = np.array(start, float), 1e-5
     for _ in range(12):
         ends = [simulate(mass, z + sign * step * row, periods)[0] for row in np.eye(2) for sign in (1.0, -1.0)]

@@ -1,4 +1,4 @@
-"""An entry of the gallery: a published work, what it states in numbers, and the same numbers from impact-atlas."""
+"""An entry of the gallery: a published work, its numbers, and the same numbers from impact-atlas."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from typing import Any
 Value = float | int | str
 
 CLOSED_FORM = "closed form"
-"""The basis of a number from a formula that the entry's module derives; ``test_published.py`` checks it apart."""
+"""The basis of a number from a formula derived in the entry's module; ``test_published.py`` checks it separately."""
 FINDING = "finding"
 """The basis of a count or a word."""
 EXACT = 1e-9
@@ -33,13 +33,13 @@ class Statement:
 
     @property
     def agrees(self) -> bool:
-        """Whether ours is the reference."""
+        """Whether our value agrees with the reference."""
         if isinstance(self.reference, str | int) or isinstance(self.ours, str | int):
             return self.reference == self.ours
         return abs(self.ours - self.reference) <= self.tolerance
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """The statement as JSON."""
         basis = self.basis or (FINDING if isinstance(self.reference, str | int) else CLOSED_FORM)
         ours = "not found" if isinstance(self.ours, float) and isnan(self.ours) else self.ours
         known = {"text": self.text, "basis": basis, "reference": self.reference, "tolerance": self.tolerance}
@@ -48,19 +48,19 @@ class Statement:
 
 @dataclass(frozen=True)
 class Entry:
-    """A work and what is reproduced of it.
+    """A published work and its reproduction.
 
-    name        that of the command, ``author-year`` and the figure where there are several
+    name        in the command, ``author-year`` and the figure if there are several
     work        authors, journal or book, volume, year, page
-    link        address of its DOI or preprint, if it is known for certain
-    place       figure, table, section or equation; what else the source of the numbers is
-    title       what is reproduced, in a few words
+    link        address of its DOI or preprint, if certain
+    place       figure, table, section or equation; other sources of the numbers
+    title       the reproduced result, in a few words
     machine     the machine and its parameters, in a sentence
     example     the packaged spec that shows it, if any
     commands    command lines that show the result without this script
     statements  computes the numbers
     picture     draws the picture, if the entry has one, into a file
-    caption     what the picture shows
+    caption     of the picture
     """
 
     name: str
@@ -76,7 +76,7 @@ class Entry:
     caption: str = ""
 
     def run(self) -> dict[str, Any]:
-        """The entry as JSON, its numbers computed anew."""
+        """The entry as JSON, with its numbers computed again."""
         texts = {key: getattr(self, key) for key in ("work", "link", "place", "title", "machine", "example", "caption")}
         found = [statement.record() for statement in self.statements()]
         return {"name": self.name, **texts, "commands": list(self.commands), "statements": found}

@@ -1,4 +1,4 @@
-"""What several entries take from impact-atlas: events of a branch, a cell's results as plain numbers, curves."""
+"""Shared by several entries: events of a branch, a cell's results as plain numbers, curves."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -16,17 +16,17 @@ Machine = str | System
 Given = Mapping[str, float]
 Window = tuple[float, float]
 PERIODIC = Settings(survival=0, max_periods=4000)
-"""Of cells with a stable orbit."""
+"""Settings of cells with a stable orbit."""
 
 
 def events(system: Machine, given: Given, along: str, window: Window, kind: str) -> list[float]:
-    """Where events of a kind lie on the branch of a cell's orbit, in ascending order."""
+    """Parameter values of events of a kind on the branch of a cell's orbit, ascending."""
     found = atlas.branch(given, along=along, window=window, system=system, settings=PERIODIC).events
     return sorted(found[along][found["kind"] == kind])
 
 
 def event(system: Machine, given: Given, along: str, window: Window, kind: str) -> float:
-    """The only event of a kind on the branch of a cell's orbit; NaN if there is none or there are several."""
+    """The only event of a kind on the branch of a cell's orbit; NaN for none or several."""
     found = events(system, given, along, window, kind)
     return float(found[0]) if len(found) == 1 else float("nan")
 
@@ -39,7 +39,7 @@ def cell(system: Machine, given: Mapping[str, Any], settings: Settings = PERIODI
 
 @cache
 def curves_of(example: str) -> Any:
-    """The curves of a packaged plane, computed once in a process: a data frame, one row a point."""
+    """The curves of a packaged plane, computed once per process: a data frame, one row per point."""
     with TemporaryDirectory() as folder:
         store = Path(folder) / "plane.zarr"
         atlas.run(atlas.Spec.from_toml(example), store)

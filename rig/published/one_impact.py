@@ -2,15 +2,15 @@
 
     x'' + 2 zeta x' + x = A sin(omega t + phase),    x <= sigma;    at the stop x' -> -R x'
 
-Put t = 0 at the impact and let theta be the phase of the forced response there, of amplitude F. What remains of the
-motion, u = x - F sin(omega t + theta), is free: with E = exp of the free flow over n periods, (u, u') at the end is E
-times that at the beginning, and u has the same value at both. With the speed v before the impact this gives
+Put t = 0 at the impact and let theta be the phase of the forced response there, of amplitude F. The rest of the motion,
+u = x - F sin(omega t + theta), is free: with E = exp of the free flow over n periods, (u, u') at the end is E times
+that at the beginning, and u has the same value at both. With the speed v before the impact this gives
 
     F sin theta = sigma - alpha v,    F cos theta = -beta v / omega,    F^2 = (sigma - alpha v)^2 + (beta v / omega)^2,
 
-an ellipse in (sigma, v). Its vertical tangents are folds. The multipliers are those of E times the saltation matrix
-of the impact, so that a multiplier -1 is one more equation, v = ratio sigma. Nothing here says that the mass stays
-below the stop in between.
+an ellipse in (sigma, v). Its vertical tangents are folds. The multipliers are eigenvalues of E times the saltation
+matrix of the impact, so a multiplier -1 gives one more equation, v = ratio sigma. The mass may pass the stop in
+between: this is not checked.
 """
 
 from dataclasses import dataclass
@@ -37,12 +37,12 @@ class OneImpact:
 
     @property
     def response(self) -> float:
-        """F / A: amplitude of the motion without impact, at whose value the stop is grazed."""
+        """F / A: amplitude of the motion without impact, the grazing value of the stop."""
         return 1.0 / hypot(1.0 - self.omega**2, 2.0 * self.zeta * self.omega)
 
     @property
     def alpha(self) -> float:
-        """Coefficient of the ellipse; it is zero where omega is 2 n sqrt(1 - zeta^2) / m with an integer m."""
+        """Coefficient of the ellipse, zero if omega is 2 n sqrt(1 - zeta^2) / m with an integer m."""
         _, e12, _, gap, _ = self.flow
         return -(1.0 + self.R) * e12 / gap
 
@@ -56,8 +56,8 @@ class OneImpact:
         """The speeds v > 0 before the impact, largest first."""
         square = self.alpha**2 + (self.beta / self.omega) ** 2
         root = (self.alpha * sigma) ** 2 - square * (sigma**2 - (self.response * A) ** 2)
-        found = [(self.alpha * sigma + sign * sqrt(root)) / square for sign in (1.0, -1.0)] if root >= 0.0 else []
-        return sorted((v for v in found if v > 0.0), reverse=True)
+        roots = [(self.alpha * sigma + sign * sqrt(root)) / square for sign in (1.0, -1.0)] if root >= 0.0 else []
+        return sorted((v for v in roots if v > 0.0), reverse=True)
 
     @property
     def fold(self) -> float:
@@ -74,6 +74,6 @@ class OneImpact:
 
     @property
     def doubling(self) -> float:
-        """Sigma / A at the period doubling, where ``doubling_ratio`` is positive."""
+        """Sigma / A at the period doubling, if ``doubling_ratio`` is positive."""
         ratio = self.doubling_ratio
         return self.response / hypot(1.0 - self.alpha * ratio, self.beta * ratio / self.omega)

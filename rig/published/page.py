@@ -1,4 +1,4 @@
-"""docs/published.md, made from the JSON that a run writes and from nothing else."""
+"""docs/published.md, made only from the JSON of a run."""
 
 import re
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from typing import Any
 
 Record = Mapping[str, Any]
 HELD = "\0"
-"""In place of a blank at which no line ends."""
+"""In place of a blank without a line break."""
 
 HEAD = (
     "Does impact-atlas reproduce what the field has published? {statements} numbers and findings of {works} works"
@@ -42,7 +42,7 @@ def page_of(results: Record) -> str:
 
 
 def summary(entries: list[Record]) -> str:
-    """The table of all entries, one a line."""
+    """The table of all entries, one per line."""
     rows = ["| work | entry | agree |", "|---|---|---|"]
     for entry in entries:
         anchor = re.sub(r"[^\w\- ]", "", entry["title"].lower()).replace(" ", "-")
@@ -53,7 +53,7 @@ def summary(entries: list[Record]) -> str:
 
 
 def agreement(entry: Record) -> str:
-    """How many statements of an entry agree, of how many."""
+    """Number of agreeing statements of an entry, of all."""
     return f"{sum(each['agrees'] for each in entry['statements'])} of {len(entry['statements'])}"
 
 
@@ -95,7 +95,7 @@ def table(statements: list[Record]) -> str:
 
 
 def shown(value: Any, digits: int) -> str:
-    """A value as the table has it; a number smaller than the rounding of such results is 0."""
+    """A value in the form of the table; a number smaller than the rounding of such results is 0."""
     if isinstance(value, float):
         return f"{value:.{digits}g}" if abs(value) > 1e-12 else "0"
     return str(value)

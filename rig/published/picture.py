@@ -1,4 +1,4 @@
-"""How pictures of entries are drawn and written: with the provenance that every picture of these pages has."""
+"""Drawing and writing of the entries' pictures, with provenance as for every picture."""
 
 from collections.abc import Callable, Mapping
 from functools import wraps
@@ -18,7 +18,7 @@ from atlas.render.style import house
 DPI = 150
 Bounds = Mapping[str, tuple[str, Callable[[float], float]]]
 COLORS = ("#0a6ebd", "#e8701a", "#00785a", "#8a1c7c")
-"""Colours of lines, which differ without red or green receptors too."""
+"""Colours of lines, also distinct without red or green receptors."""
 
 
 def in_house_style(draw: Callable[[Path], None]) -> Callable[[Path], None]:
@@ -34,7 +34,7 @@ def in_house_style(draw: Callable[[Path], None]) -> Callable[[Path], None]:
 
 
 def save(figure: Figure, path: Path, title: str, spec: Mapping[str, Any]) -> None:
-    """Write a figure of numbers that this process has computed, from all that decides them."""
+    """Write a figure of numbers computed by this process, with all that decides them."""
     _write(figure, path, computed_here(title, spec))
 
 

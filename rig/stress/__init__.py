@@ -1,1 +1,1 @@
-"""Random cells of the whole parameter space, and checks of their results; ``python -m scripts.stress`` runs them."""
+"""Random cells of the whole parameter space, and checks of their results; run by ``python -m scripts.stress``."""

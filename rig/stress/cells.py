@@ -10,7 +10,7 @@ STATES = ("x1", "x2", "v1", "v2")
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """A number between two others, its logarithm uniform."""
+    """A random number between two bounds, log-uniform."""
     return float(math.exp(rng.uniform(math.log(low), math.log(high))))
 
 
@@ -38,11 +38,11 @@ def response(p: Params) -> np.ndarray:
 
 
 def draw(seed: int, number: int) -> Drawn:
-    """Cell ``number`` of a seed: it depends on these two alone.
+    """Cell ``number`` of a seed; depends on these two alone.
 
     Log-uniform: omega, mu_m, mu_k in 1e-3..1e3, zeta in 1e-4..50, b in 1e-6..1e6 of the response, for half of the
-    cells in 1e-3..1, where impacts are. Mixed in: no damping, resonance, critical damping, R = 0, R = 1 and next to
-    it, no force on mass 1; starts inside, on a stop with every sign of velocity, and outside.
+    cells in 1e-3..1, with impacts. Mixed in: no damping, resonance, critical damping, R = 0, R = 1 and next to it, no
+    force on mass 1; starts inside, on a stop with every sign of velocity, and outside.
     """
     rng = np.random.default_rng([seed, number])
     R_kind, zeta_kind, f_kind, start = rng.random(4)

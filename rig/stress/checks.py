@@ -1,4 +1,4 @@
-"""Orbits of random cells against the independent simulator of the tests: no crossing missed, states to rounding."""
+"""Orbits of random cells against the independent simulator: no crossing missed, states to rounding."""
 
 import math
 from dataclasses import dataclass
@@ -23,18 +23,18 @@ Array = NDArray[np.float64]
 
 EPS = float(np.finfo(np.float64).eps)
 FLIGHTS = 12
-"""Flights of one cell, from its start on, that are sampled densely."""
+"""Flights of a cell, from its start on, for dense sampling."""
 FAST_CYCLES = 30.0
-"""Cycles of the fastest time scale for which one flight is sampled; a longer one is followed so far."""
+"""Cycles of the fastest time scale sampled of one flight; a longer one is followed up to there."""
 ORBIT_COST = 800.0
-"""Periods of an orbit in multiprecision are limited to this many radians of the fastest time scale, with two masses."""
+"""Most radians of the fastest time scale, with two masses, in the periods of an orbit in multiprecision."""
 ORBIT_IMPACTS = 300
-"""... and to about this many impacts."""
+"""... and most impacts, approximately."""
 ORBIT_PERIODS = 20
 COMPARABLE = 1e-3
-"""eps times the Jacobian's norm up to which two orbits can be compared."""
+"""Largest eps times the Jacobian's norm for which two orbits can be compared."""
 DIFFERS = 1e4
-"""Multiple of eps times the Jacobian's norm (and of the speed of rounding in time) above which a cell is listed."""
+"""Multiple of eps times the Jacobian's norm (and of the speed of rounding in time) from which on a cell is listed."""
 
 
 @dataclass(frozen=True)
@@ -48,20 +48,20 @@ class _Flight:
 
 
 def recheck(cell: Drawn, orbit: bool) -> Findings:
-    """Densely sample the first flights of one cell, compare positions at its impacts, and its orbit if asked."""
-    found = Findings()
+    """Densely sample the first flights of one cell, compare positions at its impacts, and its orbit if wanted."""
+    findings = Findings()
     osc, start = _build(cell)
     if osc is None:
-        return found
-    found.checked[f"cells re-evaluated, {cell.kind}"] += 1
-    _recheck_flights(found, cell, osc, start)
+        return findings
+    findings.checked[f"cells re-evaluated, {cell.kind}"] += 1
+    _recheck_flights(findings, cell, osc, start)
     if orbit:
-        _recheck_orbit(found, cell, osc, start)
-    return found
+        _recheck_orbit(findings, cell, osc, start)
+    return findings
 
 
 def _build(cell: Drawn) -> tuple[Oscillator | None, Array]:
-    """The oscillator of a cell and its initial state; None where the cell has no motion."""
+    """The oscillator of a cell and its initial state; None if the cell has no motion."""
     system = find_system(cell.system)
     values = {p.name: p.default for p in system.parameters} | cell.params
     try:
@@ -86,7 +86,7 @@ def _waves(osc: Oscillator, t: float) -> Array:
 
 
 def _gap(osc: Oscillator, h: Array, t: float) -> float:
-    """The gap coordinate from its rest position, nothing taken off."""
+    """The gap coordinate from its rest position, without correction of rounding."""
     parts = np.stack([osc.gap.sin_part, osc.gap.cos_part], axis=-1)
     return float(np.sum(np.array(osc.gap.row) * h)) + float(np.sum(parts * _waves(osc, t)))
 
@@ -98,7 +98,7 @@ def _physical(osc: Oscillator, h: Array, t: float) -> Array:
 
 
 def _rebound(cell: Drawn, osc: Oscillator, state: Array, side: int, speed: float) -> Array:
-    """A state at an impact: on the stop, with the velocity after it; the rest of the velocity is what it was before."""
+    """A state at an impact: on the stop, with the velocity after it in the gap direction."""
     g, n = np.array(cell.gap), len(cell.gap)
     mass = np.array([[float(entry) for entry in row] for row in machine_of(cell.machine).mass])
     kick = np.linalg.solve(mass, g)
@@ -108,8 +108,8 @@ def _rebound(cell: Drawn, osc: Oscillator, state: Array, side: int, speed: float
     return np.concatenate([x, v])
 
 
-def _flights(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> list[_Flight]:
-    """The free flights of the first periods; positions at their ends are checked on the way."""
+def _flights(findings: Findings, cell: Drawn, osc: Oscillator, start: Array) -> list[_Flight]:
+    """The free flights of the first periods, with checks of the positions at their ends."""
     flights: list[_Flight] = []
     section = motion_from(osc, start)
     for _ in range(3):
@@ -121,20 +121,20 @@ def _flights(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> lis
         held = abs(int(section.contact[0])) == 1
         rows = motion.impacts[: int(motion.tally[RECORDED])].copy()
         for time, side, speed in rows:
-            if speed == 0.0:  # the beginning of a rest, at the end of a chatter: no flight leads there
+            if speed == 0.0:  # the start of a rest after chatter: no flight leads there
                 held, t = True, float(time)
                 continue
             there = motion_at(section.h, int(section.contact[0]))
             propagate(osc, there, float(time))
             beyond = side * _gap(osc, there.h, float(time)) - (osc.b_upper if side > 0 else osc.b_lower)
-            found.checked["impact positions"] += 1
+            findings.checked["impact positions"] += 1
             rounding = 2e-15 * _scale(osc, there.h)
-            found.record(
+            findings.record(
                 f"impact position beyond the stop / rounding of its terms, {cell.kind}", beyond / rounding, cell
             )
             if beyond > POSITION * cell.clearance + rounding:
-                found.note("position beyond a stop", f"impact at t = {time!r}: {beyond:.2e}", cell)
-            # A rest between two impacts hides its release: flights that began with it are not rebuilt here.
+                findings.note("position beyond a stop", f"impact at t = {time!r}: {beyond:.2e}", cell)
+            # A rest between two impacts hides its release: flights after it are not rebuilt here.
             rested = there.tally[STUCK] > _stuck_until(osc, section, t)
             if not held and not rested:
                 flights.append(_Flight(state, t, float(time) - t, int(side)))
@@ -157,28 +157,28 @@ def _stuck_until(osc: Oscillator, section: Motion, t: float) -> float:
     return float(there.tally[STUCK])
 
 
-def _recheck_flights(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> None:
+def _recheck_flights(findings: Findings, cell: Drawn, osc: Oscillator, start: Array) -> None:
     rate = float(model(cell.machine).free.rate)
     g, n = np.array(cell.gap), len(cell.gap)
-    for flight in _flights(found, cell, osc, start):
+    for flight in _flights(findings, cell, osc, start):
         reach = min(flight.duration, FAST_CYCLES * 2.0 * math.pi / rate)
-        found.checked[f"flights sampled densely, {cell.kind}"] += 1
-        found.checked["flights sampled to their end"] += int(reach == flight.duration)
+        findings.checked[f"flights sampled densely, {cell.kind}"] += 1
+        findings.checked["flights sampled to their end"] += int(reach == flight.duration)
         excess = float(dense_violation(cell.machine, [flight.state], [flight.start], [reach])[0])
         size = osc.gap.amplitude + float(np.abs(g) @ (np.abs(flight.state[:n]) + np.abs(flight.state[n:]) / rate))
         spread = float(np.linalg.norm(g)) * float(np.linalg.norm(flight.state[:n]))
         spread += float(np.linalg.norm(g)) * float(np.linalg.norm(flight.state[n:])) / rate
         if excess <= POSITION * cell.clearance + 1e-14 * (1.0 + rate * reach) * (size + spread):
             continue
-        # What rounding may have made of a crossing is for multiprecision to say.
+        # Multiprecision decides crossings within rounding.
         hit = first_hit(cell.machine, flight.state.tolist(), flight.start, reach * (1.0 - 1e-9))
         if hit is not None and float(hit.t) < reach * (1.0 - 1e-6):
-            found.note(
+            findings.note(
                 "crossing missed", f"at {float(hit.t)!r} of a flight of {reach!r}, speed {float(hit.speed):.2e}", cell
             )
 
 
-def _recheck_orbit(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> None:
+def _recheck_orbit(findings: Findings, cell: Drawn, osc: Oscillator, start: Array) -> None:
     """Compare section states; deviations in units of eps, state size and the largest norm of a partial Jacobian."""
     rate = max(float(model(cell.machine).free.rate), float(np.sqrt(np.max(osc.gap.lam))))
     affordable = ORBIT_COST * min(1.0, (2.0 / len(cell.gap)) ** 2)
@@ -205,16 +205,16 @@ def _recheck_orbit(found: Findings, cell: Drawn, osc: Oscillator, start: Array) 
         if norms[-1] * EPS > COMPARABLE:
             break
     if not states:
-        found.checked["orbits too costly in multiprecision, or not comparable"] += 1
+        findings.checked["orbits too costly in multiprecision, or not comparable"] += 1
         return
     try:
         true = simulate(cell.machine, len(states), digits=30)
     except ArithmeticError:
-        found.checked["orbits too costly in multiprecision, or not comparable"] += 1
+        findings.checked["orbits too costly in multiprecision, or not comparable"] += 1
         return
     kind = f"{'sticking' if true.stuck else 'free'}, {cell.kind}"
-    found.checked[f"orbits compared, {kind}"] += 1
-    found.sample(f"periods compared, {cell.kind}", float(len(states)))
+    findings.checked[f"orbits compared, {kind}"] += 1
+    findings.sample(f"periods compared, {cell.kind}", float(len(states)))
     to_blocks = np.array(osc.to_blocks)
     worst = 0.0
     for k, state in enumerate(states):
@@ -222,8 +222,8 @@ def _recheck_orbit(found: Findings, cell: Drawn, osc: Oscillator, start: Array) 
             away = np.array([float(mp.mpf(a) - b) for a, b in zip(state.tolist(), true.sections[k + 1], strict=True)])
         size = float(np.linalg.norm(weights * (to_blocks @ away).reshape(-1, 2)))
         worst = max(worst, size / (EPS * max(scales[: k + 1]) * norms[k]))
-    found.sample(f"deviation, {kind}", worst)
-    found.sample(f"deviation per radian, {kind}", worst / (1.0 + rate * osc.period))
-    found.record(f"deviation, {kind}", worst, cell)
+    findings.sample(f"deviation, {kind}", worst)
+    findings.sample(f"deviation per radian, {kind}", worst / (1.0 + rate * osc.period))
+    findings.record(f"deviation, {kind}", worst, cell)
     if worst > DIFFERS * (1.0 + rate * osc.period):
-        found.note(f"orbit differs, {kind}", f"{worst:.2e} eps |J|, |J| = {norms[-1]:.1e}", cell)
+        findings.note(f"orbit differs, {kind}", f"{worst:.2e} eps |J|, |J| = {norms[-1]:.1e}", cell)

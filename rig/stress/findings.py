@@ -1,4 +1,4 @@
-"""What a stress run keeps: the cells that it drew, what it counted, and the cells that gave trouble."""
+"""Findings of a stress run: cells drawn, counts, and cells with trouble."""
 
 import math
 from collections import Counter
@@ -11,7 +11,7 @@ from rig.oracle.model import Cell as Machine
 Params = dict[str, float]
 
 LISTED = 20
-"""Cells of one kind of trouble that a report lists."""
+"""Most cells listed per kind of trouble."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Drawn:
 
     @property
     def order(self) -> tuple[bool, int]:
-        """Where the cell stands in a list."""
+        """Position of the cell in a list."""
         return isinstance(self.system, str), self.number
 
     @property
@@ -43,12 +43,12 @@ class Drawn:
 
     @property
     def kind(self) -> str:
-        """Of the packaged two-mass oscillator, or of a random system."""
+        """The packaged two-mass oscillator, or a random system."""
         return self.system if isinstance(self.system, str) else "systems"
 
     @property
     def clearance(self) -> float:
-        """Half the distance of the stops; of a single one, its distance from 0."""
+        """Half the distance of the stops; for a single one, its distance from 0."""
         half = (self.upper - self.lower) / 2.0
         return half if math.isfinite(half) else min(abs(self.upper), abs(self.lower))
 
@@ -60,17 +60,17 @@ class Drawn:
         return y
 
     def beyond(self, y: float) -> float:
-        """How far a position lies beyond a stop; negative between them."""
+        """Distance of a position beyond a stop; negative between them."""
         return max(y - self.upper, self.lower - y)
 
     def facts(self) -> dict[str, Any]:
-        """All that solves it again alone: ``solve_tile(system, parameters)``."""
+        """All that is needed to solve it again alone: ``solve_tile(system, parameters)``."""
         return {"cell": self.number, "system": self.system, "parameters": self.params}
 
 
 @dataclass
 class Findings:
-    """What was found over a number of cells. Each listed cell is (what, cell)."""
+    """Findings over a number of cells. Each listed cell is (what, cell)."""
 
     cells: int = 0
     impacting: int = 0
@@ -105,7 +105,7 @@ class Findings:
         self.samples.setdefault(kind, []).append(value)
 
     def add(self, other: "Findings") -> None:
-        """Take in the findings over other cells."""
+        """Add the findings over other cells."""
         for name in ("cells", "impacting", "sticking", "outside", "seconds"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         for name in ("kinds", "regimes", "invalid", "uncertain", "stopped", "counts", "checked"):

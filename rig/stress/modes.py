@@ -1,4 +1,4 @@
-"""Random cells of machines with soft and several contacts, friction and phases, each of a machine of its own."""
+"""Random cells of machines with soft and several contacts, friction and phases, each with its own machine."""
 
 import math
 import time
@@ -22,19 +22,19 @@ from workers.tile import result_arrays
 KIND = "modes"
 
 ORBIT_PERIODS, DIGITS = 8, 30
-"""Periods of an orbit that the simulator is to close, and its digits."""
+"""Most periods of an orbit for the simulator to close, and its digits."""
 
 CLOSES = 1e-9
-"""Distance, as a share of the state, within which it has to."""
+"""Largest distance at the end, as a share of the state."""
 
 
 def draw_of_modes(seed: int, number: int) -> Drawn:
-    """Cell ``number`` of a seed: a machine and an initial state of its own, see rig.oracle.pieces.draw."""
+    """Cell ``number`` of a seed: its own machine and initial state, see rig.oracle.pieces.draw."""
     own = 1_000_000 * seed + number
     machine = random_machine(own, switched_elements=number % 2 == 1)
     states = tuple(f"{name}{i + 1}" for name in "xv" for i in range(machine.n))
     params = dict(zip(states, random_state(machine, own), strict=True))
-    nothing: Any = machine  # the simulator of these machines has a type of its own
+    nothing: Any = machine  # the simulator of these machines has its own type
     return Drawn(number, KIND, params, nothing, states, (0.0,) * machine.n, math.inf, -math.inf, 0.0)
 
 
@@ -49,38 +49,38 @@ def solved(cell: Drawn, settings: Settings) -> dict[str, Any]:
 
 def solve(cells: Sequence[Drawn], settings: Settings) -> Findings:
     """Solve cells one by one and check each result."""
-    found = Findings()
+    findings = Findings()
     for cell in cells:
         begun = time.process_time()
         result = solved(cell, settings)
         seconds, regime, reason = time.process_time() - begun, int(result["regime"]), int(result["reason"])
-        found.cells, found.seconds = found.cells + 1, found.seconds + seconds
-        found.kinds[cell.kind] += 1
-        found.regimes[NAMES[regime]] += 1
-        found.sticking += bool(result["sticks"])
-        found.impacting += bool(result["impacts_per_period"] > 0 or result["sticks"])
-        found.record("periods", float(result["periods_used"]), cell)
-        found.record("seconds", seconds, cell)
+        findings.cells, findings.seconds = findings.cells + 1, findings.seconds + seconds
+        findings.kinds[cell.kind] += 1
+        findings.regimes[NAMES[regime]] += 1
+        findings.sticking += bool(result["sticks"])
+        findings.impacting += bool(result["impacts_per_period"] > 0 or result["sticks"])
+        findings.record("periods", float(result["periods_used"]), cell)
+        findings.record("seconds", seconds, cell)
         if NAMES[regime] == "failed":
-            found.stopped[REASONS[reason].text] += 1
-            found.note("failed", REASONS[reason].text, cell)
+            findings.stopped[REASONS[reason].text] += 1
+            findings.note("failed", REASONS[reason].text, cell)
         elif NAMES[regime] == "undetermined" and reason != PERIODS_SPENT:
-            found.note("given up, said to be undetermined", REASONS[reason].text, cell)
+            findings.note("given up, said to be undetermined", REASONS[reason].text, cell)
         for what in contradictions(result):
-            found.note("results that contradict each other", what, cell)
+            findings.note("results that contradict each other", what, cell)
         if regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC):
-            _check_state(found, cell, result)
+            _check_state(findings, cell, result)
         if not math.isnan(result["sum_law_defect"]):
             defect = abs(float(result["sum_law_defect"])) / max(1.0, abs(float(np.sum(result["spectrum"]))))
-            found.checked[f"sum law, {NAMES[regime]}, {cell.kind}"] += 1
-            found.record(f"sum law, {NAMES[regime]}, {cell.kind}", defect, cell)
+            findings.checked[f"sum law, {NAMES[regime]}, {cell.kind}"] += 1
+            findings.record(f"sum law, {NAMES[regime]}, {cell.kind}", defect, cell)
             if regime == PERIODIC and not defect <= SUM_LAW:
-                found.note("sum law broken by a periodic cell", f"{defect:.2e}", cell)
-    return found
+                findings.note("sum law broken by a periodic cell", f"{defect:.2e}", cell)
+    return findings
 
 
 def contradictions(result: dict[str, Any]) -> list[str]:
-    """Which results of a cell do not go together."""
+    """Contradictions among the results of a cell."""
     regime, spectrum, largest = int(result["regime"]), np.asarray(result["spectrum"]), float(result["largest"])
     known = regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC)
     wrong = {
@@ -93,40 +93,40 @@ def contradictions(result: dict[str, Any]) -> list[str]:
     return [what for what, holds in wrong.items() if holds]
 
 
-def _check_state(found: Findings, cell: Drawn, result: dict[str, Any]) -> None:
-    """Whether numbers are there, and no rigid contact is passed."""
+def _check_state(findings: Findings, cell: Drawn, result: dict[str, Any]) -> None:
+    """Check that numbers exist and no rigid contact is passed."""
     for name in ("state", "error", "stuck_fraction"):
         if not np.all(np.isfinite(result[name])):
-            found.note("NaN or infinity where none belongs", name, cell)
+            findings.note("NaN or infinity where none belongs", name, cell)
     if np.any(np.isnan(result["spectrum"])) or np.any(result["spectrum"] == np.inf):
-        found.note("NaN or infinity where none belongs", f"spectrum {result['spectrum']}", cell)
+        findings.note("NaN or infinity where none belongs", f"spectrum {result['spectrum']}", cell)
     machine: Any = cell.machine
     for contact in machine.contacts:
         y = float(np.asarray(contact.row, dtype=float) @ np.asarray(result["state"])[: machine.n])
         for side, stop in contact.stops.items():
-            found.checked["positions at rigid contacts"] += contact.restitution is not None
+            findings.checked["positions at rigid contacts"] += contact.restitution is not None
             if contact.restitution is not None and side * (y - stop) > POSITION * max(1.0, abs(stop)):
-                found.note("position beyond a stop", f"{side * (y - stop):.2e} beyond", cell)
+                findings.note("position beyond a stop", f"{side * (y - stop):.2e} beyond", cell)
 
 
 def recheck(cell: Drawn, settings: Settings) -> Findings:
-    """Whether the simulator of the tests, in multiprecision, closes the orbit that a cell has."""
-    found, result = Findings(), solved(cell, settings)
-    found.checked[f"cells re-evaluated, {cell.kind}"] += 1
+    """Check that the multiprecision simulator closes the orbit of a cell."""
+    findings, result = Findings(), solved(cell, settings)
+    findings.checked[f"cells re-evaluated, {cell.kind}"] += 1
     period = int(result["period"])
     if int(result["regime"]) != PERIODIC or period > ORBIT_PERIODS:
-        return found
+        return findings
     machine: Any = cell.machine
     start = np.asarray(result["state"])
     apart = _distance(machine, start, period)
-    found.checked[f"orbits closed by the simulator, {cell.kind}"] += 1
-    found.record(f"orbit not closed, {cell.kind}", apart, cell)
+    findings.checked[f"orbits closed by the simulator, {cell.kind}"] += 1
+    findings.record(f"orbit not closed, {cell.kind}", apart, cell)
     if not apart <= CLOSES:
-        found.note("an orbit that the simulator does not close", f"{apart:.2e}", cell)
-    return found
+        findings.note("an orbit that the simulator does not close", f"{apart:.2e}", cell)
+    return findings
 
 
 def _distance(machine: Machine, start: Any, period: int) -> float:
-    """How far a motion is from its start after these periods, as a share of the state."""
+    """Distance of a motion from its start after these periods, as a share of the state."""
     end = np.array(simulate(machine, start.tolist(), period, digits=DIGITS, rest=1e-8).sections[-1], dtype=float)
     return float(np.linalg.norm(end - start) / max(float(np.linalg.norm(start)), 1e-12))

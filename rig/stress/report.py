@@ -17,55 +17,55 @@ NEVER = (
     "a state beyond a stop not recognised",
     "an orbit that the simulator does not close",
 )
-"""What must not happen to a single cell."""
+"""Troubles that must not happen to any cell."""
 
 FAILURES = 1e-4
-"""Share of the cells that may fail."""
+"""Share of cells that may fail."""
 
 
-def summary(found: Findings, seconds: float, arguments: dict[str, Any]) -> dict[str, Any]:
-    """Everything that was found, as plain values; NaN and infinity as None."""
+def summary(findings: Findings, seconds: float, arguments: dict[str, Any]) -> dict[str, Any]:
+    """All findings as plain values; NaN and infinity as None."""
 
     def listed(kind: str) -> list[dict[str, Any]]:
-        return [{"what": what, **cell.facts()} for what, cell in found.listed.get(kind, [])]
+        return [{"what": what, **cell.facts()} for what, cell in findings.listed.get(kind, [])]
 
     return {
         **arguments,
         "wall_seconds": round(seconds, 1),
-        "cells": found.cells,
-        "kinds": dict(sorted(found.kinds.items())),
-        "processor_seconds": round(found.seconds, 1),
-        "regimes": dict(found.regimes.most_common()),
-        "with_impacts": found.impacting,
-        "sticking": found.sticking,
-        "invalid": dict(found.invalid.most_common()),
-        "uncertain": dict(found.uncertain.most_common()),
-        "failed": dict(found.stopped.most_common()),
-        "failed_share": sum(found.stopped.values()) / max(1, found.cells),
-        "given_up": found.counts["given up, said to be undetermined"],
-        "never": {kind: found.counts[kind] for kind in NEVER},
-        "checked": dict(sorted(found.checked.items())),
-        "sum_law_broken": found.counts["sum law broken by a periodic cell"],
+        "cells": findings.cells,
+        "kinds": dict(sorted(findings.kinds.items())),
+        "processor_seconds": round(findings.seconds, 1),
+        "regimes": dict(findings.regimes.most_common()),
+        "with_impacts": findings.impacting,
+        "sticking": findings.sticking,
+        "invalid": dict(findings.invalid.most_common()),
+        "uncertain": dict(findings.uncertain.most_common()),
+        "failed": dict(findings.stopped.most_common()),
+        "failed_share": sum(findings.stopped.values()) / max(1, findings.cells),
+        "given_up": findings.counts["given up, said to be undetermined"],
+        "never": {kind: findings.counts[kind] for kind in NEVER},
+        "checked": dict(sorted(findings.checked.items())),
+        "sum_law_broken": findings.counts["sum law broken by a periodic cell"],
         "worst": {
             kind: {"value": value if math.isfinite(value) else None, **cell.facts()}
-            for kind, (value, cell) in sorted(found.worst.items())
+            for kind, (value, cell) in sorted(findings.worst.items())
         },
         "distributions": {
             kind: dict(zip(("median", "90%", "99%", "max"), np.percentile(values, [50, 90, 99, 100]), strict=True))
-            for kind, values in sorted(found.samples.items())
+            for kind, values in sorted(findings.samples.items())
         },
-        "listed": {kind: listed(kind) for kind in sorted(found.listed)},
+        "listed": {kind: listed(kind) for kind in sorted(findings.listed)},
     }
 
 
 def _cell(facts: dict[str, Any]) -> str:
-    """A cell by number and parameters; of a random system, its name."""
+    """A cell by number and parameters; for a random system, its name."""
     name = facts["system"] if isinstance(facts["system"], str) else facts["system"]["name"]
     return f"cell {facts['cell']} of {name}: " + " ".join(f"{p}={value!r}" for p, value in facts["parameters"].items())
 
 
 def _definition(facts: dict[str, Any]) -> list[str]:
-    """The table of a random system on a line, as ``solve_tile`` takes it."""
+    """The table of a random system on one line, for ``solve_tile``."""
     return [] if isinstance(facts["system"], str) else [f"    system: {json.dumps(facts['system'])}"]
 
 
@@ -106,7 +106,7 @@ def report(facts: dict[str, Any]) -> str:
 
 
 def table(facts: dict[str, Any]) -> list[tuple[str, str]]:
-    """The report's figures in brief, as rows of a table: what, and how often or how large."""
+    """The report's figures in brief, as rows of a table: name, and count or size."""
     cells, regimes, checked, worst = facts["cells"], facts["regimes"], facts["checked"], facts["worst"]
 
     def per_cent(*names: str) -> str:

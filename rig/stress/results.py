@@ -1,4 +1,4 @@
-"""What must hold of every solution, whatever its cell."""
+"""Properties that every solution must have."""
 
 import math
 import time
@@ -19,11 +19,11 @@ Result = Mapping[str, Any]
 
 NAMES = {regime.code: regime.name for regime in REGIMES}
 POSITION = 1e-12
-"""Share of the clearance by which a position may lie beyond a stop, besides the rounding of its terms."""
+"""Share of the clearance by which a position may exceed a stop, besides the rounding of its terms."""
 SUM_LAW = 1e-9
-"""Defect of the sum law allowed to a periodic cell, in units of what ``sum_law_scale`` says."""
+"""Defect of the sum law allowed to a periodic cell, in units of ``sum_law_scale``."""
 NEUTRAL = 1e-6
-"""How far above 0 the largest exponent of a periodic cell may come out."""
+"""Largest positive value of the largest exponent of a periodic cell."""
 
 
 def cells_of(seed: int, of_systems: bool, numbers: Sequence[int]) -> list[Drawn]:
@@ -33,21 +33,21 @@ def cells_of(seed: int, of_systems: bool, numbers: Sequence[int]) -> list[Drawn]
 
 def solve(cells: Sequence[Drawn], settings: Settings) -> Findings:
     """Solve cells, those of one table together and others one by one, and check each result."""
-    found = Findings()
+    findings = Findings()
     for cell, result, seconds in _solved(cells, settings):
         reason = REASONS[int(result["reason"])].text
-        _count(found, cell, result, reason, seconds)
+        _count(findings, cell, result, reason, seconds)
         for trouble in misplaced(cell, result):
-            found.note("NaN or infinity where none belongs", trouble, cell)
+            findings.note("NaN or infinity where none belongs", trouble, cell)
         for trouble in contradictions(cell, result):
-            found.note("results that contradict each other", trouble, cell)
-        _check_positions(found, cell, result)
-        _check_sum_law(found, cell, result)
-    return found
+            findings.note("results that contradict each other", trouble, cell)
+        _check_positions(findings, cell, result)
+        _check_sum_law(findings, cell, result)
+    return findings
 
 
 def _solved(cells: Sequence[Drawn], settings: Settings) -> Iterator[tuple[Drawn, Result, float]]:
-    """Each cell with its result, and the processor time that it took, or its share of that."""
+    """Each cell with its result and its processor time, or its share of the time."""
     for _, group in groupby(cells, key=lambda cell: cell.number if isinstance(cell.system, str) else id(cell.system)):
         together = list(group)
         params = {name: [cell.params[name] for cell in together] for name in together[0].params}
@@ -58,34 +58,34 @@ def _solved(cells: Sequence[Drawn], settings: Settings) -> Iterator[tuple[Drawn,
             yield cell, {name: array[k] for name, array in arrays.items()}, seconds
 
 
-def _count(found: Findings, cell: Drawn, result: Result, reason: str, seconds: float) -> None:
+def _count(findings: Findings, cell: Drawn, result: Result, reason: str, seconds: float) -> None:
     regime = NAMES[int(result["regime"])]
-    found.cells += 1
-    found.seconds += seconds
-    found.kinds[cell.kind] += 1
-    found.regimes[regime] += 1
-    found.sticking += bool(result["sticks"])
-    found.impacting += bool(result["impacts_per_period"] > 0 or result["sticks"])
-    found.record("periods", float(result["periods_used"]), cell)
-    found.record("seconds", seconds, cell)
+    findings.cells += 1
+    findings.seconds += seconds
+    findings.kinds[cell.kind] += 1
+    findings.regimes[regime] += 1
+    findings.sticking += bool(result["sticks"])
+    findings.impacting += bool(result["impacts_per_period"] > 0 or result["sticks"])
+    findings.record("periods", float(result["periods_used"]), cell)
+    findings.record("seconds", seconds, cell)
     if regime == "invalid":
-        found.invalid[reason] += 1
+        findings.invalid[reason] += 1
     elif regime == "failed":
-        found.stopped[reason] += 1
-        found.note("failed", reason, cell)
+        findings.stopped[reason] += 1
+        findings.note("failed", reason, cell)
     elif regime == "chaotic" and reason:
-        found.uncertain[reason] += 1
+        findings.uncertain[reason] += 1
     elif regime == "undetermined" and reason != REASONS[PERIODS_SPENT].text:
-        found.note("given up, said to be undetermined", reason, cell)
+        findings.note("given up, said to be undetermined", reason, cell)
     away = cell.beyond(cell.position(cell.start))
     outside = away > 0.0 and (regime != "invalid" or "beyond a stop" in reason)
-    found.outside += outside
+    findings.outside += outside
     if outside != (reason == "the initial state lies beyond a stop"):
-        found.note("a state beyond a stop not recognised", f"{regime}, {reason!r}, {away:.2e} beyond", cell)
+        findings.note("a state beyond a stop not recognised", f"{regime}, {reason!r}, {away:.2e} beyond", cell)
 
 
 def _lost(cell: Drawn, result: Result) -> tuple[int, int]:
-    """How many exponents of -infinity there must and may be: two where it sticks, one or two with impacts of R = 0."""
+    """Least and greatest number of exponents of -infinity: two if it sticks, one or two with impacts of R = 0."""
     regime = int(result["regime"])
     if result["sticks"]:
         return (2 if regime == PERIODIC else 0), 2
@@ -93,7 +93,7 @@ def _lost(cell: Drawn, result: Result) -> tuple[int, int]:
 
 
 def misplaced(cell: Drawn, result: Result) -> list[str]:
-    """Which results are NaN or infinite although their regime promises a number; -infinity as ``_lost`` says."""
+    """Results that are NaN or infinite although their regime promises a number; -infinity as in ``_lost``."""
     regime = int(result["regime"])
     wrong = [name for name, value in result.items() if np.any(np.asarray(value, dtype=float) == np.inf)]
     if regime not in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC):
@@ -116,7 +116,7 @@ def misplaced(cell: Drawn, result: Result) -> list[str]:
 
 
 def contradictions(cell: Drawn, result: Result) -> list[str]:
-    """Which results of a cell do not go together."""
+    """Contradictions among the results of a cell."""
     regime, spectrum = int(result["regime"]), np.asarray(result["spectrum"])
     upper, lower, rate = int(result["impacts_upper"]), int(result["impacts_lower"]), float(result["impacts_per_period"])
     known = regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC)
@@ -139,33 +139,33 @@ def contradictions(cell: Drawn, result: Result) -> list[str]:
     return [what for what, holds in wrong.items() if holds]
 
 
-def _check_positions(found: Findings, cell: Drawn, result: Result) -> None:
+def _check_positions(findings: Findings, cell: Drawn, result: Result) -> None:
     if int(result["regime"]) == INVALID:
         return
     for state in [*result["section"], result["state"]]:
         if not np.all(np.isfinite(state)):
             continue
-        found.checked["section positions"] += 1
+        findings.checked["section positions"] += 1
         beyond = cell.beyond(cell.position(state))
         terms = sum(abs(share * x) for share, x in zip(cell.gap, state, strict=False))
         if beyond > POSITION * cell.clearance + 4e-16 * len(cell.gap) * terms * (np.count_nonzero(cell.gap) > 1):
-            found.note("position beyond a stop", f"section {beyond / cell.clearance!r} clearances beyond", cell)
+            findings.note("position beyond a stop", f"section {beyond / cell.clearance!r} clearances beyond", cell)
 
 
 def sum_law_scale(cell: Drawn, result: Result) -> float:
-    """The size of the terms in the sum of the exponents, at least 1: trace(M^-1 C) T and 2 ln R an impact."""
+    """Size of the terms in the sum of the exponents, at least 1: trace(M^-1 C) T and 2 ln R per impact."""
     R, hits = cell.params["R"], float(result["impacts_per_period"])
     loss = 2.0 * hits * abs(math.log(R)) if R > 0.0 and hits > 0.0 else 0.0
     return max(1.0, cell.trace * 2.0 * math.pi / cell.params["omega"], loss)
 
 
-def _check_sum_law(found: Findings, cell: Drawn, result: Result) -> None:
+def _check_sum_law(findings: Findings, cell: Drawn, result: Result) -> None:
     defect = abs(float(result["sum_law_defect"]))
     if math.isnan(defect):
         return
     regime = NAMES[int(result["regime"])]
     defect /= sum_law_scale(cell, result)
-    found.checked[f"sum law, {regime}, {cell.kind}"] += 1
-    found.record(f"sum law, {regime}, {cell.kind}", defect, cell)
+    findings.checked[f"sum law, {regime}, {cell.kind}"] += 1
+    findings.record(f"sum law, {regime}, {cell.kind}", defect, cell)
     if regime == "periodic" and not defect <= SUM_LAW:
-        found.note("sum law broken by a periodic cell", f"{defect:.2e}", cell)
+        findings.note("sum law broken by a periodic cell", f"{defect:.2e}", cell)

@@ -1,4 +1,4 @@
-"""Random cells of random systems: any linear machine with one gap, as a definition table that ``solve_tile`` takes."""
+"""Random cells of random systems: any linear machine with one gap, as a definition table for ``solve_tile``."""
 
 import math
 from dataclasses import replace
@@ -16,12 +16,12 @@ from rig.stress.findings import Drawn, Params
 SIZES = (1, 2, 3, 8)
 """Numbers of masses."""
 CELLS = 20
-"""Cells of one system: they differ in omega, tau, R, the stops and the initial state."""
+"""Cells per system, which differ in omega, tau, R, the stops and the initial state."""
 
 
 @lru_cache(maxsize=64)
 def system(seed: int, index: int) -> tuple[dict[str, Any], Machine]:
-    """System ``index`` of a seed, as a table of numbers, and as a machine for the oracle with the same numbers.
+    """System ``index`` of a seed, as a table of numbers, and as an equal machine for the oracle.
 
     Masses, springs and dashpots as ``random_machine`` draws them: full matrices; no damping, proportional, general or
     internal; rigid modes with and without a load; one stop or two. Half of the systems are measured in units of
@@ -58,7 +58,7 @@ def system(seed: int, index: int) -> tuple[dict[str, Any], Machine]:
 
 
 def draw_of_system(seed: int, number: int) -> Drawn:
-    """Cell ``number`` of the systems of a seed: it depends on these two alone.
+    """Cell ``number`` of the systems of a seed; depends on these two alone.
 
     omega within a factor 3 of the system's, R anywhere in [0, 1] with R = 0, R = 1 and next to it mixed in, gaps from
     a twentieth to twice the system's; starts between the stops, on one where a state can lie on it exactly, beyond one.
@@ -81,7 +81,7 @@ def draw_of_system(seed: int, number: int) -> Drawn:
 
 
 def _exponents(rng: np.random.Generator) -> tuple[int, ...]:
-    """Powers of two by which units of length, time and mass differ from 1."""
+    """Powers of two of the units of length, time and mass."""
     return tuple(int(k) for k in rng.integers(-12, 13, 3)) if rng.random() < 0.5 else (0, 0, 0)
 
 
@@ -105,12 +105,12 @@ def _in_units(machine: Machine, length: float, time: float, mass: float) -> Mach
 
 
 def _symmetric(matrix: Any) -> Any:
-    """The matrix with its upper triangle, which rounding may have made another, that of the lower one."""
+    """The matrix with its upper triangle, changed by rounding, copied from the lower one."""
     return np.tril(matrix) + np.tril(matrix, -1).T
 
 
 def _with_forces_of(machine: Machine, harmonics: list[dict[str, Any]]) -> Machine:
-    """The machine with the forces that a table's amplitudes and phases are, exactly so."""
+    """The machine with exactly the forces of a table's amplitudes and phases."""
     with mp.workdps(40):
         parts = [
             [
@@ -134,7 +134,7 @@ def _restitution(rng: np.random.Generator, usual: float) -> float:
 
 
 def _stops(rng: np.random.Generator, machine: Machine) -> tuple[float, float]:
-    """Stops about the same middle, each with a gap of its own; a single one moved along."""
+    """Stops about a common middle, each with its own gap; a single one shifted."""
     upper, lower = float(machine.upper), float(machine.lower)
     if math.isfinite(upper) and math.isfinite(lower):
         middle, half = (upper + lower) / 2, (upper - lower) / 2 * log_uniform(rng, 0.05, 2.0)

@@ -91,7 +91,7 @@ class Cells:
     earlier    the average before the current one; of no periods if there is none
     tallied    (N, TALLIES) counts between ``first`` and ``began``
     directions of the state, 2n; drifts: 1 if one of them is a coordinate that may drift, which has no exponent;
-    vectors: number of tangent vectors
+               vectors: number of tangent vectors
     found      result arrays, written when cells end; contact (N,) of their ``state``
     orbits     of the cells that were proved to converge to one
     unforced   true for machines without a force, whose periods are natural ones; cycles: the proved cycle of each

@@ -4,7 +4,7 @@
 ``simulate``      any motion, with sticking, chatter and rest, in multiprecision arithmetic (mpmath)
 ``monodromy``     derivative of the stroboscopic map by differences of such motions
 ``orbit``         a periodic orbit by Newton's method on that map
-``bifurcation``   where a multiplier of an orbit becomes 1 or -1
+``bifurcation``   parameter at which a multiplier of an orbit becomes 1 or -1
 ``measures``      shares of time, losses and extremes on the way
 
 The solver flies in modal blocks, marches by curvature bounds and multiplies saltation matrices. Here a leg is the

@@ -1,4 +1,4 @@
-"""Where a multiplier of a periodic orbit takes a given real value, by Newton's method on state and parameter."""
+"""Bifurcations of periodic orbits, where a multiplier takes a given real value: Newton's method."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ def bifurcation(
     machine_at: Callable[[Number], Machine], parameter: float, state: Vector, multiplier: int, periods: int = 1, *,
     mode: Mode | None = None, symmetric: bool = False, tolerance: float = 1e-20,
 ) -> tuple[Number, list[Number]]:  # fmt: skip
-    """Parameter and section state (x, v) of the orbit nearby that has the multiplier, 1 (fold) or -1.
+    """Parameter and section state (x, v) of the nearby orbit with the multiplier 1 (fold) or -1.
 
     image z(span) = z(0) and det(J - multiplier) = 0, where J is the derivative of image z(span); ``symmetric``: image
     -1 and half the span.

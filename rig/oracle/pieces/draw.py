@@ -1,4 +1,4 @@
-"""Random machines with contacts, friction and phases, and states inside their stops, to compare solvers on."""
+"""Random machines with contacts, friction and phases, and states inside their stops, for comparing solvers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,11 @@ def random_machine(seed: int, *, switched_elements: bool = False, general: bool 
     """A damped machine of one to three masses with at least one contact, friction element or switch.
 
     Matrices are full as often as not. Forces (one to three harmonics) are scaled so that the answer without elements
-    is about 1; stops are on either side or both of outputs within that reach, rigid and soft together. The rows of
-    all elements are independent but for friction on a contact's row. A machine that hops on the edge of a preload
-    makes the simulator raise ArithmeticError; none does so in four periods from ``random_state`` below seed 900.
-    ``switched_elements``: phases may change the stiffness of soft contacts and kinetic friction too. ``general``: C
-    and K are any, M hardly symmetric in some draws, and friction may fall with speed faster than damping rises.
+    is about 1; stops are on either side or both of outputs within that reach, rigid and soft together. The rows of all
+    elements are independent, except friction on a contact's row. The simulator raises ArithmeticError for a machine
+    that hops on the edge of a preload; no seed below 900 does in four periods from ``random_state``.
+    ``switched_elements``: phases may change the stiffness of soft contacts and kinetic friction too. ``general``: C and
+    K are arbitrary, M is asymmetric in some draws, and friction may fall with speed faster than damping rises.
     """
     rng = np.random.default_rng([seed, 32 + 2 * general])
     n = int(rng.choice([1, 2, 3], p=[0.4, 0.4, 0.2]))

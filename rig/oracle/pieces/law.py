@@ -15,12 +15,12 @@ from rig.oracle.linear import LinearSystem, Number, Row
 from rig.oracle.pieces.machine import Contact, Machine, Rows, Vector
 
 RESTS = ("held", "edge")
-"""What contacts do that hold their row in place."""
+"""States of contacts that hold their row in place."""
 
 
 @dataclass(frozen=True)
 class Mode:
-    """The phase and what each contact and each friction element does.
+    """The phase and the state of each contact and each friction element.
 
     Contacts: "open"; "held" (rigid), "engaged", "detached" or "edge" (soft), followed by the side, "+" or "-". On its
     edge a preloaded stop pushes with less than its preload, and nothing moves.
@@ -42,7 +42,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Guard:
-    """A functional of z: where it rises through zero, ``kind`` happens to element ``index`` (and on ``side``)."""
+    """A functional of z: when it rises through zero, ``kind`` happens to element ``index`` (on ``side``)."""
 
     kind: str
     index: int
@@ -60,7 +60,7 @@ class Law:
 
 
 class Laws:
-    """The laws of a machine in the working precision of the moment, each made when its mode is first entered."""
+    """The laws of a machine in the current working precision, each made when its mode is first entered."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -80,12 +80,12 @@ class Laws:
         return self._laws[mode]
 
     def drive(self, time: Number) -> list[Number]:
-        """The part of z that time alone decides."""
+        """The part of z decided by time alone."""
         angle = self.omega * time
         return [f(h * angle) for h in self.orders for f in (mp.sin, mp.cos)] + [mp.one]
 
     def kick(self, row: Vector) -> list[Number]:
-        """M^-1 row / (row M^-1 row): the change of velocities that changes row.v by one and does least work."""
+        """M^-1 row / (row M^-1 row): the change of velocities that changes row.v by one with least work."""
         column = _column(row)
         kick = self.inverse * column
         return list(kick / (column.T * kick)[0])
@@ -106,7 +106,7 @@ class Laws:
         return self._less(spring, -mp.mpf(contact.preload))
 
     def rubbing(self, mode: Mode, i: int, z: Sequence[Number]) -> str:
-        """What friction element i does when v_r = 0: stick if static friction can hold it, else slip."""
+        """State of friction element i at v_r = 0: stick if static friction can hold it, else slip."""
         if self.twin(mode, i) is not None:
             return "stick"
         needed = value_of(self.law(mode.rub(i, "stick")).pressure["friction", i], z)
@@ -115,7 +115,7 @@ class Laws:
         return "slip-" if needed > 0 else "slip+"
 
     def resting(self, mode: Mode, i: int, side: int, z: Sequence[Number]) -> Mode | None:
-        """The mode in which contact i rests on a stop, where row.x is without velocity, or None if it would leave."""
+        """The mode in which contact i rests on a stop, with row.x at rest, or None if it would leave."""
         contact = self.machines[mode.phase].contacts[i]
         rigid = contact.restitution is not None
         rests = mode.contact(i, named("held" if rigid else "edge", side))
@@ -184,7 +184,7 @@ class Laws:
         return [mp.one] * n + [1 / rate] * n + [drive] * (self.size - 2 * n)
 
     def _forces(self, mode: Mode) -> Any:
-        """F (n, size): the forces on the coordinates as functionals of z, those of constraints left out."""
+        """F (n, size): the forces on the coordinates as functionals of z, without those of constraints."""
         machine, n = self.machines[mode.phase], self.n
         F = mp.zeros(n, self.size)
         F[:, :n] = -_matrix(machine.stiffness)

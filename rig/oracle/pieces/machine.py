@@ -1,4 +1,4 @@
-"""A piecewise-linear machine in numbers: what stands in tests/data/piecewise.json and what the simulator reads.
+"""A piecewise-linear machine in numbers, as in tests/data/piecewise.json and for the simulator.
 
 M x'' + C x' + K x = sum_h (sin_h sin(h omega t) + cos_h cos(h omega t)) + load + forces of contacts and of friction
 """
@@ -28,8 +28,8 @@ class Contact:
     """Stops on y = row.x at ``upper`` and ``lower``, either of which may be absent.
 
     Rigid, with a ``restitution``: y' turns into -restitution y'. Soft, without: beyond a stop by delta, the force
-    preload + stiffness delta + damping delta' pushes back. With ``release`` "force" it never pulls: where it falls to
-    zero the stop is left behind until it would push again.
+    preload + stiffness delta + damping delta' pushes back. With ``release`` "force" it never pulls: at zero force the
+    stop detaches until it would push again.
     """
 
     row: Vector
@@ -61,9 +61,9 @@ class Friction:
 
 @dataclass(frozen=True)
 class Phase:
-    """What holds from ``start`` (a fraction of the forcing period) to the next phase in place of the machine's own.
+    """Entries from ``start`` (a fraction of the forcing period) to the next phase, in place of the machine's own.
 
-    ``contacts`` and ``friction``: by index, the numbers of the element's law that are others.
+    ``contacts`` and ``friction``: by index, the changed numbers of the element's law.
     """
 
     start: Number
@@ -95,7 +95,7 @@ class Machine:
         return len(self.mass)
 
     def during(self, phase: Phase) -> "Machine":
-        """The machine as it is in one phase."""
+        """The machine in one phase."""
         own = {key: getattr(phase, key) for key in ("stiffness", "damping", "load", "forces")}
         return replace(
             self,
@@ -115,7 +115,7 @@ class Machine:
         return cls(**plain, **made, phases=phases)
 
     def record(self) -> dict[str, Any]:
-        """The machine as JSON can hold it; a contact has only the keys of its law."""
+        """The machine in JSON form; a contact has only the keys of its law."""
         result = asdict(self)
         for contact in result["contacts"]:
             rigid = contact["restitution"] is not None

@@ -1,4 +1,4 @@
-"""What a motion does on the way: shares of time, losses, extremes; integrals of the legs' Taylor polynomials."""
+"""Measures of a motion: shares of time, losses, extremes; integrals of the legs' Taylor polynomials."""
 
 from collections import defaultdict
 from typing import Any
@@ -10,13 +10,13 @@ from rig.oracle.pieces.law import Law, Laws, Mode, side_of
 from rig.oracle.pieces.machine import Machine, Vector
 from rig.oracle.pieces.motion import Run, simulate
 
-POINTS = 32  # on a leg, among which a maximum is looked for
+POINTS = 32  # on a leg, among which a maximum is sought
 
 
 def measures(
     machine: Machine, state: Vector, periods: int = 1, *, mode: Mode | None = None, digits: int = 40
 ) -> dict[str, Any]:
-    """Shares of time, energies per forcing period and extremes over a motion of that many periods.
+    """Shares of time, energies per forcing period and extremes over a motion of this many periods.
 
     ``contact_fraction`` (a contact) and ``stick_fraction`` (a friction element); ``rms`` (n,) of x;
     ``max_penetration`` and ``max_force`` over all soft contacts; ``stop_loss``, ``friction_loss`` and ``damper_loss``

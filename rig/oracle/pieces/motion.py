@@ -12,16 +12,16 @@ from rig.oracle.pieces.law import RESTS, Guard, Law, Laws, Mode, named
 from rig.oracle.pieces.machine import Contact, Friction, Machine, Vector
 from rig.oracle.pieces.state import SLACK, State
 
-MAX_EVENTS = 20_000  # a period; far beyond any chatter that the rule for rest lets go on
-MAX_AT_ONCE = 1000  # events at one time: coupled contacts that are pressed at once hit in turn, ever more gently
+MAX_EVENTS = 20_000  # per period; far beyond any chatter that the rule for rest lets continue
+MAX_AT_ONCE = 1000  # events at one time: coupled contacts pressed together hit in turn, ever more gently
 
 Observer = Callable[[Laws, Mode, Law, Series, Number, Number], None]
-"""Called for each leg with the laws, mode, law, series, its part of the step that is flown (0 to 1) and the step."""
+"""Called for each leg with the laws, mode, law, series, the flown share of its step (0 to 1) and the step."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """What happened at time ``t`` to contact or friction element ``index``.
+    """An event at time ``t`` of contact or friction element ``index``.
 
     | kind | value |
     |---|---|
@@ -50,12 +50,12 @@ def simulate(
     machine: Machine, state: Vector, periods: int = 1, *, mode: Mode | None = None, span: Number | None = None,
     digits: int = 40, rest: float = 1e-10, observe: Observer | None = None,
 ) -> Run:  # fmt: skip
-    """The motion from (x, v) at a section over that many periods, or over a ``span`` of time, which ends in a section.
+    """The motion from (x, v) at a section over this many periods, or over a ``span`` of time that ends in a section.
 
     Without a ``mode`` the state decides, to double precision, what each element does; with one the state is brought
-    onto the constraints of that mode. A chatter that is bound to end is followed hop by hop until what is left of it
-    lasts less than ``rest`` times the mode's fastest time scale. Raises ValueError for a state beyond a rigid stop,
-    ArithmeticError where events accumulate: in practice on the edge of a preload, where hops slow down but never end.
+    onto the constraints of that mode. A chatter that must end is followed hop by hop until its remainder lasts less
+    than ``rest`` times the mode's fastest time scale. Raises ValueError for a state beyond a rigid stop,
+    ArithmeticError if events accumulate: in practice on the edge of a preload, where hops slow down but never end.
     """
     if rest < 10.0 ** (2 - digits / 2):
         raise ValueError(f"{digits} digits do not resolve hops of {rest:.0e} of a time scale")
@@ -72,7 +72,7 @@ def simulate(
 
 
 class _Motion:
-    """A motion under way: ``state`` and ``mode`` at ``time`` since the last section, which was at ``offset``."""
+    """A motion in progress: ``state`` and ``mode`` at ``time`` since the last section, which was at ``offset``."""
 
     def __init__(self, laws: Laws, state: Vector, mode: Mode | None, rest: Number, observe: Observer | None) -> None:
         self.laws = laws
@@ -81,21 +81,21 @@ class _Motion:
         self.time = mp.zero
         self.offset = mp.zero
         self.at_once = 0
-        self.hop: Number | None = None  # how long the flight under way lasts if it is a hop of a chatter
+        self.hop: Number | None = None  # duration of the current flight if it is a hop of a chatter
         self.state = State(laws, state)
         self.mode = self.state.mode() if mode is None else mode
         self.state.constrain(self.mode)
         self.run = Run([self.state.physical()], [self.mode])
 
     def close(self, span: Number) -> None:
-        """Note the section that has been reached."""
+        """Record the section that has been reached."""
         self.run.sections.append(self.state.physical())
         self.run.modes.append(self.mode)
         self.offset += span
         self.time = mp.zero
 
     def until(self, end: Number) -> None:
-        """Move on from a section to a time after it, phase by phase."""
+        """Advance from a section to a later time, phase by phase."""
         begun = len(self.run.events)
         starts = [mp.mpf(phase.start) * self.laws.period for phase in self.laws.machine.phases]
         for index, (start, switch) in enumerate(pairwise([*starts, end])):
@@ -104,7 +104,7 @@ class _Motion:
                 self._fly(min(switch, end), begun)
 
     def _fly(self, end: Number, begun: int) -> None:
-        """Move on within one phase."""
+        """Advance within one phase."""
         self.at_once = 0
         while self.time < end:
             law = self.laws.law(self.mode)
@@ -133,10 +133,9 @@ class _Motion:
         self.state.move(series.at(u), self.time)
 
     def _first(self, law: Law, series: Series) -> tuple[Number, Guard] | None:
-        """The first guard that rises through zero within a step, and when; of several at once the first in order.
+        """The first guard that rises through zero within a step, and its time; of simultaneous ones the first in order.
 
-        Where a guard is zero at the start, the first of its derivatives that is not decides: it rises now, or it may
-        rise later.
+        If a guard is zero at the start, its first nonzero derivative decides: it rises now, or it may rise later.
         """
         first: tuple[Number, Guard] | None = None
         for guard in law.guards:
@@ -153,7 +152,7 @@ class _Motion:
                 first = u, guard
         return first
 
-    # What happens at a guard
+    # Events at a guard
 
     def _happen(self, guard: Guard) -> None:
         i, machine = guard.index, self.laws.machines[self.mode.phase]
@@ -166,7 +165,7 @@ class _Motion:
             self._touch(guard, machine.contacts[i])
 
     def _touch(self, guard: Guard, contact: Contact) -> None:
-        """What happens to a contact."""
+        """The event of a contact."""
         i, side, kind = guard.index, guard.side, guard.kind
         place, speed = self.state.position(contact.row), self.state.velocity(contact.row)
         if kind == "reach" and contact.restitution is not None:
@@ -187,7 +186,7 @@ class _Motion:
             self.mode = self.mode.contact(i, named("detached" if kind == "detach" else "engaged", side))
 
     def _impact(self, i: int, side: int, contact: Contact) -> None:
-        """Newton's law; then on, or rest if the remaining chatter is over in no time."""
+        """Newton's law; then flight, or rest if the remaining chatter is negligibly short."""
         before = self.state.velocity(contact.row)
         self._note("impact", i, before)
         R = mp.mpf(contact.restitution)
@@ -210,7 +209,7 @@ class _Motion:
             self.hop = 3 * abs(velocity) / acceleration
 
     def _after_kick(self) -> None:
-        """Velocities have jumped: friction slips in the new direction, contacts that were held part."""
+        """Velocities have jumped: friction slips in the new direction, held contacts part."""
         rounding, machine = SLACK * mp.eps, self.laws.machines[self.mode.phase]
         for k, friction in enumerate(machine.friction):
             belt = mp.mpf(friction.belt)
@@ -221,7 +220,7 @@ class _Motion:
                 self.mode = self.mode.contact(k, "open")
 
     def _chatter_ends(self, i: int, side: int, rebound: Number, R: Number) -> bool:
-        """Whether hops under the accelerations of now, against and with friction, end within ``rest`` time scales."""
+        """Whether hops under the present accelerations, against and with friction, end within ``rest`` time scales."""
         row = self.laws.machine.contacts[i].row
         away, toward = (
             side * self.state.acceleration(self.laws.moving(self.mode, i, side, direction), row)
@@ -245,7 +244,7 @@ class _Motion:
 
 
 def _rounding(guard: Guard, series: Series, order: int) -> Number:
-    """Below what a Taylor coefficient is zero: in proportion to the largest of all components, in their norm."""
+    """Rounding of a Taylor coefficient: in proportion to the largest of all components, in their norm."""
     largest = max(map(abs, series.terms[order]))
     return SLACK * mp.eps * largest * mp.fsum(abs(f) * series.units[j] for j, f in guard.functional.items())
 

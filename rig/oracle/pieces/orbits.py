@@ -1,6 +1,6 @@
 """Periodic orbits of a piecewise-linear machine: Newton's method on the stroboscopic map, its derivative, measures.
 
-The derivative is that of motions in higher precision by central differences: no saltation matrix is used anywhere.
+The derivative is by central differences of motions in higher precision, without saltation matrices.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ STEPS = 30
 class Orbit:
     """One turn, ``run`` over ``span``, that closes as image z(span) = z(0) + drift; ``jacobian``: d image z(span).
 
-    ``image`` is 1, or -1 for the symmetric orbits that are followed over half their period.
+    ``image`` is 1, or -1 for symmetric orbits followed over half their period.
     """
 
     machine: Machine
@@ -39,7 +39,7 @@ class Orbit:
 
     @property
     def multipliers(self) -> list[complex]:
-        """Eigenvalues of the whole turn's map, largest modulus first; of a symmetric orbit, of both halves."""
+        """Eigenvalues of the whole turn's map, largest modulus first; for a symmetric orbit of both halves."""
         return _eigenvalues(self.jacobian if self.image > 0 else self.jacobian * self.jacobian)
 
     @property
@@ -77,8 +77,8 @@ def orbit(
 ) -> Orbit:  # fmt: skip
     """The periodic orbit near a section state, by Newton's method until the closure is below ``tolerance``.
 
-    ``symmetric``: over half of ``periods`` forcing periods, closed by z -> -z. ``drift``: the coordinate that may be
-    elsewhere after the turn; it stays where it is in ``state``.
+    ``symmetric``: over half of ``periods`` forcing periods, closed by z -> -z. ``drift``: the coordinate that may
+    differ after the turn; it keeps its value in ``state``.
     """
     with mp.workdps(DIGITS):
         whole = 2 * mp.pi / mp.mpf(machine.omega) * periods

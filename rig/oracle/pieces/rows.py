@@ -86,7 +86,7 @@ def _stop(row: Vector, R: float, *, upper: float | None = None, lower: float | N
 
 @dataclass(frozen=True)
 class Row:
-    """One orbit: that to which a transient from rest leads; ``later``: counted from so many sections after."""
+    """One orbit, reached by a transient from rest; ``later``: counted from this many sections after."""
 
     name: str
     machine: Machine
@@ -97,7 +97,7 @@ class Row:
 
 
 def orbits() -> list[Row]:
-    """The periodic orbits of the table but those at bifurcation points."""
+    """The periodic orbits of the table, except those at bifurcation points."""
     first, second, between = [1.0, 0.0], [0.0, 1.0], [-1.0, 1.0]
     both = Contact(first, 0.15, -0.15, stiffness=100.0, damping=0.2)
     square = oscillator(
@@ -139,10 +139,10 @@ def orbits() -> list[Row]:
 
 
 def once_in_two(omega: Number) -> Machine:
-    """``soft`` with a stop that is away in the middle of every two forcing periods, which are one period here.
+    """``soft`` with a stop that is absent in the middle of every two forcing periods, which are one period here.
 
-    Row 3 has one contact in two periods. On the way to its period doubling the mass grazes the stop half-way: the
-    orbit goes on with a second contact, and what doubles is a solution of the equations only.
+    Row 3 has one contact in two periods. Before its period doubling the mass grazes the stop half-way: the real orbit
+    continues with a second contact, and only a solution of the equations doubles its period.
     """
     machine = soft(omega)
     away = {0: {"upper": None}}
@@ -158,8 +158,7 @@ def once_in_two(omega: Number) -> Machine:
 class Critical:
     """An orbit with a multiplier 1 or -1, near a section state and a forcing frequency.
 
-    It closes after one period of ``machine_at``; where ``shown_at`` is given, that is the machine and its ``periods``
-    which the record shows.
+    It closes after one period of ``machine_at``; ``shown_at`` and ``periods``, if given, are for the record.
     """
 
     name: str
@@ -185,7 +184,7 @@ ONSETS = (
     ("row 14, lower", rubbed(0.658629504734325, 1.05, 1.8)),
     ("row 14, upper", rubbed(2.52030194267901, 1.05, 1.8)),
 )
-"""Orbits that turn where the force that would hold them is the static friction: here a stick begins."""
+"""Orbits that turn where the force to hold them equals static friction: here a stick begins."""
 
 GRAZES = (0.782204086871376, 1.65477114143231)
-"""Frequencies at which the linear answer of ``soft`` touches the stop."""
+"""Frequencies at which the linear response of ``soft`` touches the stop."""

@@ -1,4 +1,4 @@
-"""A state z of a piecewise-linear machine, and the mode that a given state is in."""
+"""A state z of a piecewise-linear machine, and the mode of a given state."""
 
 from collections.abc import Sequence
 
@@ -8,12 +8,12 @@ from rig.oracle.linear import Number
 from rig.oracle.pieces.law import RESTS, Laws, Mode, named, side_of, value_of
 from rig.oracle.pieces.machine import Vector
 
-SLACK = 1e6  # rounding errors, in units of the working precision, that still count as zero
-DOUBLE = 2.0**-46  # of a given state that may stand on a stop or stick
+SLACK = 1e6  # rounding errors, in units of the working precision, that count as zero
+DOUBLE = 2.0**-46  # rounding of a given state on a stop or stuck
 
 
 class State:
-    """``z``: (x, v) and what time decides; see law.py."""
+    """``z``: (x, v) and the part decided by time; see law.py."""
 
     def __init__(self, laws: Laws, physical: Vector) -> None:
         self.laws = laws
@@ -25,7 +25,7 @@ class State:
         return self.z[: 2 * self.n]
 
     def move(self, z: Sequence[Number], time: Number) -> None:
-        """Be the state with the displacements and velocities of z at a time since the section."""
+        """Take the displacements and velocities of z at a time since the section."""
         self.z = [*z[: 2 * self.n], *self.laws.drive(time)]
 
     def position(self, row: Vector) -> Number:
@@ -42,16 +42,16 @@ class State:
         return mp.fdot((mp.mpf(entry), rates[self.n + j]) for j, entry in enumerate(row))
 
     def kick(self, row: Vector, velocity: Number) -> None:
-        """Give row.v a value, by an impulse along the row."""
+        """Set row.v by an impulse along the row."""
         self._shift(row, velocity - self.velocity(row), self.n)
 
     def at_rest(self, row: Vector, velocity: Number, rounding: float | Number) -> bool:
-        """Whether row.v has a value to within the relative rounding of a state of at least unit size."""
+        """Whether row.v has this value to the relative rounding of a state of at least unit size."""
         sizes = (abs(mp.mpf(entry)) * max(abs(self.z[self.n + j]), mp.one) for j, entry in enumerate(row))
         return bool(abs(self.velocity(row) - velocity) <= rounding * mp.fsum(sizes))
 
     def constrain(self, mode: Mode) -> None:
-        """Put held contacts on their stops, without velocity, and let sticking elements move with their belts."""
+        """Put held contacts on their stops at rest, and let sticking elements move with their belts."""
         machine = self.laws.machines[mode.phase]
         for contact, state in zip(machine.contacts, mode.contacts, strict=True):
             if state[:-1] in RESTS:
@@ -63,7 +63,7 @@ class State:
                 self.kick(friction.row, mp.mpf(friction.belt))
 
     def mode(self) -> Mode:
-        """What each element does in this state, at a section, where zero is zero to double precision."""
+        """State of each element at a section, where zero means zero in double precision."""
         machine = self.laws.machines[0]
         mode = Mode(0, ("open",) * len(machine.contacts), ("slip+",) * len(machine.friction))
         for i, friction in enumerate(machine.friction):
@@ -77,7 +77,7 @@ class State:
         return mode
 
     def _touching(self, mode: Mode, i: int, side: int) -> Mode:
-        """The mode with what contact i does at the stop of a side."""
+        """The mode with the state of contact i at the stop of a side."""
         contact = self.laws.machines[0].contacts[i]
         stop = mp.mpf(contact.stops[side])
         terms = (abs(mp.mpf(entry) * x) for entry, x in zip(contact.row, self.z, strict=False))

@@ -66,7 +66,7 @@ def refined(row: Row, state: Sequence[Number], mode: Mode | None, tolerance: flo
 
 
 def critical(point: Critical) -> dict[str, Any]:
-    """The record of an orbit at a bifurcation, whose parameter is found anew."""
+    """The record of an orbit at a bifurcation, with the parameter solved for."""
     with mp.workdps(DIGITS):
         value, state = bifurcation(
             point.machine_at, point.omega, point.start, point.multiplier, symmetric=point.symmetric
@@ -78,7 +78,7 @@ def critical(point: Critical) -> dict[str, Any]:
     result["bifurcation"] = {"kind": point.kind, "parameter": "omega", "value": float(value)}
     if point.shown_at is not None:
         result["admissible"] = False
-        del result["measures"], result["sum"]  # of the other machine's periods
+        del result["measures"], result["sum"]  # of another machine's periods
     return result
 
 
@@ -92,7 +92,7 @@ def onset(name: str, machine: Machine) -> dict[str, Any]:
 
 
 def graze(omega: float) -> dict[str, Any]:
-    """The record of the linear answer that touches the stop."""
+    """The record of the linear response that touches the stop."""
     machine = soft(omega)
     result = entry(Row(f"row 1, omega {omega:.3f}", replace(machine, contacts=())))
     result["machine"] = machine.record()
@@ -102,7 +102,7 @@ def graze(omega: float) -> dict[str, Any]:
 
 
 def cycle() -> dict[str, Any]:
-    """The record of the unforced cycle on a belt, from the moment it begins to slip, where x + .1 v = static."""
+    """The record of the unforced cycle on a belt, from the beginning of its slip, where x + .1 v = static."""
     velocity = 0.5
     with mp.workdps(DIGITS):
         start = _break(velocity)
@@ -111,9 +111,9 @@ def cycle() -> dict[str, Any]:
 
 
 def grazing_cycle() -> dict[str, Any]:
-    """The record of that cycle where the slip that starts it only just comes to rest on the belt: v_r = a_r = 0.
+    """The record of that cycle at the velocity where its slip just comes to rest on the belt: v_r = a_r = 0.
 
-    While it slips, u = x - .4 moves by u'' + .1 u' + u = 0 from u = 1 - .1 v - .4, u' = v.
+    During the slip, u = x - .4 moves by u'' + .1 u' + u = 0 from u = 1 - .1 v - .4, u' = v.
     """
     with mp.workdps(DIGITS):
         eta = mp.mpf(0.1) / 2
@@ -143,7 +143,7 @@ SLIPS = Mode(0, (), ("slip-",))
 
 
 def _break(velocity: Number) -> list[Number]:
-    """(x, v) at which ``belt`` ends to stick: x + .1 v = 1."""
+    """(x, v) at which ``belt`` ceases to stick: x + .1 v = 1."""
     return [1 - mp.mpf(0.1) * mp.mpf(velocity), mp.mpf(velocity)]
 
 
@@ -192,7 +192,7 @@ def _plain(value: complex) -> complex:
 
 
 def main() -> None:
-    """Write the table, one record a line."""
+    """Write the table, one record per line."""
     lines = ",\n".join(json.dumps(record) for record in table())
     PATH.write_text(f"[\n{lines}\n]\n")
 

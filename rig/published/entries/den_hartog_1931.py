@@ -1,8 +1,7 @@
-"""A mass on a spring with dry friction and nothing else.
+"""A mass on a spring with dry friction alone.
 
-Where the mass never stops its amplitude is sqrt((A V)^2 - U^2), in units of kinetic friction over the stiffness, with
-V = 1 / (1 - omega^2) and U = sin(pi / omega) / (omega (1 + cos(pi / omega))). It stops where that falls below
-1 / omega^2.
+If the mass never stops, its amplitude is sqrt((A V)^2 - U^2), in units of kinetic friction over the stiffness, with V =
+1 / (1 - omega^2) and U = sin(pi / omega) / (omega (1 + cos(pi / omega))). It stops if that is below 1 / omega^2.
 """
 
 from math import cos, hypot, nan, pi, sin, sqrt
@@ -20,7 +19,7 @@ from workers import Settings, solve_tile
 FORCES = (1.4, 2.0, 3.0, 5.0)
 """Amplitudes A of the force over friction, in the picture."""
 NEAR = 0.05
-"""How far frequencies stay off the resonance, where the amplitude grows without bound if A is large."""
+"""Distance of frequencies from the resonance, where the amplitude grows without bound for large A."""
 DRY = {"s": 1.0, "zeta": 0.0}
 
 
@@ -40,29 +39,29 @@ def least_force(omega: float) -> float:
 
 
 def amplitude(omega: float, A: float) -> float:
-    """Amplitude of motion that never stops; NaN where the mass would stop."""
+    """Amplitude of motion that never stops; NaN if the mass would stop."""
     square = (A * of_force(omega)) ** 2 - of_friction(omega) ** 2
     return sqrt(square) if square >= omega**-4 else float("nan")
 
 
 def statements() -> list[Statement]:
     """Amplitudes, and the force at which stops begin, at four frequencies."""
-    found = []
+    rows = []
     for omega in (0.6, 0.8, 1.3, 1.8):
         given = DRY | {"omega": omega, "A": round(1.5 * least_force(omega), 3)}
         ours = 0.5 * cell("friction-oscillator", given)["peak_to_peak"]
         window = (0.5 * given["A"], 2.0 * given["A"])
         onsets = events("friction-oscillator", given, "A", window, "stick_onset")  # the branch goes on with stops
-        found += [
+        rows += [
             Statement(f"omega = {omega}: amplitude at A = {given['A']:g}", amplitude(omega, given["A"]), ours),
             Statement(f"omega = {omega}: A below which the mass stops", least_force(omega), max(onsets, default=nan)),
         ]  # fmt: skip
-    return found
+    return rows
 
 
 @in_house_style
 def draw(path: Path) -> None:
-    """Amplitude over the frequency, as his diagram has it."""
+    """Amplitude over the frequency, as in his diagram."""
     figure = Figure(figsize=(5.0, 3.4), layout="constrained")
     ax = figure.subplots()
     below, above = (0.5, 1.0 - NEAR), (1.0 + NEAR, 2.0)

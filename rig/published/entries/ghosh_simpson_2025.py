@@ -1,6 +1,6 @@
 """The curve of folds of the orbits with one impact in two periods, which are hard to follow near a graze.
 
-Each point that is found has to lie on the closed form of ``one_impact``.
+Every computed point must lie on the closed form of ``one_impact``.
 """
 
 from rig.published.entries.simpson_ghosh_2026 import EXAMPLE, ZETA, R

@@ -1,12 +1,12 @@
-"""Hertz's impact of two balls: how deep they press into each other, and how long they touch.
+"""Hertz's impact of two balls: depth and duration of contact.
 
 With the force k d^1.5 and the reduced mass m the energy gives m v^2 / 2 = (2/5) k d^2.5, so that from the speed v on
 
     greatest depth  d = (5 m v^2 / (4 k))^(2/5)
     time of contact 2 d / v * integral from 0 to 1 of ds / sqrt(1 - s^2.5) = 2.9432 d / v.
 
-The same contact ends each flight of a forced mass here. What the spring and the force do to it during the contact falls
-as their share of its force, and the segments of the law add their bound.
+Here the same contact ends each flight of a forced mass. The effect of spring and force during the contact is their
+share of its force; the segments of the law add their error bound.
 """
 
 from math import gamma, pi, sqrt
@@ -23,7 +23,7 @@ TIME = 2.0 * sqrt(pi) * gamma(0.4) / (2.5 * gamma(0.9))
 
 
 def depth(k: float, v: float) -> float:
-    """The greatest depth of a unit mass that comes at speed v."""
+    """The greatest depth for a unit mass of speed v."""
     return float((1.25 * v**2 / k) ** 0.4)
 
 
@@ -45,7 +45,7 @@ def statements() -> list[Statement]:
         v, deepest = solved["impact_speed_ball"][0], solved["ball_penetration"]
         touch = solved["ball_fraction"] * solved["period"] * 2.0 * pi / OMEGA
         d = depth(k, v)
-        share = (1.0 + 0.3 + 0.4 * v) / (k * d**1.5) + WITHIN  # of force, spring and damper, and of the segments
+        share = (1.0 + 0.3 + 0.4 * v) / (k * d**1.5) + WITHIN  # shares of force, spring and damper, and of the segments
         found += [
             Statement(f"k = {k:g}: contacts in the period of the orbit", 1, solved["impact_speed_ball_number"]),
             Statement(f"k = {k:g}: greatest depth over Hertz's", 1.0, deepest / d, share, STIFF),

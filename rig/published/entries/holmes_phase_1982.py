@@ -31,7 +31,7 @@ def phase(R: float, n: int, a: float) -> float:
 
 
 def statements() -> list[Statement]:
-    """Phases of three orbits at three accelerations each, and how many values there are."""
+    """Phases of three orbits at three accelerations each, and their number of values."""
     found = []
     for R, n, _ in CASES:
         low, high = least(R, n), doubling(R, n)

@@ -1,6 +1,6 @@
 """The elastic impact oscillator, x'' + x = cos(omega t) with x < sigma and x' -> -x', preserves area.
 
-Its two exponents add up to zero, whatever the motion. Orbits with one impact in n periods turn in their plane: their
+Its two exponents add up to zero for every motion. Orbits with one impact in n periods turn in their plane: their
 multipliers are a pair on the unit circle.
 """
 

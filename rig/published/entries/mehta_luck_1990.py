@@ -1,4 +1,4 @@
-"""A completely inelastic ball on a shaken table: it stays on the table until the table falls away from under it.
+"""A completely inelastic ball on a shaken table, where it rests until the table falls away.
 
 Lengths and times are such that omega = 1; a = A omega^2 / g. The ball leaves at the phase sin(theta) = 1 / a with the
 speed of the table and lands at the first zero of its height. It rests in every period up to a = sqrt(1 + pi^2). From
@@ -15,7 +15,7 @@ from rig.published.finding import cell
 
 
 def flight(a: float) -> float:
-    """Time of the flight that follows a rest, at g = 1 and omega = 1: the first zero of the height over the table."""
+    """Time of the flight after a rest, at g = 1 and omega = 1: the first zero of the height over the table."""
     leave = asin(1.0 / a)
 
     def height(t: float) -> float:
@@ -29,15 +29,15 @@ def flight(a: float) -> float:
 
 
 def statements() -> list[Statement]:
-    """How long the ball rests, the multiplier of the motion without rest, and its period doubling."""
-    found = []
+    """Resting times of the ball, the multiplier of the motion without rest, and its period doubling."""
+    rows = []
     for a in (1.3, 2.25, 3.1):
         solved = cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": a, "R": 0.0})
-        found.append(Statement(f"a = {a}: share of the period at rest", 1.0 - flight(a) / (2.0 * pi),
+        rows.append(Statement(f"a = {a}: share of the period at rest", 1.0 - flight(a) / (2.0 * pi),
                                solved["stuck_fraction"]))  # fmt: skip
     for a in (3.35, 3.6):
         solved = cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": a, "R": 0.0})
-        found += [
+        rows += [
             Statement(f"a = {a}: period, impacts, rest", "1, 1, no",
                       f"{solved['period']}, {solved['impacts_lower']}, {'yes' if solved['sticks'] else 'no'}"),
             Statement(f"a = {a}: largest exponent", log(abs(1.0 - sqrt(a**2 - pi**2))), solved["largest"]),
@@ -45,12 +45,12 @@ def statements() -> list[Statement]:
     border = sqrt(1.0 + pi**2)
     rests = [cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": share * border, "R": 0.0})["sticks"]
              for share in (0.999, 1.001)]  # fmt: skip
-    found.append(Statement("rest 0.1 % below and above a = sqrt(1 + pi²)", "yes, no",
+    rows.append(Statement("rest 0.1 % below and above a = sqrt(1 + pi²)", "yes, no",
                            ", ".join("yes" if rest else "no" for rest in rests)))  # fmt: skip
     sides = [cell("bouncing-ball", {"omega": 1.0, "g": 1.0, "A": share * sqrt(4.0 + pi**2), "R": 0.0})["period"]
              for share in (0.999, 1.001)]  # fmt: skip
-    found.append(Statement("period 0.1 % below and above a = sqrt(4 + pi²)", "1, 2", ", ".join(map(str, sides))))
-    return found
+    rows.append(Statement("period 0.1 % below and above a = sqrt(4 + pi²)", "1, 2", ", ".join(map(str, sides))))
+    return rows
 
 
 ENTRY = Entry(

@@ -1,4 +1,4 @@
-"""Self-excited stick-slip of an undamped mass on a belt, without any force but friction and the spring.
+"""Self-excited stick-slip of an undamped mass on a belt, with no force but friction and the spring.
 
 The mass sticks until the spring pulls as strongly as static friction, x = 1, and slides about x = r, the kinetic
 friction, on a circle of radius rho = sqrt((1 - r)^2 + u^2) in (x, x'), until its velocity is that of the belt, u, again
@@ -26,7 +26,7 @@ def cycle(r: float, u: float) -> float:
 
 
 def turning(given: dict[str, float], r: float, u: float) -> float:
-    """Our x where the velocity is zero, beyond the place at which sliding begins: a section at its time."""
+    """Our x at velocity zero, beyond the start of sliding: a section at its time."""
     arrival = (1.0 - r) / u + atan2(u, 1.0 - r)
     return float(trace("stick-slip", given | {"omega": 2.0 * pi / arrival}, 1).states[1, 0])
 
@@ -34,7 +34,7 @@ def turning(given: dict[str, float], r: float, u: float) -> float:
 def statements() -> list[Statement]:
     """The cycle, in a cell whose forcing period is that of the cycle, with a force of zero.
 
-    Such a cell is undetermined, because nothing ties the cycle to the period: its phase neither grows nor shrinks.
+    Such a cell is undetermined, because the cycle is not tied to the period: its phase neither grows nor shrinks.
     """
     found = []
     for r, u in CASES:

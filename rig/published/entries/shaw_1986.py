@@ -1,4 +1,4 @@
-"""A forced mass with viscous damping and dry friction, which slides all the time.
+"""A forced mass with viscous damping and dry friction that never sticks.
 
 During the half period in which it slides backwards friction is 1. With u = x - 1 - F cos(omega t + psi), the free part,
 symmetry asks for (E + 1) (u, u') = (-2, 0) at the turning point, where E is the free flow over half a period. So u and

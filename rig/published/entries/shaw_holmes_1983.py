@@ -18,18 +18,18 @@ CASES = (
 
 def statements() -> list[Statement]:
     """The speed of an orbit, and the amplitude of the force at its fold or doubling, at three frequencies."""
-    found = []
+    rows = []
     for omega, A, kind, window in CASES:
         law, given = OneImpact(omega, ZETA, R), {"omega": omega, "zeta": ZETA, "R": R, "A": A, "v": -3.0}
         solved, position = cell("single-mass", given), law.fold if kind == "fold" else law.doubling
-        found += [
+        rows += [
             Statement(f"omega = {omega}: periods, impacts", "1, 1", f"{solved['period']}, {solved['impacts_upper']}"),
             Statement(f"omega = {omega}: speed of the impact at A = {A:g}", law.speeds(1.0, A)[0],
                       solved["max_impact_speed"]),
             Statement(f"omega = {omega}: A at the {kind.replace('_', ' ')}", 1.0 / position,
                       event("single-mass", given, "A", window, kind)),
         ]  # fmt: skip
-    return found
+    return rows
 
 
 ENTRY = Entry(

@@ -29,13 +29,13 @@ def resonance(n: int, m: int) -> float:
 def statements() -> list[Statement]:
     """Both codimension-two points of the packaged plane, and the quadratic coefficients of the curves there."""
     curves, omega = curves_of(EXAMPLE), resonance(1, 1)
-    A, found = 1.0 / OneImpact(omega, ZETA, R).response, []
+    A, rows = 1.0 / OneImpact(omega, ZETA, R).response, []
     for kind, n, m in (("graze_period_doubling", 1, 1), ("graze_fold", 2, 2)):
         ends = curves[(curves["kind"] == kind) & (curves["period"] == n)]
         where = f"end of the {kind.removeprefix('graze_').replace('_', ' ')} curve of orbits with n = {n} (m = {m})"
-        found += [Statement(f"{where}: number found", 1, len(ends))]
+        rows += [Statement(f"{where}: number found", 1, len(ends))]
         if len(ends) == 1:
-            found += [
+            rows += [
                 Statement(f"{where}: omega", resonance(n, m), float(ends["omega"].iloc[0])),
                 Statement(f"{where}: A", A, float(ends["A"].iloc[0])),
             ]
@@ -43,8 +43,8 @@ def statements() -> list[Statement]:
         words = f"(A of the {kind.replace('_', ' ')} - A of the graze) / (omega - omega of the end)², limit at the end"
         exact = quadratic(kind, n)
         ours = measured(curves, kind, n, reach)
-        found.append(Statement(words, exact, ours, 0.01 * abs(exact), "closed form, to 1 %"))
-    return found
+        rows.append(Statement(words, exact, ours, 0.01 * abs(exact), "closed form, to 1 %"))
+    return rows
 
 
 def quadratic(kind: str, n: int) -> float:

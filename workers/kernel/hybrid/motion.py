@@ -41,7 +41,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     growth (m,), triangle       see tangent.orthonormalise; empty for vectors that stay as they are. Otherwise the first
                                 vector is the drift direction, if a coordinate drifts, see take_up
     hits (K, 3)                 the first K contacts: time, +-(1 + contact) with the side's sign, speed
-    legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.Leg
+    legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.LegRecord
     Stops early with tally[STATUS] set if the motion cannot continue.
     """
     trips = trips_for(only_row(table), 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
