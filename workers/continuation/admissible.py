@@ -13,11 +13,14 @@ from workers.continuation.itinerary import turns_round
 from workers.continuation.legs import ACT, MODE, NO_EVENT, REBOUNDS, RESTS, beyond_range, event_of_leg
 from workers.continuation.motion import OrbitMotion
 from workers.kernel.chatter import chatter_time
-from workers.model.hybrid_modes import OPEN, SIGNALS
+from workers.model.hybrid_modes import DETACHED, OPEN, SIGNALS
 
 CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
 """Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order; friction
 that would stick where it does not, or cannot where it does."""
+
+VERTEX = "vertex"
+"""Kind of the event at which a motion touches a vertex of a law in segments."""
 
 AT_ONCE = 1e-6
 """Share of a period by which a certified event may be off that of the orbit and be the same; a leg as short is none."""
@@ -184,7 +187,14 @@ def name_of_touch(motion: OrbitMotion, touch: Touch) -> str:
     """What it is called where a signal touches an end of its range."""
     k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
     code = motion.plan.legs[max(k, 0)][0].code
-    friction = touch.signal - SIGNALS * len(code.contacts)
+    contact, friction = touch.signal // SIGNALS, touch.signal - SIGNALS * len(code.contacts)
     if friction >= 0:
-        return "grazing_sliding" if code.slips[friction] else "adding_sliding"
-    return "graze" if code.contacts[touch.signal // SIGNALS] == OPEN else "lift_off"
+        slip = code.slips[friction]
+        if not slip:
+            return "adding_sliding"
+        return "grazing_sliding" if slip == -touch.side else VERTEX
+    state, counted = code.contacts[contact], motion.lin.elements.counted[0, contact] > 0.0
+    if state == OPEN:
+        return "graze" if counted else VERTEX
+    first = abs(state) <= DETACHED and np.sign(state) == -touch.side
+    return "lift_off" if counted and (first or touch.signal % SIGNALS) else VERTEX

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from workers.continuation.admissible import VERTEX
 from workers.continuation.equations import motion_of
 from workers.continuation.events import CONTACT_LOST, GRAZING, GRAZING_SLIDING, STICK_END, STICK_ONSET, Event
 from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve
@@ -28,7 +29,7 @@ from workers.model.oscillator import Array
 
 LIFT_OFF = "lift_off"
 OF_CONTACTS = (GRAZING, CONTACT_LOST, LIFT_OFF)
-CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_sliding")
+CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_sliding", VERTEX)
 """Kinds of events at which an orbit may go on with other contacts or slides."""
 
 OF_MULTIPLIERS = (UNIT, MINUS_ONE, PAIR)

@@ -22,7 +22,7 @@ from workers.kernel.motion import (
 )
 from workers.kernel.period import propagate
 from workers.model.family import FLYING
-from workers.model.hybrid import Table
+from workers.model.hybrid import Elements
 from workers.model.hybrid_modes import ON, OPEN, Code, code_of
 from workers.model.oscillator import Array, Oscillator, Rows, one_of
 from workers.orbit.section import quiet_section
@@ -87,7 +87,8 @@ def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
 def _through_modes(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
     """``passed`` for a machine with modes."""
     state = np.array(state, dtype=np.float64)
-    rows = islice(legs_of_periods(oscillators, state, _shown(oscillators.table, state)), periods)
+    shown = shown_code(oscillators.table.elements, state).number_of(*oscillators.table.machines.segments)
+    rows = islice(legs_of_periods(oscillators, state, shown), periods)
     return [passed_by(oscillators, row) for row in np.concatenate(list(rows))]
 
 
@@ -111,9 +112,9 @@ def passed_by(oscillators: Oscillator, row: Array) -> Passed:
     return Passed(float(row[LEG.start]), int(row[LEG.signal]), int(row[LEG.side]), float(row[LEG.rate]), code, begun)
 
 
-def _shown(table: Table, z: Array) -> int:
-    """Number of the mode of a section state; rest and sticking up to rounding count as such."""
-    n, own = len(z) // 2, table.elements
+def shown_code(own: Elements, z: Array) -> Code:
+    """The mode of a state of one machine, in its first phase; rest and sticking up to rounding count as such."""
+    n = len(z) // 2
     x, v = z[:n], z[n:]
     far, fast = AT_REST * np.max(np.abs(z)) + 1e-300, AT_REST * np.max(np.abs(v)) + 1e-300
     contacts, slips = [], []
@@ -128,7 +129,7 @@ def _shown(table: Table, z: Array) -> int:
         slips.append(
             int(np.sign(sliding)) * (1 + _segment(own.speeds[0, e], abs(sliding))) if abs(sliding) > fast else 0
         )
-    return Code(0, tuple(contacts), tuple(slips)).number_of(own.depths.shape[3], own.speeds.shape[2])
+    return Code(0, tuple(contacts), tuple(slips))
 
 
 def _segment(starts: Array, at: float) -> int:

@@ -88,6 +88,7 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     """The orbit of a cell with these results; InputError, which says what the cell is, where it has none."""
     from atlas.orbits.stored import NEEDED, orbits_of
     from workers.continuation import family_of
+    from workers.continuation.equilibria import equilibrium_of
 
     must_offer(record, "branches", unforced=True)
     regime = int(cell[REGIME.name])
@@ -99,7 +100,10 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
         raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")
     unforced = record.definition.unforced
     if unforced and regime == NO_IMPACT:
-        raise InputError("this cell is an equilibrium: a branch starts from a cycle")
+        try:
+            return Seed(record, values, equilibrium_of(record, values, cell["state"]))
+        except ValueError as error:
+            raise InputError(f"this cell: {error}") from None
     row = {name: np.asarray(cell[name])[None] for name in (*NEEDED, *((CYCLE_PERIOD.name,) if unforced else ()))}
     (orbit,) = orbits_of(family_of(record, values, ()), np.zeros((1, 0)), row)
     if isinstance(orbit, str):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.query import machine
 from atlas.spec.resolved import digest_of
 from atlas.text import motion_name, plural
+from workers.continuation.equilibria import HOPF
 from workers.model.observables import Observable
 from workers.model.parameter import OMEGA
 from workers.model.system import System, identity
@@ -116,13 +117,16 @@ class Branches:
         each component of the state  at the section t = 0
         unstable      multipliers with modulus above 1, not counting the event's own
         kappa         cos theta of the pair of a Neimark-Sacker point, else NaN
+        frequency     of the pair of exponents that crosses the axis at a Hopf point, else NaN; without a force alone
         period, impacts_upper, impacts_lower, symmetric   of the orbit there, which may be shorter than the branch's
         cycle_period  of a cycle without a force, in units of time
         leaving       the branch that leaves there and is here, -1 for none
         """
         import pandas
 
-        columns = ["branch", "kind", self.along, *self.system.states, "unstable", "kappa", *self._pattern, "leaving"]
+        alone = ["frequency"][: self.system.definition.unforced]
+        before = ["branch", "kind", self.along, *self.system.states, "unstable", "kappa", *alone]
+        columns = [*before, *self._pattern, "leaving"]
         return pandas.DataFrame(list(self._events()), columns=columns)
 
     def gap_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
@@ -207,9 +211,11 @@ class Branches:
             for k, event in zip(branch.places, branch.run.events, strict=True):
                 point, state = event.point, branch.sections[k, 0].tolist()
                 own = self._told(point, point.orbit.itinerary)
-                left = leaving.get(id(event), -1)
+                left, alone = leaving.get(id(event), -1), list[float]()
+                if self.system.definition.unforced:
+                    alone = [2.0 * math.pi / own[-1] if event.kind == HOPF else math.nan]
                 yield (
-                    number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *own, left,
+                    number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *alone, *own, left,
                 )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from workers.continuation import (
     orbit_from_state,
     section_states,
 )
+from workers.continuation.equilibria import equilibria
 from workers.continuation.orbits import alike, refined
 from workers.continuation.oscillator import has_images
 from workers.model.system import System
@@ -40,6 +41,7 @@ LEAVES = ("symmetry_breaking", "period_doubling")
 
 GOES_ON = (
     "graze", "impact_lost", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
+    "vertex",
 )  # fmt: skip
 """Kinds of events at which the branch of a machine with modes may end, and one of orbits with other contacts or slides
 begin: through continuous ones the branch itself continues."""
@@ -154,6 +156,11 @@ class Tree:
         ValueError, in one line, where the orbit itself cannot be followed.
         """
         first = len(self.branches)
+        if self.system.definition.unforced and not orbit.itinerary.sides:
+            found = equilibria(self.family, orbit, value, self.window)
+            sections = found.states[:, None]
+            self.branches.append(Branch(found.run, orbit.itinerary, sections, -sections if self.twins else None))
+            return
         self._add(branch(self.family, orbit, value, self.window), orbit.itinerary)
         waiting = deque(self._meetings(first)) if leaving else deque()
         while waiting:

@@ -1,0 +1,193 @@
+"""Equilibria of machines without a force along a parameter, in closed form, and their Hopf points.
+
+In its mode the flow is linear, x'' = A x + B x' + a, and what rigid contacts hold is at their stops, G x = s:
+
+    [A; G] x = [-a; s],  x' = 0;    exponents: the eigenvalues of [[0, 1], [A, B]] where G x = G x' = 0
+
+The sliding velocity of friction tells the segment of its law there, and depths those of springs and soft contacts: an
+equilibrium goes on from segment to segment, where its exponents jump.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.continuation.branches import EDGE, MOST_POINTS, RESOLUTION, BranchRun, bounds_of
+from workers.continuation.events import Event, Point
+from workers.continuation.itinerary import Itinerary, Leg, Orbit
+from workers.continuation.oscillator import Family, machine_of
+from workers.model.family import NoOscillatorError
+from workers.model.hybrid_modes import ON, OPEN, ROUNDING, SIGNALS, Code, null_space
+from workers.model.oscillator import Array
+from workers.model.system import System
+from workers.orbit.passed import shown_code
+
+HOPF, FOLD, BORDER = "hopf", "fold", "border"
+"""Kinds of events: a pair of exponents crosses the imaginary axis; one crosses 0; the equilibrium ends, where a contact
+or friction lets it go on in no mode."""
+
+HELD = "friction holds it, as one equilibrium of a continuum, which is no branch"
+
+MOST_MODES = 200
+"""Modes that are tried for an equilibrium."""
+
+HALVINGS = 60
+"""Halvings of a step that locate an event: to rounding."""
+
+
+class Equilibrium(NamedTuple):
+    """An equilibrium at a value of the parameter: its mode, its state (2n,), its exponents per unit of time, those that
+    grow fastest first, and the frequency of the machine's natural period."""
+
+    value: float
+    code: Code
+    state: Array
+    exponents: NDArray[np.complex128]
+    omega: float
+
+    @property
+    def unstable(self) -> int:
+        """How many exponents grow."""
+        return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
+
+    def point(self, unstable: int) -> Point:
+        """It as a point of a branch: an orbit without events, with its multipliers over a natural period."""
+        lost = np.zeros(len(self.state) - len(self.exponents))
+        multipliers = np.concatenate([np.exp(self.exponents * 2.0 * np.pi / self.omega), lost])
+        return Point(np.array([self.value]), _orbit(self.code), np.zeros(0), multipliers, unstable)
+
+
+class Equilibria(NamedTuple):
+    """A branch of equilibria as any other, and the states (N, 2n) of its points."""
+
+    run: BranchRun
+    states: Array
+
+
+def equilibrium_of(system: System, values: Mapping[str, float], state: Array) -> Orbit:
+    """The equilibrium whose state (2n,) a cell has, as an orbit without events. ValueError where friction holds it."""
+    code = shown_code(machine_of(system, values).elements, state)
+    if 0 in code.slips:
+        raise ValueError(HELD)
+    return _orbit(code)
+
+
+def _orbit(code: Code) -> Orbit:
+    leg = Leg(code, (0,) * max(1, SIGNALS * len(code.contacts) + len(code.slips)), -1, 0)
+    return Orbit(Itinerary((), 1, legs=((leg,),)).bare, np.zeros(0), np.zeros(0))
+
+
+def equilibrium_near(family: Family, value: float, code: Code) -> Equilibrium | None:
+    """The equilibrium at a value of the one free parameter, in this mode or in one that leads on from it; None where
+    there is none without friction that sticks, or that turns round."""
+    lin = family.model(np.array([[value]]))
+    own, tried, signs = lin.elements, set[Code](), np.sign(code.slips)
+    rigid = own.soft[0] == 0.0
+    while code not in tried and len(tried) < MOST_MODES:
+        tried.add(code)
+        try:
+            pieces = lin.mode(code)
+        except NoOscillatorError:
+            return None
+        n = own.row.shape[2]
+        held = [c for c, state in enumerate(code.contacts) if rigid[c] and state != OPEN]
+        G, stops = own.row[0, held], [own.stops[0, c, int(code.contacts[c] > 0)] for c in held]
+        (A, B), a = np.split(pieces.acceleration[0, :, : 2 * n], 2, axis=1), pieces.acceleration[0, :, 2 * n]
+        x, _, rank, _ = np.linalg.lstsq(np.vstack([A, G]), np.concatenate([-a, stops]))
+        if rank < n:
+            return None
+        z = np.concatenate([x, np.zeros(n)])
+        after = _mode_at(code, shown_code(own, z), rigid, pieces.rows[0] @ np.append(z, 1.0), pieces.ends[0])
+        if after == code:
+            across = null_space(G[None])[0]
+            flow = np.block([[np.zeros((across.shape[1],) * 2), np.eye(across.shape[1])],
+                             [across.T @ A @ across, across.T @ B @ across]])  # fmt: skip
+            exponents = np.linalg.eigvals(flow).astype(np.complex128)
+            order = np.lexsort([-exponents.imag, -exponents.real])
+            return Equilibrium(value, code, z, exponents[order], float(lin.omega[0]))
+        code = after
+        if np.any(np.sign(code.slips) != signs):
+            return None
+    return None
+
+
+def _mode_at(code: Code, shown: Code, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> Code:
+    """The mode that an equilibrium of a mode is in: where its law tells; a rigid contact is held where it is beyond its
+    stop, and let go where it would have to pull."""
+    contacts = list(shown.contacts)
+    for c in np.flatnonzero(rigid).tolist():
+        value, (low, high), held = signals[SIGNALS * c], ends[SIGNALS * c], code.contacts[c]
+        contacts[c] = held
+        if held == OPEN and not low <= value <= high:
+            contacts[c] = ON if value > high else -ON
+        elif held != OPEN and not low <= value <= high:
+            contacts[c] = OPEN
+    return Code(0, tuple(contacts), shown.slips)
+
+
+def equilibria(
+    family: Family, orbit: Orbit, value: float, window: tuple[float, float], *, resolution: float = RESOLUTION
+) -> Equilibria:
+    """The branch of the equilibrium at a value of a family's one free parameter, in both directions, with its events.
+
+    They are located to rounding: Hopf points, folds where an exponent crosses 0, also where these jump from one segment
+    of a law to the next, and where the equilibrium ends. ValueError where there is none, or friction holds it.
+    """
+    bounds = bounds_of(family.free, dict.fromkeys(family.free, window))[:, 0]
+    first = equilibrium_near(family, value, orbit.itinerary.chains[0][0].code)
+    if first is None:
+        raise ValueError(f"no equilibrium at {family.free[0]} = {value:g}")
+    step = resolution * float(bounds[1] - bounds[0])
+    sides = []
+    for end in bounds[::-1]:
+        count = min(int(np.ceil(abs(end - value) / step)), MOST_POINTS)
+        sides.append(list(_towards(family, first, np.linspace(value, end, count + 1)[1:])))
+    ahead, back = sides
+    entries = [*back[::-1], (first, first.point(first.unstable), ""), *ahead]
+    points, events = [point for _, point, _ in entries], [Event(kind, (), point) for _, point, kind in entries if kind]
+    ends = tuple(kind if (kind := each[-1][2] if each else "") == BORDER else EDGE for each in (back, ahead))
+    return Equilibria(BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([each.state for each, *_ in entries]))
+
+
+def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, Point, str]]:
+    """The equilibria on the way over values, each with its point and the kind of the event that it is."""
+    here = first
+    for value in values.tolist():
+        there = equilibrium_near(family, value, here.code)
+        while there is None or there.unstable != here.unstable:
+            near, far = _halved(family, here, there, value)
+            if far is None:
+                yield near, near.point(near.unstable), BORDER
+                return
+            low, high = sorted((near, far), key=lambda each: each.unstable)
+            crossing = high.exponents[low.unstable]
+            yield far, _of_event(far, low.unstable, abs(crossing.imag)), HOPF if crossing.imag else FOLD
+            here = far
+        yield there, there.point(there.unstable), ""
+        here = there
+
+
+def _halved(
+    family: Family, here: Equilibrium, there: Equilibrium | None, value: float
+) -> tuple[Equilibrium, Equilibrium | None]:
+    """The first change on a step: the last equilibrium that is as stable, and the next one, None where it ends."""
+    for _ in range(HALVINGS):
+        middle = 0.5 * (here.value + value)
+        if middle in (here.value, value):
+            break
+        found = equilibrium_near(family, middle, here.code)
+        if found is not None and found.unstable == here.unstable:
+            here = found
+        else:
+            there, value = found, middle
+    return here, there
+
+
+def _of_event(found: Equilibrium, unstable: int, frequency: float) -> Point:
+    """The point of an event: at a Hopf point the length of the orbit is that of the cycle which begins there."""
+    point = found.point(unstable)
+    if not frequency:
+        return point
+    return point._replace(orbit=point.orbit._replace(length=np.array(2.0 * np.pi / frequency)))
