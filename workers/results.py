@@ -54,8 +54,8 @@ class Reason(CodeMeaning):
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
-    MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY, PERIODS_SPENT, NEVER_RECURS,
-) = range(26)  # fmt: skip
+    MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY, PERIODS_SPENT, NEVER_RECURS, CENTRE,
+) = range(27)  # fmt: skip
 
 REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) in enumerate((
     ("none", PENDING, ""),
@@ -87,6 +87,8 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
     ("runs_away", FAILED, "motion grows without bound: damping, friction and contacts do not stop it"),
     ("periods_spent", UNDETERMINED, "its budget of forcing periods is spent before its class is certain"),
     ("never_recurs", UNDETERMINED, "its energy still rises or falls when its budget ends: it has not come back"),
+    ("centre", UNDETERMINED,
+     "it swings about a centre without damping: one motion of a continuum, none of which attracts"),
 )))  # fmt: skip
 """Codes are stored: new reasons are appended, and a code never changes its meaning."""
 
@@ -287,6 +289,7 @@ _IN_TIME = {
     "kaplan_yorke": "Kaplan-Yorke dimension of the attractor",
     "symmetric": "cycle is symmetric under (x, t) -> (-x, t + T/2), T its period; false unless known",
     "periods_used": "natural periods simulated, of the slowest undamped mode",
+    "settled": "natural periods until the motion is on the attractor",
     "survived": "natural periods seen chaotic, or aperiodic, after the transient",
 }
 """Meanings of results that differ for a machine without a force, by name."""

@@ -15,9 +15,9 @@ from atlas.query.attractors import branches
 from atlas.query.motions import VARIABLES, MotionName, broken_cells
 from atlas.query.motions import motions as motions_of
 from atlas.query.plane import Plane
-from atlas.render import style
+from atlas.render import style, words
 from atlas.render.layers import Class, Entry, Layers, Points, Shade, Texture, View, layered
-from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED
+from workers.results import ATTRACTOR, CYCLE_PERIOD, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED
 
 PERIODS: tuple[tuple[int, int, str], ...] = (
     (1, 1, style.COLORS[PERIODIC]),
@@ -217,9 +217,10 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
 def basins(view: View) -> Layers:
     """The attractor reached from each initial state of a plane, darker for slow settling.
 
-    A mirror image has a paler tone of its twin's hue; section points of the attractors lie on top.
+    A mirror image has a paler tone of its twin's hue; the section points of the attractors lie on top, of a cycle
+    without a force all of it.
     """
-    known, plane = reached.table(view.ds), view.plane
+    known, plane, unforced = reached.table(view.ds), view.plane, words.is_unforced(view.ds)
     colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
     label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
     named = [(label == k, color, _name_of_attractor(known, k)) for k, color in enumerate(colors)]
@@ -229,10 +230,11 @@ def basins(view: View) -> Layers:
         soon, late = np.percentile(settled[there], [SOONEST, LATEST]).tolist()
         shade = Shade(np.where(there, settled, np.nan), soon, late, SLOW)
         if late > soon:
-            meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} periods"
-            at = sum(bool(cells.any()) for cells, _, _ in named)  # between the attractors and the regimes
+            periods = "natural periods" if unforced else "periods"
+            meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} {periods}"
+            at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
             legend.insert(at, Entry("#c8c8c8", meaning, dark=SLOW))
-    entry = "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
+    entry = "attractor" if unforced else "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
     return replace(layers, legend=legend, shade=shade, points=points, point_entry=entry)
 
 
@@ -241,7 +243,14 @@ def _name_of_attractor(known: xr.Dataset, label: int) -> str:
     one = known.isel({ATTRACTOR: label})
     regime = int(one["regime"])
     what = f"period {int(one['period'])}" if regime == PERIODIC else REGIME.meaning(regime).text
+    if is_cycle(one):
+        what = f"cycle of {float(one[CYCLE_PERIOD.name]):.4g}"
     return f"{label}: {what}, {100 * float(one['share']):.3g} %"
+
+
+def is_cycle(one: xr.Dataset) -> bool:
+    """Whether one attractor is a cycle without a force, whose points lie all along it."""
+    return CYCLE_PERIOD.name in one and bool(np.isfinite(one[CYCLE_PERIOD.name]))
 
 
 def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[Points]:
@@ -250,6 +259,8 @@ def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[Points]:
     at = [names.index(axis.name) for axis in (plane.x, plane.y)]
     points = []
     for k, color in enumerate(colors):
-        look = ("o", 5.0, color, "black", 0.8) if int(known["period"][k]) > 0 else (".", 2.0, color, "black", 0.2)
-        points.append(Points(known["points"].isel({ATTRACTOR: k}).values[:, at], look))
+        one = known.isel({ATTRACTOR: k})
+        single = int(one["period"]) > 0 and not is_cycle(one)
+        look = ("o", 5.0, color, "black", 0.8) if single else (".", 2.0, color, "black", 0.2)
+        points.append(Points(one["points"].values[:, at], look))
     return points

@@ -51,8 +51,13 @@ def variable_label(ds: xr.Dataset, name: str) -> str:
 
 def in_its_unit(ds: xr.Dataset, label: str) -> str:
     """A label of exponents: per unit time for machines without a force."""
+    return label.replace(PER_PERIOD, PER_TIME) if is_unforced(ds) else label
+
+
+def is_unforced(ds: xr.Dataset) -> bool:
+    """Whether the machine of an atlas has no force."""
     system = stored_system(ds.attrs)
-    return label.replace(PER_PERIOD, PER_TIME) if system is not None and system.definition.unforced else label
+    return system is not None and system.definition.unforced
 
 
 def unit_ending(*units: str) -> str:

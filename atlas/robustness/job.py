@@ -13,6 +13,7 @@ from atlas.errors import InputError
 from atlas.orbits.finished import columns_of, must_be_finished, params_of
 from atlas.robustness.table import LINEAR, SHOCKS, Arrays, check_names
 from atlas.spec.spec import Spec
+from atlas.spec.system import must_have_force
 from atlas.store.groups import STABILITY
 from atlas.store.store import Atlas
 from atlas.task.compile import compile_once
@@ -94,6 +95,7 @@ def check_store(handle: Atlas) -> None:
         raise InputError(
             f"{handle.place}: found basins of one machine; measure its attractors by atlas attractors stability --set"
         )
+    must_have_force(spec.record, "stability measures")
     check_names(handle)
     held = {each.name for each in handle.variables}
     if lacking := [name for name in NEEDED if name not in held]:

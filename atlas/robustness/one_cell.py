@@ -10,6 +10,7 @@ from atlas.errors import InputError
 from atlas.robustness.attractors import AttractorSearch
 from atlas.robustness.norm import checked_weights, weights_of
 from atlas.spec.spec import given_values
+from atlas.spec.system import must_have_force
 from workers import Settings
 from workers.attractors.starts import Starts
 from workers.model.system import DEFAULT, System
@@ -60,6 +61,7 @@ def stability(
     """
     checked_flag("shocks", shocks)
     asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
+    must_have_force(asked.record, "stability measures")
     if asked.settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
     weights = checked_weights(norm, asked.record)

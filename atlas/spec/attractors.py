@@ -23,10 +23,6 @@ def checked_attractors(given: object, record: System, settings: Settings) -> Sta
     if not isinstance(table, Mapping):
         raise InputError(f"attractors: found {shown(table)}, must be a table")
     check_names("key in attractors", table, KEYS)
-    if record.definition.unforced:
-        raise InputError(
-            f"attractors: are not searched for machines without a force, as {record.name!r}; leave them out"
-        )
     if settings.method == "fixed":
         raise InputError('attractors: need method = "adaptive", found "fixed"')
     whole = {"count" if key == "starts" else key: table[key] for key in ("starts", "seed", "keep") if key in table}

@@ -1,7 +1,8 @@
 """The system of a spec, of a store, or of a command: by name, by file, or in full."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,19 @@ def unused_lines(record: System) -> list[str]:
 def must_offer(record: System, what: str, unforced: bool = False) -> None:
     """InputError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force;
     ``unforced``: whether it exists without one."""
-    try:
+    with _as_input_error():
         record.must_offer(what, unforced)
+
+
+def must_have_force(record: System, what: str) -> None:
+    """InputError, in one line, that ``what`` does not exist where there is no force."""
+    with _as_input_error():
+        record.must_have_force(what)
+
+
+@contextmanager
+def _as_input_error() -> Iterator[None]:
+    try:
+        yield
     except ValueError as error:
         raise InputError(str(error)) from None

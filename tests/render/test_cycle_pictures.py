@@ -59,5 +59,22 @@ def test_what_is_not_there_without_a_force_is_refused_in_a_line() -> None:
     line = "system 'belt': saddles are not there for a machine without a force"
     with pytest.raises(InputError, match=line):
         must_offer(checked_system("belt"), "saddles")
-    with pytest.raises(InputError, match="attractors: are not searched for machines without a force, as 'belt'"):
-        atlas.Spec("belt", {"u": [0.3, 0.6]}, attractors={"starts": 4})
+    for what in (atlas.stability, atlas.saddles):
+        with pytest.raises(InputError, match=r"system 'belt': .* are not there for a machine without a force"):
+            what({"u": 0.3}, system="belt", starts=4)
+
+
+def test_basins_without_a_force_show_the_whole_cycle_and_are_sound(tmp_path: Path, client: Client) -> None:
+    axes = {"x": np.linspace(-0.6, 1.5, 8), "v": np.linspace(-1.0, 1.0, 7)}
+    solve = {"max_periods": 1000, "survival": 0}
+    spec = atlas.Spec("belt", axes, {"u": 0.5, "zeta": 0.05}, solve, attractors={"starts": 16})
+    atlas.run(spec, tmp_path / "belt.zarr", client=client)
+    ds = atlas.open(tmp_path / "belt.zarr")
+    assert atlas.verify(tmp_path / "belt.zarr").fine
+    shares = ds.atlas.basin_measures()["attractors"]
+    assert {each["regime"] for each in shares} == {"periodic", "no_impact"}
+    (cycle,) = (each for each in shares if each["regime"] == "periodic")
+    said = "\n".join(text.get_text() for legend in figure(ds).legends for text in legend.get_texts())
+    assert f"cycle of {cycle['cycle_period']:.4g}, {100 * cycle['share']:.3g} %" in said
+    assert "natural periods" in said
+    assert "kT" not in said

@@ -20,6 +20,7 @@ from workers.attractors.starts import Starts
 from workers.attractors.waves import Coexistence
 from workers.cell.cells import Results
 from workers.cell.stretch import begin, sections_from
+from workers.model.clock import set_period
 from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
 from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL
@@ -125,14 +126,22 @@ def added(table: AttractorTable, states: Array) -> NDArray[np.int64]:
 
 
 def section_points(table: AttractorTable, count: int) -> Array:
-    """Physical section states (A, count, 2n) of every attractor: of an orbit each once, the rest NaN."""
+    """Physical section states (A, count, 2n) of every attractor: of an orbit each once, the rest NaN.
+
+    Of a cycle without a force they lie all along it, evenly in time.
+    """
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([each.result["state"] for each in table.attractors]).reshape(N, size)
     contact = np.array([each.contact for each in table.attractors], dtype=np.int64)
     oscillators = taken(table.oscillators, np.zeros(N, dtype=np.int64))
+    lengths = np.array([each.cycle.period if each.cycle else np.nan for each in table.attractors])
+    cycles = np.flatnonzero(~np.isnan(lengths))
+    if len(cycles):
+        set_period(oscillators, cycles, lengths[cycles] / count)
     motions, _ = begin(oscillators, np.full(N, NO_REASON, dtype=np.int8), states, contact)
     found = np.full((N, count, size), np.nan)
     counts = np.array([min(each.period or count, count) for each in table.attractors], dtype=np.int64)
+    counts[cycles] = count
     points = sections_from(oscillators, motions, counts)
     found[:, : points.shape[1]] = points
     return found

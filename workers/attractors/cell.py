@@ -3,7 +3,7 @@
 import numpy as np
 
 from workers.attractors.record import STABLE, Attractor
-from workers.attractors.same import nearest, same_orbit, states_of_turn
+from workers.attractors.same import nearest, same_orbit, states_along, states_of_turn
 from workers.attractors.search import Search
 from workers.cell.exponents import free_exponents
 from workers.kernel.motion import axes
@@ -90,6 +90,11 @@ def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | 
         return new
     if regime not in STABLE:
         return None
+    new.cycle = search.cells.cycles.get(r)
+    if new.cycle:
+        new.period = int(new.result["period"])
+        new.orbit = states_along(oscillator, new.cycle, new.result["state"], new.contact)
+        return new
     if regime == NO_IMPACT and not oscillator.has_modes:
         new.h, new.period, largest = np.zeros_like(orbits.h[r]), 1, float(free_exponents(oscillator)[0, 0])
     else:

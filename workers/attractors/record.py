@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from workers.cell.cells import CellCycle
 from workers.model.oscillator import Array
 from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
@@ -23,6 +24,7 @@ class Attractor:
     h, period         of an orbit: the block coordinates of that state; jacobian, contraction of its turn, norm in
                       which that shrinks
     orbit             (p, n, 2) its states at t = (k + shift) T, where it was proved
+    cycle             of a machine without a force; orbit then has states (ALONG, n, 2) all along it
     mirror            its mirror image, where that is another one and known
     reference         (k, 4n) of any other: its batches, see ``same``
     last              physical states, with their contacts, at which the motions of its initial states were left
@@ -42,6 +44,7 @@ class Attractor:
     norm: Array | None = None
     shift: float = 0.0
     orbit: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    cycle: CellCycle | None = None
     mirror: "Attractor | None" = None
     reference: Array | None = None
     last: list[tuple[Array, int]] = field(default_factory=list)

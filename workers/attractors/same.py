@@ -16,11 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.attractors.record import Attractor
+from workers.cell.cells import CellCycle
 from workers.cell.stretch import batch_of, begin, run
 from workers.kernel.cells import physical_states, scale_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, Motion, motion_at
-from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, many_of, map_fields, one_of
+from workers.model.clock import set_period
+from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, many_of, map_fields, one_of, taken
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import separation
 from workers.orbit.section import motion_after
@@ -28,6 +30,8 @@ from workers.results import NO_IMPACT, NO_REASON
 
 NEAR_ORBIT = 1e-2
 """Distance from a known orbit, relative to the motion's scale, from which on a motion may be falling into it."""
+ALONG = 256
+"""States along a cycle without a force that it is drawn by, and that tell when a motion is near it."""
 SAME_ORBIT = 1e-6
 """Distance of section states of one orbit, found twice, relative to the motion's scale."""
 BATCH = 64
@@ -110,6 +114,32 @@ def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -
     return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
 
+def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> int:
+    """``periods_to_settle`` of a motion that is on a cycle: periods until it stays within NEAR_ORBIT of the cycle.
+
+    along (K, n, 2): states on the cycle in order, between which it is taken for straight.
+    """
+    weight = np.sqrt(np.stack([blocks[:, COLUMN.metric], np.ones(len(blocks))], axis=1))
+    a, s = ((weight * states).reshape(len(states), -1) for states in (along, sections))
+    chord = np.roll(a, -1, axis=0) - a
+    away = s[:, None] - a
+    part = np.sum(away * chord, axis=2) / np.maximum(np.sum(chord * chord, axis=1), 1e-300)
+    nearest = np.linalg.norm(away - np.clip(part, 0.0, 1.0)[..., None] * chord, axis=2).min(axis=1)
+    far = np.flatnonzero(~(nearest <= NEAR_ORBIT * np.linalg.norm(a, axis=1).max()))
+    return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
+
+
+def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, contact: int) -> Array:
+    """Block states (ALONG, n, 2) of a cycle without a force from a physical state on it, evenly in time."""
+    own = taken(oscillator, np.zeros(1, dtype=np.int64))
+    set_period(own, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
+    motions, _ = begin(own, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([contact]))
+    batch = batch_of(own, motions, ALONG)
+    batch.periods[0] = ALONG
+    run(batch, np.zeros(1, dtype=np.int64))
+    return batch.sections[0]
+
+
 def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[Oscillator, Motion]:
     """An orbit on the section t = (k + shift) T: its oscillator as seen from there, and its motion."""
     osc = one_of(oscillator, 0)
@@ -134,9 +164,14 @@ def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
 
 
 def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
-    """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved."""
+    """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved.
+
+    Cycles without a force are the same where they are one set of states, whatever their phase.
+    """
     if (old.regime, old.period) != (new.regime, new.period):
         return False
+    if old.cycle and new.cycle:
+        return old.cycle.is_through(new.result["state"] * (-1.0 if half else 1.0), new.cycle.period)
     neutral = old.jacobian is None and new.jacobian is None  # nothing pulls motion to one of these orbits
     if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # there is one alone
         return True

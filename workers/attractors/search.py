@@ -1,15 +1,25 @@
 """Motions compared with known attractors, and solved in full where they reach none."""
 
+import math
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from workers.attractors import same
 from workers.attractors.record import STATISTICAL, Attractor
-from workers.attractors.same import KnownOrbits, batch_moments, nearest, orbits_reached, periods_to_settle
+from workers.attractors.same import (
+    KnownOrbits,
+    batch_moments,
+    nearest,
+    orbits_reached,
+    periods_along,
+    periods_to_settle,
+)
 from workers.cell.cells import Cells
-from workers.cell.course import NEAR_LATER, Course
+from workers.cell.course import NEAR_LATER
+from workers.cell.cycles import CycleCourse, course_of, tell_in_time
 from workers.cell.measuring import measure
 from workers.cell.observing import observe
 from workers.cell.outcome import end_impact_free, end_stopped
@@ -37,7 +47,7 @@ class Known:
 
     attractors   all of them, cell by cell; a label is a place in this list
     places       labels of the orbits that motions are compared with, in the order of ``orbits``
-    references   the chaos and the tori of each cell
+    references   the chaos and the tori of each cell; cycles: those of machines without a force
     """
 
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
@@ -46,6 +56,7 @@ class Known:
         ends = np.cumsum([0, *map(len, of_cells)])
         self.places = np.flatnonzero([each.jacobian is not None for each in self.attractors])
         self.references = [[a for a in attractors if a.reference is not None] for attractors in of_cells]
+        self.cycles = [[a for a in attractors if a.cycle is not None] for attractors in of_cells]
         some, of_cell = [self.attractors[k] for k in self.places], np.searchsorted(self.places, ends)
         self.orbits = KnownOrbits(
             first=of_cell[:-1],
@@ -89,8 +100,8 @@ class Search:
         N = len(owner)
         self.record, self.params, self.variables = record, params, record.variables(settings)
         arrays = result_arrays(self.variables, settings, N, len(record.states), exponents=record.exponents)
-        self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
-        self.course = Course(self.cells, self._is_known, self._leaves)
+        self.cells = Cells(oscillators, reasons, states, settings, arrays, contact, record.definition.unforced)
+        self.course = course_of(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]
         self.label, self.arrival = np.full((2, N), -1)
         self.distance = np.full(N, np.nan)
@@ -134,13 +145,13 @@ class Search:
         """Those of these motions that go on for this many batches, on no orbit; and the batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
-            rows = self._advance(rows, same.BATCH)
+            rows = self._advance(rows, same.BATCH, look=not self.cells.unforced or k == batches - 1)
             means[rows, k] = batch_moments(self.cells.batch.sections, rows, same.BATCH)
         self.compared[rows] += batches * same.BATCH
         return rows, means[rows]
 
     def _is_known(self, rows: Rows) -> Mask:
-        """Which of these motions fall into a known orbit; they have its label."""
+        """Which of these motions fall into a known orbit, or are on a known cycle; they have its label."""
         cells, orbits = self.cells, self.known.orbits
         blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.kept()
         found = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
@@ -149,20 +160,42 @@ class Search:
         for r, period in zip(rows[reached], orbits.period[found[reached]], strict=True):
             known = sections[r, sections.shape[1] - kept[r] :]
             self.arrival[r] = periods_to_settle(blocks[r], known, cells.flown[r], period)
+        if isinstance(self.course, CycleCourse):
+            reached[~reached] = [self._is_on_cycle(self.course, r) for r in rows[~reached].tolist()]
         return np.asarray(reached)
+
+    def _is_on_cycle(self, course: CycleCourse, r: int) -> bool:
+        """Whether a motion is on a known cycle of its cell, to ONCE_ROUND: it passes one of its events in a turn."""
+        cells, cycles = self.cells, self.known.cycles[self.owner[r]]
+        longest = max((each.cycle.period for each in cycles if each.cycle), default=0.0)
+        turn = math.ceil(longest / cells.oscillators.period[r]) + 1 if cycles else 0
+        for trail in islice(course.trails(r), turn):
+            states, numbers = trail.after
+            for each in cycles:
+                if each.cycle and each.cycle.passes(states, numbers):
+                    self.label[r] = self.known.attractors.index(each)
+                    kept = cells.batch.sections[r, cells.batch.sections.shape[1] - cells.kept()[r] :]
+                    self.arrival[r] = periods_along(cells.oscillators.gap.blocks[r], kept, cells.flown[r], each.orbit)
+                    return True
+        return False
 
     def _leaves(self, rows: Rows) -> Mask:
         """Of whose cell chaos or a torus is known."""
         self.to_compare[rows] = [len(self.known.references[c]) > 0 for c in self.owner[rows]]
         return self.to_compare[rows]
 
-    def _advance(self, rows: Rows, periods: Rows | int) -> Rows:
-        """Take these motions on by some periods; those on no orbit that can go on."""
+    def _advance(self, rows: Rows, periods: Rows | int, look: bool = True) -> Rows:
+        """Take these motions on by some periods; those that can go on, on no orbit so far as one is to be looked for.
+
+        A cycle without a force is followed event by event to be found, which takes longer than its periods.
+        """
         cells, least = self.cells, self.cells.settings.max_periods
         cells.aim(rows, periods)
         rows = end_impact_free(cells, rows)
         cells.run(rows, to_end=True)
         rows = end_stopped(cells, rows)
+        if not look:
+            return rows
         return self.course.end_on_orbits(rows, np.maximum(cells.budget(), least), np.full(len(self.owner), NEAR_LATER))
 
     def _compare(self) -> None:
@@ -182,9 +215,11 @@ class Search:
         self.course.take()
 
     def _measure(self) -> None:
-        """Write their machine's own results for motions of a known class."""
+        """Write their machine's own results for motions of a known class, without a force all in units of time."""
         measure(self.cells, self.record.definition, self.params)
         observe(self.cells, self.record.definition, self.params)
+        if self.cells.unforced:
+            tell_in_time(self.cells, self.variables)
 
     def _refer(self) -> None:
         """Go on with those motions that are on a chaos or torus that is not known, to tell what it is by.

@@ -49,8 +49,6 @@ def solve_attractors(
     record, settings, starts = find_system(system), settings or Settings(), starts or Starts()
     if settings.method == "fixed":
         raise ValueError('method: found "fixed", all attractors are found by the method "adaptive" only')
-    if record.definition.unforced:
-        raise ValueError(f"attractors: are not searched for machines without a force, as {record.name!r}")
     for name, _, _ in starts.box:
         if name not in record.states:
             raise KeyError(f"box: {name} is no component of the state; they are {', '.join(record.states)}")

@@ -26,6 +26,10 @@ STEPS, SAME_STEP = 16, 1e-7
 """Periods over which a runaway motion gains speed in equal steps; the relative deviation of these steps, and their
 least share of the sum."""
 
+ONCE_ROUND, SAME_CYCLE = 1e-8, 1e-6
+"""Distance, relative to the motion, at which a cycle closes in the event loop, and a motion is on it; the same of the
+states of one cycle, found twice, and of its period."""
+
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
 """Evaluations allowed to a cell per period of its budget, and the least for all together. Ordinary cells take 5 to 40 a
 period; R near 1 can take 10^5, and a cell must not cost minutes."""
@@ -70,10 +74,33 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
 
 
 class CellCycle(NamedTuple):
-    """A cycle of a machine without a force: its period, and its states (p, 2n) at its rarest event."""
+    """A cycle of a machine without a force.
+
+    Its period; its states (p, 2n) as it passes its rarest event; and its states (m, 2n) just after each of its events,
+    with the numbers (m,) of its modes from there on.
+    """
 
     period: float
     section: Array
+    events: Array
+    numbers: NDArray[np.int64]
+
+    def passes(self, states: Array, numbers: NDArray[np.int64]) -> bool:
+        """Whether a motion is on it that is in these states (K, 2n) just after events, in modes (K,) from there on."""
+        near = self._away(states[:, None]) <= ONCE_ROUND
+        return bool(np.any(near & (numbers[:, None] == self.numbers)))
+
+    def is_through(self, state: Array, period: float) -> bool:
+        """Whether it is the cycle of this period through a state (2n,) just after an event: the same set of states."""
+        return bool(self._away(state).min() <= SAME_CYCLE and abs(period - self.period) <= SAME_CYCLE * self.period)
+
+    def _away(self, states: Array) -> Array:
+        """Distances (..., m) of states (..., 2n) from those after its events, relative to its size."""
+        x, v = np.split(np.abs(self.events), 2, axis=1)
+        omega = 2.0 * np.pi / self.period
+        size = max(x.max(), v.max() / omega)
+        x, v = np.split(np.abs(states - self.events), 2, axis=-1)
+        return np.asarray(np.maximum(x.max(axis=-1), v.max(axis=-1) / omega) / size)
 
 
 class Cells:

@@ -77,6 +77,10 @@ def part_to_survive(relaxation: Array) -> Array:
     return np.clip((relaxation / LONG_MEMORY) ** 2, LEAST_PART, 1.0)
 
 
+Which = Callable[[Rows], Mask]
+"""Which of some cells something is known of."""
+
+
 def none_of(rows: Rows) -> Mask:
     """A mask of none of these cells."""
     return np.zeros(len(rows), dtype=np.bool_)
@@ -100,8 +104,8 @@ class Course:
     def __init__(
         self,
         cells: Cells,
-        is_known: Callable[[Rows], Mask] = none_of,
-        leaves: Callable[[Rows], Mask] = none_of,
+        is_known: Which = none_of,
+        leaves: Which = none_of,
         part: Callable[[Array], Array] = part_to_survive,
     ) -> None:
         N = len(cells.used)

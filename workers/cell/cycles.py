@@ -14,32 +14,40 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cell.cells import RETURNS, CellCycle, Cells
-from workers.cell.course import TORUS_RETURN, Course
+from workers.cell.cells import ONCE_ROUND, RETURNS, CellCycle, Cells
+from workers.cell.course import TORUS_RETURN, Course, Which, none_of
 from workers.cell.exponents import kaplan_yorke
 from workers.cell.orbits import end_on_orbits
-from workers.cell.outcome import put, put_periodic
+from workers.cell.outcome import put, put_averaged, put_periodic
 from workers.cell.stretch import batch_of, begin, run
 from workers.continuation.cycles import Cycle, cycle_near
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.recording import ASKED, halved, turned_orbit
 from workers.kernel.cells import physical_states
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.motion import RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.clock import set_period
-from workers.model.family import NoOscillatorError, with_modes
+from workers.model.family import NoOscillatorError, OrbitMachines, with_modes
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
 from workers.orbit.passed import legs_of_periods, passed_by
-from workers.results import APERIODIC, CHAOTIC, NO_REASON, PER_TIME, QUASIPERIODIC, REGIME, Variable
+from workers.results import (
+    APERIODIC,
+    CENTRE,
+    CHAOTIC,
+    NO_REASON,
+    PER_TIME,
+    QUASIPERIODIC,
+    REGIME,
+    UNDETERMINED,
+    Variable,
+)
 
 LEAST_LOOK = 64
 """Natural periods over which a motion is looked at, at least: as long as all before, or until it closes."""
 
 NEAR = 1e-3
 """Distance of a return, relative to the motion, from which on it may be that of a cycle."""
-
-ONCE_ROUND = 1e-8
-"""Distance, relative to the motion, at which a cycle closes in the event loop."""
 
 STABLE = 1e-12
 """-ln|mu| above which a multiplier is inside the unit circle: rounding is less."""
@@ -57,6 +65,12 @@ class Trail(NamedTuple):
     keys: NDArray[np.int64]
     states: Array
 
+    @property
+    def after(self) -> tuple[Array, NDArray[np.int64]]:
+        """Physical states (E, 2n) after its events, and the numbers (E,) of the modes from there on."""
+        size = self.states.shape[1]
+        return self.legs[:, LEG_STATE : LEG_STATE + size], self.legs[:, LEG.number].astype(np.int64)
+
     def back(self, last: int, first: int) -> float:
         """The distance of the states after two events."""
         return float(np.max(np.abs(self.states[last] - self.states[first])))
@@ -71,6 +85,11 @@ def trail_of(legs: Array, size: int) -> Trail:
     ranges = np.ptp(legs[:, LEG_STATE : LEG_STATE + size].reshape(-1, 2, size // 2), axis=0).max(axis=1, initial=0.0)
     ranges = np.repeat(np.where(ranges > 0.0, ranges, 1.0), size // 2)
     return Trail(events, keys.reshape(-1).astype(np.int64), states / ranges)
+
+
+def course_of(cells: Cells, is_known: Which = none_of, leaves: Which = none_of) -> Course:
+    """The adaptive schedule of cells, see Course."""
+    return (CycleCourse if cells.unforced else Course)(cells, is_known, leaves)
 
 
 class CycleCourse(Course):
@@ -90,9 +109,15 @@ class CycleCourse(Course):
                 found[r] = cycle
             elif quiet:
                 still.append(r)
-        end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
+        rest = end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
+        put_centres(self.cells, np.array([r for r in rest.tolist() if self._repeats(r)], dtype=np.int64))
         put_cycles(self.cells, found)
         return rows[self.cells.going[rows]]
+
+    def _repeats(self, r: int) -> bool:
+        """Whether the sections of one motion, to which nothing happens, are one state over all of its stretch."""
+        kept = self.cells.batch.sections[r, -int(self.cells.kept()[r]) :]
+        return len(kept) > 1 and float(np.ptp(kept, axis=0).max()) <= ONCE_ROUND * float(np.abs(kept).max())
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
         """The cells that go on: all cycles are looked for at every stretch."""
@@ -100,6 +125,8 @@ class CycleCourse(Course):
 
     def never_closes(self, rows: Rows) -> Mask:
         """Which of these cells have not come back to their last event in RETURNS passages of it, nor have shrunk."""
+        if not len(rows):
+            return none_of(rows)
         motions, periods = self.cells.batch.motions, self.cells.flown[rows] - self.cells.began[rows]
         found = (motions.growth[rows, 1] > -STEADY) & (periods >= LEAST_TORUS)
         for k in np.flatnonzero(found).tolist():
@@ -108,7 +135,7 @@ class CycleCourse(Course):
 
     def _returns_far(self, r: int) -> bool:
         trail = None
-        for trail in self._trails(r):
+        for trail in self.trails(r):
             if np.sum(trail.keys == trail.keys[-1:]) > RETURNS:
                 break
         if trail is None or np.sum(trail.keys == trail.keys[-1:]) <= RETURNS:
@@ -117,18 +144,20 @@ class CycleCourse(Course):
         same = np.flatnonzero(trail.keys[:-1] == trail.keys[-1])[-RETURNS:]
         return min(trail.back(last, int(k)) for k in same) > TORUS_RETURN
 
-    def _trails(self, r: int) -> Iterator[Trail]:
+    def trails(self, r: int) -> Iterator[Trail]:
         """The trail of one motion from here on, a natural period longer each time, until it cannot be followed."""
         cells, one = self.cells, np.array([r])
         machine, size = taken(cells.oscillators, one), cells.directions
         state = physical_states(cells.oscillators, cells.batch.motions, one)[0]
         number = int(cells.batch.motions.contact[r, 0]) - FIRST_NUMBER
-        legs, most = list[Array](), max(LEAST_LOOK, int(cells.flown[r]))
+        legs, most, trail = list[Array](), max(LEAST_LOOK, int(cells.flown[r])), None
         try:
             for k, rows in enumerate(legs_of_periods(machine, state, number)):
                 cells.used[r] += 1
                 legs.append(rows)
-                yield trail_of(np.concatenate(legs), size)
+                if trail is None or len(trail.keys) or np.any(rows[:, LEG.signal] >= 0.0):
+                    trail = trail_of(np.concatenate(legs), size)
+                yield trail
                 if k + 1 == most:
                     return
         except ValueError:
@@ -138,7 +167,7 @@ class CycleCourse(Course):
         """The cycle that one motion falls into with its passages of the rarest event, if it does; and whether nothing
         happens to it any more."""
         tried, trail, most = set[int](), None, 4 * self.settings.max_period
-        for trail in self._trails(r):
+        for trail in self.trails(r):
             for m in turns_of(trail):
                 if m in tried:
                     continue
@@ -182,6 +211,7 @@ def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] |
         half = halved(own, turn, ASKED)
         cycle = cycle_near(own, half) if half is not turn else None
         cycle = cycle or cycle_near(own, turn)
+        cycle = cycle and once_round(own, cycle)
     except NoOscillatorError:
         return None
     if cycle is None or not cycle.logs[0] < -STABLE:
@@ -189,7 +219,33 @@ def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] |
     times = cycle.motion.times[0]
     if cycle.motion.itinerary.symmetric:
         times = np.concatenate([times, times + 0.5 * cycle.period])
-    return cycle, times[keys == rarest]
+    return cycle, times[keys[: len(times)] == rarest]
+
+
+def once_round(machine: OrbitMachines, cycle: Cycle) -> Cycle | None:
+    """The cycle that one goes round, perhaps several times: a motion may seem to return after two turns first.
+
+    None where Newton's method loses it.
+    """
+    motion, times = cycle.motion, cycle.motion.times[0]
+    itinerary, states, span = motion.itinerary, motion.turn.states[0, 1:], float(motion.span[0])
+    for k in range(1, len(times) // 2 + 1):
+        turns = len(times) // k
+        if len(times) % k or (itinerary.symmetric and turns % 2 == 0) or not itinerary.repeats(k, itinerary.sign):
+            continue
+        late = np.abs(times[k:] - times[:-k] - span / turns).max()
+        away = np.abs(states[k:] - itinerary.sign * states[:-k]).max()
+        if late <= ONCE_ROUND * span and away <= ONCE_ROUND * np.abs(states).max():
+            one = Itinerary(itinerary.sides[:k], itinerary.periods, itinerary.symmetric, itinerary.legs[:k])
+            return cycle_near(machine, Orbit(one, times[:k], motion.orbits.speeds[0, :k], np.array(span / turns)))
+    return cycle
+
+
+def put_centres(cells: Cells, rows: Rows) -> None:
+    """Write the results of cells that swing about a centre without damping: none of their motions attracts."""
+    if len(rows):
+        put_averaged(cells, rows)
+        put(cells, rows, regime=UNDETERMINED, error=np.nan, reason=CENTRE)
 
 
 def put_cycles(cells: Cells, found: dict[int, tuple[Cycle, Array]]) -> None:
@@ -218,7 +274,7 @@ def put_cycles(cells: Cells, found: dict[int, tuple[Cycle, Array]]) -> None:
     rows, orbits = rows[kept], cells.orbits
     for r in rows.tolist():
         cycle, times = found[r]
-        cells.cycles[r] = CellCycle(cycle.period, cycle.motion.at(times[None])[0][0])
+        cells.cycles[r] = _as_passed(own, cycle, times)
         orbits.exponents[r] = -np.sort(-np.append(cycle.logs, 0.0))
         orbits.symmetric[r], orbits.error[r] = cycle.motion.itinerary.symmetric, 1e-14 * (1.0 + abs(cycle.logs[0]))
     orbits.h[rows], orbits.contact[rows, 0], orbits.period[rows] = start[kept], contact[kept], 1
@@ -227,6 +283,16 @@ def put_cycles(cells: Cells, found: dict[int, tuple[Cycle, Array]]) -> None:
     largest = np.array([found[r][0].logs[0] for r in rows.tolist()])
     put(cells, rows, largest=largest)  # beside the 0 along the cycle
     put(cells, rows[np.isneginf(largest)], error=0.0)
+
+
+def _as_passed(machines: Oscillator, cycle: Cycle, times: Array) -> CellCycle:
+    """A cycle of a cell with the times (p,) of its rarest event; ``machines`` are of the same elements."""
+    motion, segments = cycle.motion, machines.table.machines.segments
+    legs, states = [leg for leg, _ in motion.plan.legs[1:]], motion.turn.states[0, 1:]
+    if motion.itinerary.symmetric:
+        legs, states = legs + [leg.mirrored for leg in legs], np.concatenate([states, -states])
+    numbers = np.array([leg.code.number_of(*segments) for leg in legs])
+    return CellCycle(cycle.period, motion.at(times[None])[0][0], states, numbers)
 
 
 def tell_in_time(cells: Cells, variables: tuple[Variable, ...]) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 
 from workers.cell import averages
 from workers.cell.cells import Cells
-from workers.cell.course import Course, none_of
-from workers.cell.cycles import CycleCourse
+from workers.cell.course import none_of
+from workers.cell.cycles import course_of
 from workers.cell.orbits import NEAR, end_on_orbits
 from workers.cell.outcome import end_impact_free, end_stopped, put, put_averaged, put_chaotic
 from workers.cell.recurrence import Recurrence
@@ -21,7 +21,7 @@ def solve(cells: Cells) -> None:
     """Take cells to their results, by the schedule of their settings."""
     with np.errstate(all="ignore"):
         if cells.settings.method == "adaptive":
-            (CycleCourse if cells.unforced else Course)(cells).take()
+            course_of(cells).take()
         else:
             _solve_fixed(cells)
 

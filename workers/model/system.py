@@ -157,10 +157,15 @@ class System:
     def must_offer(self, what: str, unforced: bool = False) -> None:
         """DefinitionError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force;
         ``unforced``: whether it exists without one."""
-        if self.definition.unforced and not unforced:
-            raise DefinitionError(f"system {self.name!r}: {what} are not there for a machine without a force")
+        if not unforced:
+            self.must_have_force(what)
         if self.definition.drift:
             raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")
+
+    def must_have_force(self, what: str) -> None:
+        """DefinitionError, in one line, that ``what`` does not exist where there is no force."""
+        if self.definition.unforced:
+            raise DefinitionError(f"system {self.name!r}: {what} are not there for a machine without a force")
 
     def with_cycle(self, values: Mapping[str, Array], cycle: float | None) -> dict[str, Array]:
         """Values (N,) of each parameter of machines without a force, followed over cycles of this length.

@@ -22,7 +22,7 @@ from workers.kernel.motion import (
 )
 from workers.kernel.period import propagate
 from workers.model.family import FLYING
-from workers.model.hybrid import Elements
+from workers.model.hybrid import Elements, Table
 from workers.model.hybrid_modes import ON, OPEN, Code, code_of
 from workers.model.oscillator import Array, Oscillator, Rows, one_of
 from workers.orbit.section import quiet_section
@@ -98,8 +98,9 @@ def legs_of_periods(oscillators: Oscillator, state: Array, number: int) -> Itera
     Times are counted from the first section. The motion starts at a physical state (2n,) in the mode of this number.
     ValueError if it cannot be followed.
     """
+    table = one_of(oscillators, 0).table
     for k in count():
-        rows, state, number = _one_period(oscillators, state, number)
+        rows, state, number = _one_period(oscillators, table, state, number)
         rows[:, LEG.start] += k * 2.0 * np.pi / oscillators.table.omega[0]
         yield rows
 
@@ -137,9 +138,8 @@ def _segment(starts: Array, at: float) -> int:
     return max(0, int(np.sum(starts < at)) - 1)
 
 
-def _one_period(oscillators: Oscillator, state: Array, number: int) -> tuple[Array, Array, int]:
-    """The legs of one period, and the state and mode after it; missing modes are built."""
-    table = one_of(oscillators, 0).table
+def _one_period(oscillators: Oscillator, table: Table, state: Array, number: int) -> tuple[Array, Array, int]:
+    """The legs of one period, and state and mode after it; modes missing from the ``table`` are built."""
     legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
     W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))
 
