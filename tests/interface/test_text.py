@@ -2,7 +2,7 @@
 
 import pytest
 
-from atlas.text import byte_size, duration, plural
+from atlas.text import byte_size, duration, motion_name, plural
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,7 @@ def test_bytes_have_the_unit_that_leaves_at_most_three_digits_before_the_point(c
 def test_a_count_of_one_has_a_noun_in_the_singular() -> None:
     assert [plural(n, "tile") for n in (0, 1, 2)] == ["0 tiles", "1 tile", "2 tiles"]
     assert plural(2, "axis", "axes") == "2 axes"
+
+
+def test_a_motion_is_named_by_its_periods_and_its_impacts_above_and_below() -> None:
+    assert motion_name(3, 2, 10) == "3-2-10"
