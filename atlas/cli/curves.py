@@ -1,6 +1,5 @@
 """The command about a plane's curves."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -8,20 +7,13 @@ from pathlib import Path
 import click
 
 from atlas.cli.options import (
-    INTERRUPTED,
-    check_workers,
-    dashboard_option,
+    crew_options,
     examples,
-    interruptible,
     json_option,
-    say,
-    scheduler_option,
     store_argument,
-    timing_of,
-    workers_option,
 )
 from atlas.cli.output import to_json
-from atlas.cli.progress import reporter
+from atlas.cli.progress import resumable
 from atlas.orbits.curves.export import check_path, export
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.service.options import RunOptions
@@ -42,19 +34,14 @@ def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., N
 @_budget("curves", "Curves followed, at most.")
 @_budget("points", "Points of all curves, at most.")
 @_budget("least", "Cells that a region must have for events to be looked for beside it.", "min-cells")
-@scheduler_option
-@workers_option
-@dashboard_option
+@crew_options
 @json_option
-@click.pass_context
 def find_curves(
     ctx: click.Context,
     /,
     store: str,
     out: Path | None,
-    scheduler: str | None,
-    workers: int | None,
-    dashboard: bool,
+    options: RunOptions,
     as_json: bool,
     **budget: int,
 ) -> None:
@@ -65,16 +52,10 @@ def find_curves(
     """
     from atlas.service import curves  # with it Numba
 
-    check_workers(scheduler, workers)
     if out is not None:
         check_path(out)
-    try:
-        with interruptible(), reporter(sys.stderr) as show:
-            options = RunOptions(workers, scheduler, dashboard=dashboard, on_progress=show, timing=timing_of(ctx))
-            summary = curves.find_curves(store, CurveSettings(**budget), options=options)
-    except KeyboardInterrupt:
-        say("interrupted: finished parts are kept; the same command resumes")
-        ctx.exit(INTERRUPTED)
+    with resumable(ctx, options, "finished parts are kept; the same command resumes") as shown:
+        summary = curves.find_curves(store, CurveSettings(**budget), options=shown)
     if out is not None:
         export(summary.found, out)
     click.echo(to_json(summary.as_dict()) if as_json else str(summary))

@@ -1,27 +1,18 @@
 """The command that measures the attractors of an atlas."""
 
-import sys
-
 import click
 
 from atlas.cli.options import (
-    INTERRUPTED,
-    check_workers,
-    dashboard_option,
+    crew_options,
     examples,
-    interruptible,
     json_option,
     norm_option,
     read_number,
     read_pairs,
-    say,
-    scheduler_option,
     store_argument,
-    timing_of,
-    workers_option,
 )
 from atlas.cli.output import to_json
-from atlas.cli.progress import reporter
+from atlas.cli.progress import resumable
 from atlas.errors import InputError
 from atlas.service.options import RunOptions
 
@@ -41,11 +32,8 @@ from atlas.service.options import RunOptions
 @click.option(
     "--scale", metavar="AXIS=UNIT", multiple=True, help="Unit of the margin along an axis; default: the plane's width."
 )
-@scheduler_option
-@workers_option
-@dashboard_option
+@crew_options
 @json_option
-@click.pass_context
 def measure_attractors(
     ctx: click.Context,
     /,
@@ -54,9 +42,7 @@ def measure_attractors(
     shocks: bool,
     margin: bool,
     scale: tuple[str, ...],
-    scheduler: str | None,
-    workers: int | None,
-    dashboard: bool,
+    options: RunOptions,
     as_json: bool,
 ) -> None:
     """Measure how stable the attractors of STORE, a finished atlas, are: return time, reactivity, amplification.
@@ -66,17 +52,11 @@ def measure_attractors(
     """
     from atlas.service import measures  # with it Numba
 
-    check_workers(scheduler, workers)
     weights, units = read_pairs("--norm", norm, read_number), read_pairs("--scale", scale, read_number)
     if units and not margin:
         raise InputError("--scale needs --margin: it sets its unit")
-    try:
-        with interruptible(), reporter(sys.stderr) as show:
-            options = RunOptions(workers, scheduler, dashboard=dashboard, on_progress=show, timing=timing_of(ctx))
-            summary = measures.measure_attractors(
-                store, shocks=shocks, margin=margin, norm=weights, scale=units or None, options=options
-            )
-    except KeyboardInterrupt:
-        say("interrupted: finished parts are kept; the same command resumes")
-        ctx.exit(INTERRUPTED)
+    with resumable(ctx, options, "finished parts are kept; the same command resumes") as shown:
+        summary = measures.measure_attractors(
+            store, shocks=shocks, margin=margin, norm=weights, scale=units or None, options=shown
+        )
     click.echo(to_json(summary.as_dict()) if as_json else str(summary))

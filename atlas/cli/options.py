@@ -6,6 +6,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
+from functools import wraps
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,7 +17,7 @@ from click.core import ParameterSource
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.errors import ChunkError, InputError, NetworkError, shown
-from atlas.service.options import MOST_WORKERS
+from atlas.service.options import MOST_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
 from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings, observable_settings
 from atlas.spec.system import checked_system
@@ -231,6 +232,21 @@ def say(text: str) -> None:
 def timing_of(ctx: click.Context) -> Timing:
     """How long to wait: the ``obj`` that a caller in Python gives the command, or the defaults."""
     return ctx.find_object(Timing) or TIMING
+
+
+def crew_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Who does the work of a command, whose ``options`` they are: --scheduler, --workers, --dashboard."""
+
+    @scheduler_option
+    @workers_option
+    @dashboard_option
+    @click.pass_context
+    @wraps(command)
+    def whole(ctx: click.Context, /, scheduler: str | None, workers: int | None, dashboard: bool, **given: Any) -> None:
+        check_workers(scheduler, workers)
+        command(ctx, options=RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx)), **given)
+
+    return whole
 
 
 def check_workers(scheduler: str | None, workers: int | None) -> None:

@@ -2,20 +2,43 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from types import TracebackType
 from typing import IO
 
+import click
+
+from atlas.cli.options import INTERRUPTED, interruptible, say
+from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.task.compile import kernels_for
 from workers import Settings
 from workers.model.system import System
 
+Report = Callable[[Progress], None]
+
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
     """A progress bar where the stream is a terminal, a plain line every few seconds otherwise."""
     return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
+
+
+@contextmanager
+def resumable(
+    ctx: click.Context, options: RunOptions, advice: str, of: Callable[[Report], Report] = lambda show: show
+) -> Iterator[RunOptions]:
+    """The options of work on a store whose progress is shown; an interruption ends the command with advice to resume.
+
+    ``of`` may change what is shown.
+    """
+    try:
+        with interruptible(), reporter(sys.stderr) as show:
+            yield replace(options, on_progress=of(show))
+    except KeyboardInterrupt:
+        say(f"interrupted: {advice}")
+        ctx.exit(INTERRUPTED)
 
 
 @contextmanager

@@ -12,22 +12,17 @@ from click.core import ParameterSource
 
 from atlas.cli import progress
 from atlas.cli.options import (
-    INTERRUPTED,
     SPECS,
-    check_workers,
-    dashboard_option,
+    crew_options,
     examples,
-    interruptible,
     json_option,
     read_factors,
     read_whole,
     say,
-    scheduler_option,
     spec_argument,
     storage_option,
     store_argument,
     timing_of,
-    workers_option,
 )
 from atlas.cli.output import to_json
 from atlas.errors import InputError
@@ -49,6 +44,7 @@ from atlas.store.sidecar import notes_of
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
+KEPT = "finished tiles are kept"
 
 
 points_option = click.option(
@@ -130,16 +126,13 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @_tls_options
 @points_option
 @observe_option
-@scheduler_option
-@workers_option
-@dashboard_option
+@crew_options
 @click.option(
     "--performance-report", "report", metavar="FILE", help="Write Dask's report of how the workers spent their time."
 )
 @click.option("--tile", metavar="I,J", help="Solve this tile alone in this process, with its traceback.")
 @click.option("--log", metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
 @_submit_option
-@click.pass_context
 def run(
     ctx: click.Context,
     /,
@@ -147,9 +140,7 @@ def run(
     out: str,
     points: str | None,
     observe: str | None,
-    scheduler: str | None,
-    workers: int | None,
-    dashboard: bool,
+    options: RunOptions,
     report: str | None,
     tile: str | None,
     log: str | None,
@@ -157,28 +148,17 @@ def run(
     **tls: str | None,
 ) -> None:
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
-    check_workers(scheduler, workers)
     if leave:
-        _check_submit(ctx, scheduler)
+        _check_submit(ctx, options.scheduler)
     read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", each) for each in tile.split(","))
-    options = RunOptions(
-        workers,
-        scheduler,
-        _tls(**tls),
-        tile=index,
-        dashboard=dashboard,
-        performance_report=report,
-        timing=timing_of(ctx),
-    )
+    options = options.updated(tls=_tls(**tls), tile=index, performance_report=report)
     if leave:
         _submit(out, options, lambda shown: submit_spec(read, out, shown))
         return
-    words = ["run", spec, "-o", out, *["--no-dashboard"] * (not dashboard)]
-    line = _line(
-        *words, points=points, observe=observe, scheduler=scheduler, workers=workers, performance_report=report, **tls
-    )
-    with _logged(log), _shown(ctx, options, f"resume with\n  {line}") as shown:
+    words = ["run", spec, "-o", out, *["--no-dashboard"] * (not options.dashboard)]
+    line = _line(options, *words, points=points, observe=observe, performance_report=report, **tls)
+    with _logged(log), progress.resumable(ctx, options, f"{KEPT}; resume with\n  {line}", with_time) as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
 
@@ -195,11 +175,8 @@ def run(
 @click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than the spec's.")
 @click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer watch than the spec's.")
 @_tls_options
-@scheduler_option
-@workers_option
-@dashboard_option
+@crew_options
 @_submit_option
-@click.pass_context
 def retry(
     ctx: click.Context,
     /,
@@ -208,9 +185,7 @@ def retry(
     out: str,
     max_periods: int | None,
     survival: int | None,
-    scheduler: str | None,
-    workers: int | None,
-    dashboard: bool,
+    options: RunOptions,
     leave: bool,
     **tls: str | None,
 ) -> None:
@@ -219,16 +194,13 @@ def retry(
     REGIMES is one or more of undetermined, chaotic, aperiodic, separated by commas. STORE does not change. The same
     command resumes a retry that was stopped.
     """
-    check_workers(scheduler, workers)
+    options = options.updated(tls=_tls(**tls))
     if leave:
-        _check_submit(ctx, scheduler)
-    options = RunOptions(workers, scheduler, _tls(**tls), dashboard=dashboard, timing=timing_of(ctx))
-    if leave:
+        _check_submit(ctx, options.scheduler)
         _submit(out, options, lambda shown: submit_retry(store, out, regimes, max_periods, survival, shown))
         return
-    words = {"max_periods": max_periods, "survival": survival, "scheduler": scheduler, "workers": workers}
-    line = _line("retry", store, regimes, "-o", out, **words, **tls)
-    with _shown(ctx, options, f"resume with\n  {line}", timed=False) as shown:
+    line = _line(options, "retry", store, regimes, "-o", out, max_periods=max_periods, survival=survival, **tls)
+    with progress.resumable(ctx, options, f"{KEPT}; resume with\n  {line}") as shown:
         summary = retry_store(store, out, regimes, max_periods, survival, options=shown)
     _report(ctx, summary)
 
@@ -277,32 +249,25 @@ def cancel(ctx: click.Context, store: str) -> None:
     "--refine", metavar="N or NAME=N", multiple=True, help="Refinement factor for all axes, or NAME=N for one."
 )
 @click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
-@scheduler_option
-@workers_option
-@dashboard_option
-@click.pass_context
+@crew_options
 def extend(
     ctx: click.Context,
     store: str,
     spec: str | None,
     refine: tuple[str, ...],
     out: str,
-    scheduler: str | None,
-    workers: int | None,
-    dashboard: bool,
+    options: RunOptions,
 ) -> None:
     """Compute a larger or finer atlas into a new store, reusing all cells that STORE has.
 
     SPEC may have other values on STORE's axes, and nothing else that differs. The same command resumes an extension
     that was stopped.
     """
-    check_workers(scheduler, workers)
     if (spec is None) == (not refine):
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    options = RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx))
-    with _shown(ctx, options, "the same command resumes") as shown:
+    with progress.resumable(ctx, options, f"{KEPT}; the same command resumes", with_time) as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)
 
@@ -330,27 +295,14 @@ def _logged(path: str | None) -> Iterator[None]:
         handler.close()
 
 
-@contextmanager
-def _shown(ctx: click.Context, options: RunOptions, advice: str, timed: bool = True) -> Iterator[RunOptions]:
-    """The options of a run whose progress is shown; an interruption ends it with the advice how to resume.
-
-    The time left is ``timed`` by a few cells before the first tile, where the cells of a run are of one kind.
-    """
-    try:
-        with interruptible(), progress.reporter(sys.stderr) as show:
-            yield replace(options, on_progress=with_time(show) if timed else show)
-    except KeyboardInterrupt:
-        say(f"interrupted: finished tiles are kept; {advice}")
-        ctx.exit(INTERRUPTED)
-
-
 def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> Tls | None:
     """The files of an encrypted connection, None where none is given."""
     return Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
 
 
-def _line(*words: str, **given: str | int | None) -> str:
+def _line(options: RunOptions, *words: str, **given: str | int | None) -> str:
     """A command line: words, then the options that have a value."""
+    given |= {"scheduler": options.scheduler, "workers": options.workers}
     pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
     return shlex.join(["atlas", *words, *(word for pair in pairs for word in pair)])
 
