@@ -38,7 +38,7 @@ from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
 from atlas.store.making import metadata_apart
 from atlas.store.schema import OVERVIEWS, codecs, consolidate, create_whole
-from atlas.store.store import ROOT, Atlas, chunk_key, open_group
+from atlas.store.store import ROOT, Atlas, chunk_key
 from atlas.store.tiles import encoded
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, Variable
@@ -76,7 +76,6 @@ class Pyramid:
         self.levels = Levels(
             handle.spec.shape, handle.tile, side=shapes["side"], least=shapes["least"], kept=handle.spec.kept
         )
-        self._targets: dict[str, Any] = {}
 
     @property
     def chunks_read(self) -> int:
@@ -125,7 +124,6 @@ class Pyramid:
         if self.made:
             return
         self._arrays.clear()
-        self._targets.clear()
         shapes = {"side": self.levels.side, "least": self.levels.least, "classes": int(CODES.size)}
         about = {"multiscales": multiscales(self.handle.spec, self.levels.count)}
         with metadata_apart(self.handle.place, GROUP) as root:
@@ -168,13 +166,10 @@ class Pyramid:
         widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
         coarse, objects = coarsen(below, widths, self.levels.coarsened), dict[str, bytes]()
         for variable in self.variables:
-            path = f"{GROUP}/{level}/{variable.name}"
-            if path not in self._targets:
-                self._targets[path] = self._plain[path]
             if variable.name == REGIME.name:
                 self.handle.place.put_all(objects)
                 objects = {}
-            objects |= encoded(self._targets[path], block, coarse[variable.name])
+            objects |= encoded(self.array(level, variable.name), block, coarse[variable.name])
         self.handle.place.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
@@ -224,10 +219,6 @@ class Pyramid:
                 compressors=codecs(),
                 attributes=attributes,
             )
-
-    @cached_property
-    def _plain(self) -> Any:
-        return open_group(self.handle.place, "r")
 
 
 def pyramid_of(handle: Atlas) -> Pyramid:

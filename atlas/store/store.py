@@ -191,12 +191,9 @@ class Atlas:
         return open_arrays(self)
 
     @MadeOnce
-    def writable(self) -> Mapping[str, Any]:
-        """The Zarr arrays of cells by name, opened once; RunError if it is another store."""
-        group: Any = open_group(self.place, "r", consolidated=True)  # one request for all arrays
-        if group.attrs.get("run_id") != self.run_id:
-            raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
-        return {each.name: group[each.name] for each in (*self.allowances, *self.variables)}
+    def declared(self) -> Mapping[str, Any]:
+        """The same by the root's copies of their metadata, for who encodes what is to be written: without a request."""
+        return arrays_by(self, self.nodes)
 
     @property
     def array_names(self) -> list[str]:
@@ -355,10 +352,10 @@ def own_nodes(handle: Atlas) -> dict[str, Any]:
     return found
 
 
-def open_group(place: Place, mode: Literal["r", "r+"], consolidated: bool = False) -> "zarr.Group":
-    """The root group of a store, its metadata read anew: of each array its own, or the root's copy of them."""
+def open_group(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
+    """The root group of a store, its metadata read anew: of each array its own."""
     import zarr
 
     from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
 
-    return zarr.open_group(zarr_store(place, mode == "r"), mode=mode, use_consolidated=consolidated, zarr_format=3)
+    return zarr.open_group(zarr_store(place, mode == "r"), mode=mode, use_consolidated=False, zarr_format=3)

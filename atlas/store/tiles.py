@@ -31,7 +31,7 @@ def write_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.nd
 
     The record comes right before. Another attempt at the tile writes the same bits.
     """
-    to, whole = handle.writable, _with_allowances(handle, index, arrays)
+    to, whole = handle.declared, _with_allowances(handle, index, arrays)
     objects, done = dict[str, bytes](), dict[str, bytes]()
     for variable in _written(handle):
         array, values = to[variable.name], whole[variable.name]
@@ -82,7 +82,7 @@ def relabel_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.
 
     Meanwhile its record is empty, so that a kill leaves none that contradicts the tile.
     """
-    array = handle.writable[LABEL.name]
+    array = handle.declared[LABEL.name]
     put_record(handle, index, np.zeros(WIDTH))
     handle.place.put_all(encoded(array, block(array, index), arrays[LABEL.name]))
     put_record(handle, index, record_of(handle, index, arrays))

@@ -117,13 +117,13 @@ def test_only_jobs_that_write_cells_open_the_arrays_of_cells_for_writing(finishe
     site = Site(handle.place, handle.run_id, handle.solver_version)
     site.forget()
     handle = site.handle()
-    assert handle.spec and "writable" not in handle.kept
+    assert handle.spec and "declared" not in handle.kept
 
 
 def test_what_jobs_open_for_writing_is_opened_once(tmp_path: Path) -> None:
     handle = create(tmp_path / "plane.zarr", plane_of(), (2, 3))
     job = Job((0, 0), Site(handle.place, handle.run_id, handle.solver_version))
-    assert job.handle().writable is replace(job, index=(1, 1)).handle().writable
+    assert job.handle().declared is replace(job, index=(1, 1)).handle().declared
 
 
 @pytest.mark.parametrize("through", [lambda ds: ds, lambda ds: ds.isel(omega=slice(2, 5)), deepcopy])
