@@ -22,7 +22,8 @@ def needs_browser() -> None:
 class Tab:
     """A tab: complaints of the browser, hosts asked, and the state of the page's models.
 
-    ``sent`` and ``received`` are the bytes of each message of its websockets.
+    ``sent`` and ``received`` are the bytes of each frame of its websockets; ``messages`` how many of Bokeh's messages
+    these make up, both ways.
     """
 
     def __init__(self, page: Any) -> None:
@@ -31,6 +32,7 @@ class Tab:
         self.hosts: set[str] = set()
         self.sent: list[int] = []
         self.received: list[int] = []
+        self.messages = 0
         page.on("websocket", self._listen)
         page.on("console", self._hear)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
@@ -44,20 +46,24 @@ class Tab:
 
     def _listen(self, socket: Any) -> None:
         for event, sizes in (("framesent", self.sent), ("framereceived", self.received)):
-            socket.on(event, lambda content, sizes=sizes: sizes.append(len(content)))
+            socket.on(event, lambda content, sizes=sizes: self._count(content, sizes))
+
+    def _count(self, content: str | bytes, sizes: list[int]) -> None:
+        sizes.append(len(content))
+        self.messages += isinstance(content, str) and content.startswith('{"msgid"')
 
     def address(self) -> str:
         """The address shown in the tab."""
         return str(self.page.evaluate("() => window.location.href"))
 
     def image(self) -> list[float] | None:
-        """The window (x, y, width, height) filled by the picture; None if there is none."""
+        """The window (x, y, width, height) filled by the cells of the picture; None if there is none."""
         found = self.page.evaluate(
             """() => {
                 if (!window.Bokeh || !Bokeh.documents.length) return null
                 for (const model of Bokeh.documents[0]._all_models.values())
-                    if (model.type === "ColumnDataSource" && model.data.image && model.data.image.length)
-                        return ["x", "y", "dw", "dh"].map((name) => model.data[name][0])
+                    if (model.type === "ColumnDataSource" && model.data.cells && model.data.cells.length)
+                        return model.data.cells[0]
                 return null
             }"""
         )

@@ -22,7 +22,9 @@ COARSER = 20
 HELD = (
     "atlas/py.typed", "workers/py.typed", "atlas/examples/omega-b.toml", "workers/model/systems/two-mass.toml",
     *(f"atlas/explore/static/{name}" for name in ("page.html", "page.css", "atlas.mjs", "cell.mjs", "page.mjs")),
-    *(f"atlas/explore/front/{name}" for name in ("key.css", "numbers.mjs", "colors.mjs", "plane.mjs", "key.mjs")),
+    *(f"atlas/explore/front/{name}.mjs" for name in ("numbers", "colors", "plane", "words", "key")),
+    *(f"atlas/explore/front/{name}.mjs" for name in ("live", "keys", "widgets")),
+    "atlas/explore/front/key.css",
 )  # fmt: skip
 PROGRAM = """
 import atlas

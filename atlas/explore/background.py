@@ -5,7 +5,6 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Generic, TypeVar
 
 from bokeh.document import Document
 from tornado.ioloop import IOLoop
@@ -17,7 +16,6 @@ THREADS = 2
 """So many things at once: beside a portrait the cell under the pointer is still looked up."""
 
 Show = Callable[[], None]
-T = TypeVar("T")
 
 
 class Background:
@@ -68,40 +66,3 @@ class Background:
     def wait(self) -> None:
         """Wait until what is under way has ended."""
         self._threads.shutdown(wait=True)
-
-
-class Latest(Generic[T]):
-    """Work on one thing at a time in a thread of the page, then on the last one that was asked for meanwhile."""
-
-    def __init__(self, background: Background, work: Callable[[T], Show]) -> None:
-        self._background, self._work, self._busy = background, work, False
-        self._asked: T
-
-    def ask(self, thing: T) -> None:
-        """Have work done on a thing, unless another one is asked for before it begins."""
-        self._asked = thing
-        if not self._busy:
-            self._busy = True
-            self._background.run(self._do)
-
-    def _do(self) -> Show:
-        thing = self._asked
-        try:
-            act = self._work(thing)
-        except BaseException:
-            self._background.show(partial(self._next, thing))
-            raise
-
-        def show() -> None:
-            try:
-                act()
-            finally:
-                self._next(thing)
-
-        return show
-
-    def _next(self, done: T) -> None:
-        """Go on to what was asked for meanwhile."""
-        self._busy = False
-        if self._asked is not done:
-            self.ask(self._asked)

@@ -4,13 +4,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
-from urllib.parse import urlencode
+from urllib.parse import parse_qsl, urlencode
 
 from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import Subject, SubjectPlane
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, has_scale, needs
 from atlas.render.kinds import CURVES as CURVE_KINDS
+from atlas.render.kinds import LOGARITHM, NUMBER
 from atlas.render.options import MapLook
 from workers.results import LARGEST, REGIME
 
@@ -18,8 +19,10 @@ Range = tuple[float, float]
 Ends = tuple[float | None, float | None]
 """Of a scale; None is an end that a picture chooses for itself."""
 
-CURVES, CHART = "curves", "regions"
-"""The overlay and the kind of map that draw what a store keeps."""
+CURVES = "curves"
+"""The overlay that draws what a store keeps."""
+CHART = "regions"
+"""The kind of picture that is drawn of curves alone, which no page has."""
 
 Point = tuple[SubjectPlane, float, float]
 Cut = tuple[float, float, float, float]
@@ -73,8 +76,13 @@ class Chosen:
 
     @property
     def picture(self) -> "Chosen":
-        """The choice as far as the map shows it."""
-        return replace(self, cell=None, cut=None, follow=None)
+        """The choice as far as the browser needs something for it."""
+        return replace(self, cell=None, cut=None, follow=None, vmin=None, vmax=None, hidden=())
+
+    @property
+    def map(self) -> str:
+        """The name of its map among all that a page has."""
+        return f"{NUMBER}{self.variable}{LOGARITHM * self.log}" if self.kind == SCALAR else self.kind
 
     def middle(self, subject: Subject) -> tuple[float, float]:
         """The cell that was clicked in its plane, or else the middle of the window."""
@@ -101,7 +109,7 @@ class Chosen:
 
     def without_curves(self, subject: Subject) -> str:
         """Why the curves that it asks for are not those of its plane; empty where they are, or it asks for none."""
-        if self.plane == subject.plane or (CURVES not in self.overlays and self.kind != CHART):
+        if self.plane == subject.plane or CURVES not in self.overlays:
             return ""
         own = dict(subject.plane.parameters)
         moved = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
@@ -116,22 +124,20 @@ class Chosen:
         """How its picture looks with these ends of its scale, as options of ``render.figure``."""
         found = self.scaled(ends)
         found["overlay"] = self.overlays
-        if CURVES in self.overlays or self.kind == CHART:
+        if CURVES in self.overlays:
             found["curves"] = self.curves
         if self.kind == SCALAR:
             found["variable"], found["log"] = self.variable, self.log
         return found
 
-    @property
-    def scale(self) -> tuple[object, ...]:
-        """What pictures must have in common to be on one scale."""
-        return (self.kind, self.variable, self.log) if self.kind == SCALAR else (self.kind, "", False)
+
+LOOK = "kind", "variable", "log", "overlays", "hidden", "vmin", "vmax"
+"""The fields that say how a plane looks."""
 
 
 def kinds(subject: Subject) -> list[str]:
     """The kinds of maps whose variables the subject has."""
-    known = [kind for kind in MAPS if subject.variables.keys() >= set(needs(kind))]
-    return [kind for kind in known if kind != CHART or subject.stored is not None] + [SCALAR]
+    return [kind for kind in MAPS if kind != CHART and subject.variables.keys() >= set(needs(kind))] + [SCALAR]
 
 
 def overlays(subject: Subject) -> list[str]:
@@ -193,17 +199,15 @@ def turned_to(explorer: Explorer, arguments: Mapping[str, list[bytes]]) -> Explo
     return explorer.turned((axes[0], axes[1]), _number("layer", given["layer"]) if "layer" in given else None)
 
 
-def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
-    """The query of an address that asks for it, where an address without a query asks for ``home``."""
+def place_query(home: Subject, subject: Subject, chosen: Chosen) -> str:
+    """Where it is: axes, window, plane, and what stands on that, in the query of an address that asks for it.
+
+    An address without a query asks for ``home``.
+    """
     x, y = subject.axes
     pairs = [("axes", f"{x},{y}")] if subject.axes != home.axes else []
     pairs += [("layer", repr(subject.layer_value))] if subject.layer_value != home.layer_value else []
-    pairs += [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y)), ("kind", chosen.kind)]
-    if chosen.kind == SCALAR:
-        pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
-    lists = {"overlay": chosen.overlays, "without": chosen.hidden}
-    pairs += [(name, ",".join(each)) for name, each in lists.items() if each]
-    pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
+    pairs += [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y))]
     own = dict(subject.plane.parameters)
     pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
     points: dict[str, tuple[float, ...] | None] = {"cut": chosen.cut}
@@ -213,6 +217,25 @@ def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
     if "cell" in points and chosen.follow:
         pairs.append(("follow.orbit", ",".join(map(str, chosen.follow))))
     return urlencode(pairs, safe=":,")
+
+
+def look_query(chosen: Chosen) -> str:
+    """How it looks, which the browser may change by itself: see ``live.mjs``."""
+    pairs = [("kind", chosen.kind)]
+    if chosen.kind == SCALAR:
+        pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
+    lists = {"overlay": chosen.overlays, "without": chosen.hidden}
+    pairs += [(name, ",".join(each)) for name, each in lists.items() if each]
+    pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
+    return urlencode(pairs, safe=":,")
+
+
+def looking(subject: Subject, chosen: Chosen, query: str) -> Chosen:
+    """The choice with the look that a query asks for; InputError, which names the argument, for what it cannot."""
+    plain = replace(chosen, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
+    for name, value in parse_qsl(query):
+        plain = replace(plain, **_fields(subject, plain, name, value))
+    return plain
 
 
 def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str, Any]:

@@ -6,20 +6,18 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from bokeh.events import ButtonClick
 from bokeh.layouts import row
-from bokeh.models import Button, CheckboxGroup, Div, NumericInput, Select, Slider, Spinner, Toggle
+from bokeh.models import Button, Div, NumericInput, Select, Slider, Spinner, Toggle
 
 from atlas.errors import InputError
 from atlas.explore.access import named
-from atlas.explore.chosen import kinds, overlays
-from atlas.explore.curvelist import CurveList
+from atlas.explore.front.script import call, part
 from atlas.explore.state import State, Store
-from atlas.explore.style import TEXT
+from atlas.explore.style import FOCUS, LOOK, TEXT
 from atlas.explore.subject import STEPS, Subject, slider_range
 from atlas.explore.words import symbol_of
-from atlas.render import SCALAR
 from atlas.text import plain
-from workers.results import result_named
 
 CELLS = 400
 """Cells across a new atlas, unless asked otherwise."""
@@ -34,17 +32,8 @@ class Controls:
         self.subject, self._store = subject, store
         chosen = store.now.chosen
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
-        lines = overlays(subject)
-        self.kind = Select(title="map", options=kinds(subject), value=chosen.kind, **wide)
-        numbers = [(name, result_named(name).words) for name in subject.numbers]
-        self.variable = Select(title="variable", options=numbers, value=chosen.variable, **wide)
-        self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], **wide)
-        self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
-        self.curves = CurveList(store)
-        self.vmin = NumericInput(title="scale from", value=chosen.vmin, mode="float", placeholder="auto", **wide)
-        self.vmax = NumericInput(title="to", value=chosen.vmax, mode="float", placeholder="auto", **wide)
-        self.rescale = Button(label="fit the scale to the view", **wide)
         self.keep = Toggle(label="keep this plane too", visible=subject.handle is not None, **wide)
+        told = call("tell")
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
         self.make = Button(label="make this an atlas", **wide)
@@ -55,6 +44,8 @@ class Controls:
             name: NumericInput(value=value, mode="float", width=TYPED, align="center", format="0[.]00000", name=name)
             for name, value in values.items()
         }
+        for button in self.files.values():
+            button.js_on_event(ButtonClick, told)  # before the click itself
         self._wire()
         self.show(store.now)
 
@@ -62,8 +53,7 @@ class Controls:
         """The controls, from the top, with the buttons that cut."""
         states = self._sliders(states=True)
         return [
-            self.kind, self.variable, self.log, row(self.vmin, self.vmax, sizing_mode="stretch_width"), self.rescale,
-            heading("lines over it"), self.overlays, self.curves.widget,
+            Div(text=part("look"), stylesheets=[TEXT, FOCUS, LOOK], sizing_mode="stretch_width"),
             heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"),
             heading("axes"), *self.axes,
             heading("parameters"), *self._sliders(states=False), self.keep,
@@ -75,9 +65,6 @@ class Controls:
     def show(self, state: State, kept: bool = False) -> None:
         """Have the widgets show the state, and whether its plane is kept."""
         chosen, own = state.chosen, self.subject.plane
-        self.variable.disabled = self.log.disabled = chosen.kind != SCALAR  # unseen, they would move what is below
-        self.vmin.value, self.vmax.value = chosen.vmin, chosen.vmax
-        self.curves.show(state)
         for name, value in chosen.plane.parameters:
             slider = self.sliders[name]
             if not slider.start <= value <= slider.end:
@@ -87,17 +74,6 @@ class Controls:
 
     def _wire(self) -> None:
         """Have each widget change the part of the state that it shows."""
-        labels = self.overlays.labels
-        reads: list[tuple[Any, str, Callable[[Any], dict[str, Any]]]] = [
-            (self.kind, "value", lambda value: {"kind": value}),
-            (self.variable, "value", lambda value: {"variable": value}),
-            (self.log, "active", lambda value: {"log": bool(value)}),
-            (self.overlays, "active", lambda value: {"overlays": tuple(labels[i] for i in sorted(value))}),
-            (self.vmin, "value", lambda value: {"vmin": value}),
-            (self.vmax, "value", lambda value: {"vmax": value}),
-        ]
-        for widget, attribute, read in reads:
-            widget.on_change(attribute, lambda _, old, new, read=read: self._store.choose(**read(new)))
         for name in self.sliders:
             self.sliders[name].on_change("value", partial(self._moved, name, False))
             self.typed[name].on_change("value", partial(self._moved, name, True))

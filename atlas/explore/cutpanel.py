@@ -10,7 +10,6 @@ from bokeh.layouts import column, row
 from bokeh.models import (
     Button,
     ColumnDataSource,
-    CustomJS,
     Div,
     FreehandDrawTool,
     Legend,
@@ -43,6 +42,7 @@ from atlas.explore.cut import (
     too_long,
 )
 from atlas.explore.explorer import Explorer
+from atlas.explore.front.script import call
 from atlas.explore.panel import Panel
 from atlas.explore.patches import Question
 from atlas.explore.plot import quiet
@@ -57,28 +57,6 @@ SWITCHES: dict[str, Any] = {
     "margin": 0, "padding": 0, "location": "left",
 }  # fmt: skip
 """A legend above a diagram, whose entries switch what they name."""
-
-LINK = """
-const [x0, x1] = line.data.xs[0] ? [line.data.xs[0][0], line.data.xs[0].at(-1)] : [NaN, NaN]
-const [y0, y1] = line.data.ys[0] ? [line.data.ys[0][0], line.data.ys[0].at(-1)] : [NaN, NaN]
-if (Number.isNaN(x0) || cb_obj.x == null) return
-const scales = logs.map((log) => log ? [Math.log, Math.exp] : [(v) => v, (v) => v])
-const ends = [[x0, x1], [y0, y1]].map((pair, k) => pair.map(scales[k][0]))
-const at = (k, share) => scales[k][1](ends[k][0] + share * (ends[k][1] - ends[k][0]))
-let share
-if (of_plane) {
-    const spans = [plane.x_range, plane.y_range].map((range, k) => scales[k][0](range.end) - scales[k][0](range.start))
-    const along = ends.map((pair, k) => (pair[1] - pair[0]) / spans[k])
-    const here = [cb_obj.x, cb_obj.y].map((v, k) => (scales[k][0](v) - ends[k][0]) / spans[k])
-    share = (along[0] * here[0] + along[1] * here[1]) / (along[0] ** 2 + along[1] ** 2)
-} else {
-    const k = axis.data.along[0]
-    share = (scales[k][0](cb_obj.x) - ends[k][0]) / (ends[k][1] - ends[k][0])
-}
-share = Math.min(1, Math.max(0, share))
-for (const span of spans_of) span.setv({location: at(axis.data.along[0], share)}, {sync: false})
-dot.setv({data: {at_x: [at(0, share)], at_y: [at(1, share)]}}, {sync: false})
-"""
 
 
 class CutPanel(Panel[Line]):
@@ -258,7 +236,7 @@ class CutPanel(Panel[Line]):
             "dot": self._dot,
         }  # fmt: skip
         for plot in (self._plane, self._section, self._exponents):
-            plot.js_on_event(MouseMove, CustomJS(args=args | {"of_plane": plot is self._plane}, code=LINK))
+            plot.js_on_event(MouseMove, call("linkPointer", **args, of_plane=plot is self._plane))
 
     def _label(self, line: Line, low: float, high: float) -> None:
         found, system = ticks(line.subject, line.name, low, high), line.subject.system

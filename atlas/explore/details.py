@@ -5,19 +5,20 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from bokeh.events import MouseMove, Tap
+from bokeh.events import Tap
 from bokeh.layouts import row
-from bokeh.models import Button, ColumnDataSource, CustomJS, Div, TextInput
+from bokeh.models import Button, ColumnDataSource, Div, TextInput
 from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
 from atlas.explore.attractorspanel import AttractorsPanel
-from atlas.explore.background import Background, Latest, Show
+from atlas.explore.background import Background, Show
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import Chosen, Point
 from atlas.explore.explorer import Explorer
 from atlas.explore.followpanel import FollowPanel
+from atlas.explore.front.script import call, part
 from atlas.explore.known import Cell
 from atlas.explore.motion import motion_of
 from atlas.explore.motionpanel import MotionPanel
@@ -28,21 +29,7 @@ from atlas.explore.subject import SubjectPlane
 from atlas.explore.view import Sight
 from atlas.explore.words import cell_line, cell_table, cell_text, point_line
 
-POINTED = "<h4>cell under the pointer</h4>"
-HELP = f"""{POINTED}<span class="waiting">point at the plane: all numbers of a cell<br>
-click a cell, or Enter: its motion, its attractors, its basins<br>
-wheel, two fingers, + and −: zoom<br>drag, arrows: move<br>pen above the plane: a cut along a line</span>"""
 CLICKED = "<h4>cell clicked</h4>"
-COPY = """
-const text = source.value ?? source.tags[0]
-if (navigator.clipboard) return navigator.clipboard.writeText(text)
-const box = document.body.appendChild(document.createElement("textarea"))
-box.value = text
-box.select()
-document.execCommand("copy")
-box.remove()
-"""
-"""A page that another machine serves by plain HTTP has no ``clipboard``."""
 PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
  onclick="this.classList.toggle('large')">"""
 ROW = 15.6
@@ -68,11 +55,10 @@ class Details(Panel[Point]):
     ) -> None:
         super().__init__(explorer, background)
         self._store, self._sight, self._mark = store, sight, mark
-        self._pointer = Latest(background, self._look_up)
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
-        rows = len(self._subject.numbers) + 5  # as many as any cell fills, so that nothing below it moves
+        rows = 9  # as many as a map's numbers fill, so that nothing below it moves
         look = {"stylesheets": [TEXT, POINTER], "styles": {"min-height": f"{round(rows * ROW)}px"}}
-        self._pointed = Div(text=HELP, **style | look)
+        self._pointed = Div(text=f"<h4>cell under the pointer</h4>{part('pointer')}", **style | look)
         read_out: Any = {"html_attributes": {"aria-live": "polite"}}
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **read_out, **style)
         self._portrait, self._numbers, self._motion = Div(**style), Div(**style), MotionPanel(self._subject)
@@ -83,7 +69,7 @@ class Details(Panel[Point]):
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
         self._copy = Button(label="copy", visible=False, width=70, align="end")
         for button, source in ((self._copy, self._point), (self._copy_all, self._copy_all)):
-            button.js_on_event("button_click", CustomJS(args={"source": source}, code=COPY))
+            button.js_on_event("button_click", call("copy", source=source))
 
     @property
     def panels(self) -> list[Any]:
@@ -96,11 +82,6 @@ class Details(Panel[Point]):
         """Want nothing more."""
         for each in (self._attractors, self._basins, self._follow):
             each.close()
-
-    def point(self, event: MouseMove) -> None:
-        """Say what is known of the cell under the pointer."""
-        if event.x is not None and event.y is not None:
-            self._pointer.ask((event.x, event.y))
 
     def click(self, event: Tap) -> None:
         """Choose the cell at a point."""
@@ -139,11 +120,6 @@ class Details(Panel[Point]):
         plane, sight = self._store.now.chosen.plane, self._sight()
         at = point if sight is None else self._explorer.known.point(plane, sight, *point)
         return lambda: self._store.choose(cell=(plane, *at))
-
-    def _look_up(self, point: tuple[float, float]) -> Show:
-        cell = self._cell(self._store.now.chosen.plane, point)
-        text = POINTED + (cell_table(cell, self._subject) if cell else "not known yet")
-        return lambda: self._pointed.update(text=text)
 
     def _detail(self, at: Point, soon: Callable[[Show], None]) -> Show:
         plane, point = at[0], at[1:]  # not the plane of now: a slider may have moved on

@@ -46,18 +46,16 @@ class KnownCells:
             shown = hidden | self.tiles.get(plane, [key for key in tiles if key not in hidden], names).keys()
             hidden = {above for above in {key.above for key in tiles} if all(b in shown for b in below(above))}
 
-    def shares(self, plane: SubjectPlane, sight: Sight) -> tuple[float, ...]:
-        """Of each stage, the coarsest first, the share of the view that is known as densely or more so."""
-        known, found = np.zeros(sight.shape, dtype=bool), []
-        for stage in range(STAGES + 1):
-            for key in sight.tiles(stage):
-                place = sight.place(key)
-                if not known[place].all() and self.tiles.has(plane, key):
-                    known[place] = True
+    def stages(self, plane: SubjectPlane, sight: Sight) -> NDArray[np.uint8]:
+        """How often halved in density each cell in view (y, x) is known, at best; STAGES + 1 where it is coarser."""
+        found = np.full(sight.shape, STAGES + 1, np.uint8)
+        for stage in range(STAGES, -1, -1):
             if stage >= max(sight.x.level, sight.y.level):
-                known |= self._in_atlas(plane, sight)
-            found.append(float(known.mean()))
-        return tuple(found[::-1])
+                found[self._in_atlas(plane, sight)] = stage
+            for key in sight.tiles(stage):
+                if self.tiles.has(plane, key):
+                    found[sight.place(key)] = stage
+        return found
 
     def _in_atlas(self, plane: SubjectPlane, sight: Sight) -> NDArray[np.bool_]:
         """Which cells in view lie in a cell of the atlas itself that is solved."""

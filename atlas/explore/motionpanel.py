@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from bokeh.layouts import column
-from bokeh.models import ColumnDataSource, CustomJS, Toggle
+from bokeh.models import ColumnDataSource, Toggle
 from bokeh.plotting import figure
 
+from atlas.explore.front.script import call
 from atlas.explore.motion import MotionPicture
 from atlas.explore.plot import quiet
 from atlas.explore.subject import Subject
@@ -15,21 +16,6 @@ from atlas.text import plain
 
 SECONDS = 3.0
 """What one forcing period takes on the screen."""
-
-PLAY = """
-let begin = null
-const step = (now) => {
-    const {y, v, ...masses} = path.data
-    const lanes = Object.keys(masses).filter((name) => name.startsWith("q")).sort()
-    if (!cb_obj.active || !y.length) return
-    begin ??= now
-    const k = Math.floor((now - begin) / 1000 / seconds * pace.data.per_period[0]) % y.length
-    here.setv({data: {now_y: [y[k]], now_v: [v[k]]}}, {sync: false})
-    machine.setv({data: {at: lanes.map((name) => masses[name][k]), lane: lanes.map((_, i) => i)}}, {sync: false})
-    requestAnimationFrame(step)
-}
-requestAnimationFrame(step)
-"""
 
 
 class MotionPanel:
@@ -60,7 +46,7 @@ class MotionPanel:
         self._scene.yaxis[0].major_label_overrides = dict(enumerate(lanes))
         self._play = Toggle(label="move the machine", sizing_mode="stretch_width")
         args = {"path": self._path, "here": self._here, "machine": self._machine, "pace": self._pace}
-        self._play.js_on_change("active", CustomJS(args=args | {"seconds": SECONDS}, code=PLAY))
+        self._play.js_on_change("active", call("play", **args, seconds=SECONDS))
         self.panel = column(self._phase, self._scene, self._play, sizing_mode="stretch_width", visible=False)
 
     def clear(self) -> None:

@@ -1,7 +1,7 @@
 """The page: the plane, the controls, the cell under the pointer, and a line on the work.
 
-The ranges of the axes belong to the browser. This side learns of them and sends images; setting them from here would
-race with the user.
+The ranges of the axes, and how the plane looks, belong to the browser. This side learns of them and sends cells;
+setting them from here would race with the user.
 """
 
 import html
@@ -14,19 +14,20 @@ from typing import Any
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.events import MouseMove, RangesUpdate, SelectionGeometry, Tap
+from bokeh.events import RangesUpdate, SelectionGeometry, Tap
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, CustomJS, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
+from bokeh.models import ColumnDataSource, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
 
 from atlas.errors import InputError
 from atlas.explore.access import make_accessible
 from atlas.explore.actions import new_atlas, picture_file
 from atlas.explore.background import Background
-from atlas.explore.chosen import Range, carried, from_address, to_address, turned_to
+from atlas.explore.chosen import LOOK, Range, carried, from_address, looking, overlays, place_query, turned_to
 from atlas.explore.controls import Controls
 from atlas.explore.cutpanel import CutPanel
 from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
+from atlas.explore.front.script import call
 from atlas.explore.keys import hear_keys
 from atlas.explore.painter import Painted
 from atlas.explore.pane import LINE_HEIGHT, Pane
@@ -38,19 +39,6 @@ LEFT, RIGHT = 232, 350
 """Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
 FOLDED = "folded"
 """The class of controls that a page of a single column hides."""
-TOKEN = """
-const token = new URLSearchParams(window.location.search).get("token")
-const query = "?" + cb_obj.text + (token ? "&token=" + token : "")
-"""
-HISTORY = """
-const page = window.atlas ??= {rests: false}
-window.history[page.rests ? "pushState" : "replaceState"](null, "", query)
-window.onpopstate = () => window.location.reload()
-page.rests = false
-clearTimeout(page.timer)
-page.timer = setTimeout(() => { page.rests = true }, 1500)
-"""
-"""A view at which somebody rested stays in the browser's history."""
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
@@ -87,14 +75,14 @@ class Page:
         self._folder, self._home, chosen = folder, home, store.now.chosen
         self._background = Background(document, lambda why: store.set(trouble=why))
         self._controls = Controls(self._subject, store, self._go)
-        inputs = self._controls.vmin, self._controls.vmax
-        self._pane = Pane(explorer, self._background, chosen, inputs, self._heard)
+        self._pane = Pane(explorer, self._background, chosen, self._heard, self._looked)
         plot, painter = self._pane.plot, self._pane.painter
         self._details = Details(explorer, self._background, store, lambda: painter.sight, self._pane.mark, plot)
         self._cut = CutPanel(explorer, self._background, store, plot)
         self._make_panels()
         logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
         self._keys = hear_keys(document, plot, logs, self._show_window, store.escape, self._details.choose)
+        self._pane.begin(document, self._address)
         self._wire()
         self._cut.show(store.now)
         document.title = f"{self._subject.name}: explorer"
@@ -117,9 +105,9 @@ class Page:
 
     def _make_panels(self) -> None:
         look: dict[str, Any] = {"sizing_mode": "stretch_width"}
-        self._line = Div(height=LINE_HEIGHT, stylesheets=[TEXT, LINE], **look)
+        self._line = Div(text="<span>no picture yet</span>", height=LINE_HEIGHT, stylesheets=[TEXT, LINE], **look)
         self._made = Div(visible=False, stylesheets=[TEXT], **look)
-        self._address, self._opened = Div(visible=False), Div(visible=False)
+        self._address, self._opened = Div(visible=False), ColumnDataSource({"place": [], "overlays": []})
         self._download = ColumnDataSource({"name": [], "href": []})
 
     def _wire(self) -> None:
@@ -129,36 +117,29 @@ class Page:
         for k, attribute in enumerate(("inner_width", "inner_height")):
             plot.on_change(attribute, partial(self._resized, k))
         plot.on_event(RangesUpdate, self._moved)
-        plot.on_event(MouseMove, lambda event: self._details.point(event))
+        plot.js_on_event(RangesUpdate, call("tell"))  # before the event itself
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
-        controls.rescale.on_click(self._rescale)
         controls.keep.on_click(lambda on: self._explorer.tiles.keep_plane(store.now.chosen.plane, on))
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
-        self._address.js_on_change("text", CustomJS(code=TOKEN + HISTORY))
-        self._opened.js_on_change("text", CustomJS(code=TOKEN + "window.location.assign(query)"))
-        script = """
-            const link = document.createElement("a")
-            link.href = cb_obj.data["href"][0]; link.download = cb_obj.data["name"][0]; link.click()
-        """
-        self._download.js_on_change("data", CustomJS(code=script))
+        self._opened.js_on_change("data", call("turn"))
+        self._download.js_on_change("data", call("download"))
 
     def _layout(self) -> Any:
         panel: dict[str, Any] = {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"}
         left = column(*self._controls.columns(self._cut.buttons), width=LEFT, css_classes=[FOLDED], **panel)
         fold = Toggle(label="controls", sizing_mode="stretch_width", stylesheets=[FOLD])
-        unfolding = CustomJS(args={"left": left}, code=f"left.css_classes = cb_obj.active ? [] : ['{FOLDED}']")
-        fold.js_on_change("active", unfolding)
+        fold.js_on_change("active", call("mark", model=left, name=FOLDED, property="active", unless=True))
         parts = self._pane.panel, self._cut.panel, self._line
         middle = column(*parts, sizing_mode="stretch_both", stylesheets=[MIDDLE])
-        widen = f"middle.css_classes = cb_obj.visible ? ['{CUTTING}'] : []"
-        self._cut.panel.js_on_change("visible", CustomJS(args={"middle": middle}, code=widen))
+        widen = call("mark", model=middle, name=CUTTING, property="visible", unless=False)
+        self._cut.panel.js_on_change("visible", widen)
         middle.css_classes = [CUTTING] if self._cut.panel.visible else []
-        right = column(self._made, *self._details.panels, self._address, self._opened, width=RIGHT, **panel)
+        right = column(self._made, *self._details.panels, self._address, width=RIGHT, **panel)
         # A source without a view is sent along, and heard, as the tag of a model that has one.
-        self._address.tags = [self._download, self._keys]
+        self._address.tags = [self._download, self._keys, self._opened]
         whole = row(fold, left, middle, right, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
         return whole
@@ -170,7 +151,7 @@ class Page:
         self._details.show(chosen)
         self._cut.show(new)
         if min(new.size) >= LEAST:
-            self._address.text = to_address(self._home.subject, self._subject, chosen)
+            self._address.text = place_query(self._home.subject, self._subject, chosen)
             self._pane.show(chosen, new.size, new.rests)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
@@ -182,7 +163,8 @@ class Page:
             values[turned.third.name] = layer
         there = carried(turned, chosen, values)
         there = there if axes else replace(there, x=chosen.x, y=chosen.y)
-        self._opened.text = to_address(self._home.subject, turned, there)
+        found = place_query(self._home.subject, turned, there)
+        self._opened.data = {"place": [found], "overlays": [overlays(turned)]}
 
     def _resized(self, place: int, attribute: str, old: Any, new: Any) -> None:
         width, height = self._store.now.size
@@ -197,22 +179,20 @@ class Page:
         if x[0] < x[1] and y[0] < y[1] and np.isfinite([*x, *y]).all():
             self._store.choose(x=x, y=y)
 
-    def _rescale(self) -> None:
-        """Choose the ends of the scale by what is in view."""
-        chosen = self._store.now.chosen
-
-        def work() -> Callable[[], None]:
-            low, high = self._pane.painter.fitted(chosen) or (None, None)
-            return lambda: self._store.choose(vmin=low, vmax=high)
-
-        self._background.run(work)
+    def _looked(self, query: str) -> None:
+        """Take note of how the browser shows the plane."""
+        try:
+            looks = looking(self._subject, self._store.now.chosen, query)
+            self._store.choose(**{name: getattr(looks, name) for name in LOOK})
+        except InputError as error:
+            self._store.set(trouble=str(error))
 
     def _heard(self, found: Painted | str) -> None:
         """Take note of a picture of the plane, or of why there is none."""
         if isinstance(found, str):
             self._store.set(lacking=found, shares=())
             return
-        self._store.set(ends=found.ends, lacking=found.note, lines=found.screen.lines, shares=found.shares)
+        self._store.set(lacking=found.note, shares=found.shares)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
     def _say_progress(self) -> None:
@@ -251,7 +231,8 @@ class Page:
         sight = self._pane.painter.sight
         if sight is None:
             return
-        chosen, ends = self._store.now.chosen, self._store.now.ends
+        chosen = self._store.now.chosen
+        ends = self._pane.painter.ends(chosen)
 
         def work() -> Callable[[], None]:
             name, href = picture_file(self._explorer, chosen, sight, suffix, ends)

@@ -1,35 +1,29 @@
-"""What a page shows, made in a thread of the page's own: looked up, drawn, wanted, drawn again as tiles come in.
+"""What a page shows, made in a thread of the page's own: looked up, sent, wanted, sent again as tiles come in.
 
 Each step is planned for a time; what is chosen meanwhile replaces the steps that are not taken yet.
 """
 
-import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
-from atlas.explore.chosen import CHART, Chosen, Ends, Range, beginning
+from atlas.explore.chosen import Chosen, Ends, Range, beginning
+from atlas.explore.drawn import InView, ends_of, maps_of, message
 from atlas.explore.explorer import Explorer
-from atlas.explore.style import KEY_WIDTH
 from atlas.explore.subject import SubjectPlane
 from atlas.explore.threads import steady
 from atlas.explore.view import STAGES, Sight, TileKey
 from atlas.platform import give_back_memory
-from atlas.render import has_scale
-from atlas.render.kinds import OverlayError
-from atlas.render.screen import Screen, screen
 from workers.results import PENDING, REGIME
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-REST = 0.15
-"""Seconds without a change after which a view is looked up."""
+REST, FIRST_REST = 0.15, 0.03
+"""Seconds without a change after which a view is looked up, and the first one of a page."""
 STAY = 0.7
 """Seconds without a change after which a plane that a slider moves to is solved in full."""
 GIVE_BACK = 10.0
@@ -49,27 +43,27 @@ FIRST, ALL = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
 
 @dataclass(frozen=True)
 class Painted:
-    """A picture: its pixels, the window that it fills, the ends of its scale, and a note on it, such as why lines that
-    were asked for are missing; of each stage, the coarsest first, the share of the view that is known as densely.
+    """A picture: the message that draws it, and a note on it, such as why lines that were asked for are missing.
+
+    ``shares``: of each stage, the coarsest first, the share of the view that is known as densely.
     """
 
-    screen: Screen
-    x: Range
-    y: Range
-    ends: Ends
+    message: NDArray[np.uint8]
     note: str
     shares: tuple[float, ...]
 
 
 def warm(explorer: Explorer) -> None:
-    """Draw something once, so that the first page need not wait for all that drawing loads."""
+    """Make a picture once, so that the first page need not wait for all that this loads."""
     chosen = beginning(explorer.subject)
     sight = explorer.subject.sight(chosen.x, chosen.y, WHOLE)
-    _drawn(explorer.known.seen(chosen.plane, sight, chosen.names), chosen, WHOLE)
+    plane, known = chosen.plane, explorer.known
+    seen = InView("", known.seen(plane, sight, chosen.names), sight, known.stages(plane, sight))
+    message(seen, explorer.subject, chosen, maps_of(seen, chosen, others=True), {}, WHOLE)
 
 
 class Painter:
-    """Paints for one page. ``deliver`` and ``refuse`` get pictures and what speaks against one, in this thread."""
+    """Makes pictures for one page. ``deliver`` gets them and ``refuse`` what speaks against one, in this thread."""
 
     def __init__(self, explorer: Explorer, deliver: Callable[[Painted], None], refuse: Callable[[str], None]) -> None:
         self._explorer, self._deliver, self._refuse = explorer, deliver, refuse
@@ -78,7 +72,10 @@ class Painter:
         self._looked: tuple[Chosen, tuple[int, int]] | None = None
         self._plan: dict[range | None, float] = {}
         self._rested = 0.0
-        self._scales: dict[tuple[object, ...], Range] = {}
+        self._scales: dict[str, Range] = {}
+        self._views, self._view = count(), 0
+        self._sent: tuple[str, list[str], tuple[str, ...]] | None = None
+        self._found: tuple[SubjectPlane, Sight] | None = None
         self.looked = 0
         self.sight: Sight | None = None
         explorer.listen(self, self._told)
@@ -90,7 +87,8 @@ class Painter:
         with self._changed:
             if asked != self._asked:
                 self._asked = asked
-                self._plan = {ALL: now + REST} if rests else {FIRST: now + REST, ALL: now + STAY}
+                soon = now + (FIRST_REST if self._looked is None else REST)
+                self._plan = {ALL: soon} if rests else {FIRST: soon, ALL: now + STAY}
                 self._changed.notify()
 
     @property
@@ -98,13 +96,10 @@ class Painter:
         """Whether something that was asked for is not looked up, solved and drawn yet."""
         return bool(self._plan) or self._at_work or self._explorer.patches.left(self) > 0
 
-    def fitted(self, chosen: Chosen) -> Range | None:
-        """The ends of the scale that suit what is in view; None for a picture without one scale."""
-        sight = self.sight
-        if sight is None:
-            return None
-        ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
-        return _drawn(ds, replace(chosen, overlays=()), WHOLE).ends
+    def ends(self, chosen: Chosen) -> Ends:
+        """The ends of the scale of a map, those asked for first; None for one that it has not held yet."""
+        low, high = self._scales.get(chosen.map, (None, None))
+        return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
 
     def close(self) -> None:
         """Paint no more, and want nothing more."""
@@ -120,6 +115,7 @@ class Painter:
     def _told(self, plane: SubjectPlane, key: TileKey) -> None:
         if self._asked and self._concerns(self._asked[0], plane, key):
             with self._changed:
+                self._view = next(self._views)
                 self._plan.setdefault(None, self._rested)
                 self._changed.notify()
 
@@ -129,10 +125,15 @@ class Painter:
 
     def _mistaken(self, error: str) -> None:
         """Say what went wrong with a picture, and plan it anew if it was not begun."""
-        self._refuse(f"this picture could not be made: {error}")
+        self._say_no(f"this picture could not be made: {error}")
         with self._changed:
             if self._asked is not None and self._asked != self._looked:
                 self._plan.setdefault(ALL, time.monotonic() + REST)
+
+    def _say_no(self, why: str) -> None:
+        """Say why there is no picture: the page shows none, least of all one of something else."""
+        self._sent = None
+        self._refuse(why)
 
     def _serve(self) -> None:
         given_back, used = time.monotonic(), False
@@ -156,9 +157,9 @@ class Painter:
                 elif self._looked == self._asked:  # else another view is about to be looked up
                     self._paint()
             except (InputError, RunError) as error:
-                self._refuse(str(error))
+                self._say_no(str(error))
             except OSError as error:
-                self._refuse(f"the store cannot be read: {error.strerror or error}")
+                self._say_no(f"the store cannot be read: {error.strerror or error}")
             finally:
                 self._at_work = False
         self._explorer.listen(self, None)
@@ -170,86 +171,47 @@ class Painter:
             return
         (chosen, size), explorer = asked, self._explorer
         self.looked += 1
-        self.sight = sight = explorer.subject.sight(chosen.x, chosen.y, size)
+        sight = explorer.subject.sight(chosen.x, chosen.y, size)
+        if (chosen.plane, sight) != self._found:
+            self._view, self._found = next(self._views), (chosen.plane, sight)
+        self.sight = sight
         explorer.patches.want(self, ())
         explorer.known.look(chosen.plane, sight, chosen.names)
-        explorer.want(self, chosen.plane, sight, stages)
         self._paint()
+        explorer.want(self, chosen.plane, sight, stages)
 
     def _paint(self) -> None:
         asked, sight = self._asked, self.sight
         if asked is None or sight is None:
             return
-        (chosen, size), begin = asked, time.monotonic()
-        ds, (x, y) = self._cells(chosen, sight), self._edges(chosen, sight)
-        pixels = (
-            _pixels(size[0], x, chosen.x, self._explorer.subject.x.log),
-            _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
-        )
-        ends = self._ends(chosen)
-        made, note = self._drawn(ds, chosen, pixels, ends)
-        pending = float(np.mean(ds[REGIME.name].values == PENDING))
-        if made.ends is not None and pending <= SETTLED and chosen.vmin is None and chosen.vmax is None:
-            self._scales.setdefault(chosen.scale, made.ends)
+        (chosen, size), begin, explorer = asked, time.monotonic(), self._explorer
+        of = f"{id(self)}-{self._view}"
+        stages, ds = explorer.known.stages(chosen.plane, sight), explorer.known.seen(chosen.plane, sight, chosen.names)
+        seen = InView(of, ds, sight, stages)
+        maps = maps_of(seen, chosen, others=not stages.any())
+        self._hold(chosen, [each.name for each in maps])
+        if np.mean(ds[REGIME.name].values == PENDING) <= SETTLED:
+            self._scales = {each.name: ends for each in maps if (ends := ends_of(each))} | self._scales
+        made, note = message(seen, explorer.subject, chosen, maps, self._scales, size)
+        shares = tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
         seconds = time.monotonic() - begin
-        if asked == self._asked:
-            shares = self._explorer.known.shares(chosen.plane, sight)
-            self._deliver(Painted(made, x, y, made.ends or ends, note, shares))
+        sent = (of, [each.name for each in maps], chosen.overlays)
+        if asked == self._asked and sent != self._sent:
+            self._sent = sent
+            self._deliver(Painted(made, note, shares))
         with self._changed:
             self._rested = begin + max(PAUSE, seconds / SHARE)
             if None in self._plan:
                 self._plan[None] = self._rested
 
-    def _cells(self, chosen: Chosen, sight: Sight) -> "xr.Dataset":
-        """The cells of a picture."""
-        return self._explorer.known.seen(chosen.plane, sight, chosen.names)
-
-    def _edges(self, chosen: Chosen, sight: Sight) -> tuple[Range, Range]:
-        """The window that they fill."""
-        return self._explorer.subject.edges(sight)
-
-    def _drawn(self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends) -> tuple[Screen, str]:
-        """A picture with the lines that can be drawn, and why others cannot."""
-        why = chosen.without_curves(self._explorer.subject)
-        if why and chosen.kind == CHART:
-            raise InputError(why)
-        lacking, shown = [why] if why else [], replace(chosen, overlays=chosen.drawn(self._explorer.subject))
-        while True:
-            try:
-                return _drawn(ds, shown, pixels, ends, numbers=True), "; ".join(lacking)
-            except OverlayError as error:
-                lacking.append(str(error))
-                kept = tuple(name for name in shown.overlays if name != error.overlay)
-                shown = replace(shown, overlays=kept)
-
-    def _ends(self, chosen: Chosen) -> Ends:
-        """The ends of the scale: those asked for, those held, those of the whole plane; None for the picture's own."""
-        if chosen.scale not in self._scales:
-            self._scales |= self._whole(chosen)
-        low, high = self._scales.get(chosen.scale, (None, None))
-        return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
-
-    def _whole(self, chosen: Chosen) -> dict[tuple[object, ...], Range]:
-        """The ends that suit the whole plane of the atlas, as far as it is known."""
+    def _hold(self, chosen: Chosen, names: list[str]) -> None:
+        """Hold the ends of scales that suit the whole plane of the atlas, as far as it is known."""
         subject = self._explorer.subject
-        if subject.ds is None or not has_scale(chosen.kind):
-            return {}
+        if subject.ds is None or self._scales.keys() >= set(names):
+            return
         sight = subject.sight(subject.x.ends, subject.y.ends, WHOLE)
         ds = self._explorer.known.seen(subject.plane, sight, chosen.names)
-        if float(np.mean(ds[REGIME.name].values == PENDING)) > 0.5:
-            return {}
-        made = _drawn(ds, replace(chosen, overlays=()), WHOLE)
-        return {} if made.ends is None else {chosen.scale: made.ends}
-
-
-def _drawn(
-    ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], ends: Ends = (None, None), numbers: bool = False
-) -> Screen:
-    """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
-    return screen(ds, chosen.kind, pixels, KEY_WIDTH, numbers=numbers, **chosen.look(ends))
-
-
-def _pixels(pixels: int, edges: Range, window: Range, log: bool) -> int:
-    """Pixels of a picture whose ends reach a little over the window's."""
-    spans = [math.log(high / low) if log else high - low for low, high in (edges, window)]
-    return max(16, round(pixels * spans[0] / spans[1]))
+        if np.mean(ds[REGIME.name].values == PENDING) <= 0.5:
+            whole = InView("", ds, sight, np.zeros(sight.shape, np.uint8))
+            made = [each for each in maps_of(whole, chosen, others=True) if each.name in names]
+            self._scales = {each.name: ends for each in made if (ends := ends_of(each))} | self._scales

@@ -1,29 +1,39 @@
-"""The plane of the page: its title, its figure, what explains its colours, and what paints it."""
+"""The plane of the page: its title, its figure, the key of its colours, and what the browser draws it from."""
 
+import json
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from bokeh.document import Document
+from bokeh.events import DocumentReady, MouseMove
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, Div, Label, NumericInput
+from bokeh.models import ColumnDataSource, Div, Label
 from bokeh.plotting import figure
 
 from atlas.explore.background import Background
-from atlas.explore.chosen import Chosen
+from atlas.explore.chosen import Chosen, kinds, look_query, overlays
 from atlas.explore.explorer import Explorer
+from atlas.explore.front.script import call, looks, part
 from atlas.explore.painter import Painted, Painter
-from atlas.explore.picture import Picture
 from atlas.explore.plot import label_axes, make_plot
+from atlas.explore.static.about import meanings, variable
 from atlas.explore.style import BAR, KEY, KEY_WIDTH, LINE, PANE, PLANE, TEXT
-from atlas.explore.words import key_image, progress_bar, title
+from atlas.explore.subject import Subject
+from atlas.explore.words import HELP, symbol_of, title
+from atlas.render import SCALAR
+from atlas.render.kinds import NUMBER
+from workers.results import REASON, REGIME
 
 LINE_HEIGHT = 20
+NOTHING: dict[str, Any] = {"message": [], "share": []}
 
 
 class Pane:
     """The plane of a page.
 
-    inputs  where the ends of its scale are typed
-    heard   hears of each picture, or why there is none
+    heard      hears of each picture, or why there is none
+    looked     hears how the browser shows the plane, as a query, before it asks for anything
     """
 
     def __init__(
@@ -31,24 +41,36 @@ class Pane:
         explorer: Explorer,
         background: Background,
         chosen: Chosen,
-        inputs: tuple[NumericInput, NumericInput],
         heard: Callable[[Painted | str], None],
+        looked: Callable[[str], None],
     ) -> None:
         self._subject, self._chosen, self._heard = explorer.subject, chosen, heard
         # Of fixed height, whatever they say: else the plane would change its size with every word.
         line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
         self._title = Div(text=title(explorer.subject, chosen.plane), **line)
-        self._bar = Div(sizing_mode="stretch_width", height=3, margin=0, stylesheets=[BAR])
-        self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
+        self._bar = Div(text=part("bar"), sizing_mode="stretch_width", height=3, margin=0, stylesheets=[BAR])
+        key: dict[str, Any] = {"width": KEY_WIDTH, "sizing_mode": "stretch_height", "margin": 0}
+        self._key = Div(text=part("key"), stylesheets=[TEXT, looks(), KEY], **key)
         self.mark = ColumnDataSource({"x": [], "y": []})
         self.plot: figure
-        self.plot, image = make_plot(explorer.subject, chosen, self.mark)
-        self._picture = Picture(image, *inputs)
+        self.plot, self._image = make_plot(explorer.subject, chosen, self.mark)
+        self._sent, self._look = ColumnDataSource(NOTHING), ColumnDataSource({"query": []})
+        self._blank = ColumnDataSource({"words": [np.zeros((1, 1), np.uint32)]})
+        self._look.on_change("data", lambda attribute, old, new: looked(str(new["query"][0])))
         self._waiting = Label(x=12, y=12, x_units="screen", y_units="screen", text="drawing the first picture")
         self.plot.add_layout(self._waiting)
         plane = row(self.plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
         self.panel = column(self._title, self._bar, plane, sizing_mode="stretch_both", stylesheets=[PANE])
         self.painter = Painter(explorer, background.later(self._show), background.later(self._unpainted))
+
+    def begin(self, document: Document, address: Div) -> None:
+        """Have the browser draw the plane, once it has the document, and keep its look in the address."""
+        self._image.tags = [self._sent, self._look, self._blank]  # sources without a view are sent along as tags
+        models = {"plot": self.plot, "image": self._image, "sent": self._sent, "look": self._look}
+        models |= {"blank": self._blank, "waiting": self._waiting, "address": address}
+        document.js_on_event(DocumentReady, call("begin", told=json.dumps(told(self._subject, self._chosen)), **models))
+        address.js_on_change("text", call("remember"))
+        self.plot.js_on_event(MouseMove, call("point"))
 
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool) -> None:
         """Show what is chosen on so many pixels."""
@@ -60,15 +82,35 @@ class Pane:
         self.painter.show(chosen, size, rests)
 
     def _show(self, painted: Painted) -> None:
-        """Put a picture on the page."""
-        self._waiting.visible = False
-        self._picture.show(painted)
-        self._key.text = key_image(painted.screen)
-        self._bar.text = progress_bar(painted.shares)
+        """Send a picture to the page."""
+        self._sent.data = {"message": [painted.message], "share": [sum(painted.shares) / len(painted.shares)]}
         self._heard(painted)
 
     def _unpainted(self, why: str) -> None:
         """Show no picture, least of all one of something else, and say why."""
-        self._picture.clear()
-        self._key.text = self._bar.text = ""
+        self._sent.data = NOTHING
         self._heard(why)
+
+
+def told(subject: Subject, chosen: Chosen) -> dict[str, Any]:
+    """What the page knows of its subject from the beginning, as plain JSON; ``look`` is how it looks at first."""
+    from atlas.explore.compose import dataset
+
+    points = [np.array(lattice.axis.values[:2]) for lattice in (subject.x, subject.y)]
+    names = [REGIME.name, REASON.name, *subject.numbers]
+    ds = dataset(subject, subject.plane, points[0], points[1], subject.without_results(names, (2, 2)))
+    variables = {name: variable(ds, name) for name in names}
+    axes = [
+        {"symbol": symbol_of(subject.system, lattice.axis.name), "label": "", "log": lattice.log}
+        for lattice in (subject.x, subject.y)
+    ]
+    maps = [(kind, kind) for kind in kinds(subject) if kind != SCALAR]
+    maps += [(f"{NUMBER}{name}", variables[name]["label"]) for name in subject.numbers]
+    return meanings() | {
+        "axes": axes,
+        "variables": variables,
+        "maps": maps,
+        "overlays": overlays(subject),
+        "help": HELP,
+        "look": look_query(chosen),
+    }

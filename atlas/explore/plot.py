@@ -7,24 +7,16 @@ from bokeh.plotting import figure
 
 from atlas.explore.access import named
 from atlas.explore.chosen import Chosen
+from atlas.explore.front.script import TICKS
 from atlas.explore.style import PLOT, RIGHT_MARGIN
 from atlas.explore.subject import Subject
 from atlas.explore.words import ticks
-
-TICK_SCRIPT = """
-const text = Math.abs(unit) === 1 && base === 0
-    ? (Math.abs(tick) >= 1e5 || (tick !== 0 && Math.abs(tick) < 1e-4) ? tick.toExponential(2)
-       : Number(tick.toFixed(Math.max(decimals, 3))).toString())
-    : Number(((tick - base) / unit).toFixed(decimals)).toString()
-return text.replace("-", "\\u2212")
-"""
-
 
 KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
 def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource) -> tuple[figure, Any]:
-    """The plot of a plane with a mark, x and y, on one cell, and the source of its image."""
+    """The plot of a plane with a mark, x and y, on one cell, and the source of its image, which the browser fills."""
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
         x_range=Range1d(*chosen.x),
@@ -45,8 +37,8 @@ def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource) -> tuple
     plot.toolbar.active_scroll = wheel
     plot.toolbar.logo = None
     quiet(plot)
-    image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
-    plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image")
+    image = ColumnDataSource({name: [] for name in ("image", "x", "y", "dw", "dh", "cells")})
+    plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image", origin="top_left")
     for color, width in (("white", 4.0), ("black", 1.6)):
         ring: dict[str, Any] = {"fill_alpha": 0.0, "line_color": color, "line_width": width}
         plot.scatter(x="x", y="y", source=mark, marker="circle", size=15, **ring)
@@ -60,7 +52,7 @@ def quiet(plot: figure) -> None:
     plot.grid.visible = False
     for axis in (plot.xaxis[0], plot.yaxis[0]):
         axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
-        axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
+        axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICKS)
 
 
 def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from atlas.explore.chosen import Chosen, Ends, Range
+from atlas.explore.chosen import Chosen, Range
 
 
 @dataclass(frozen=True)
@@ -15,9 +15,7 @@ class State:
     size      pixels of the plane; 0 before the browser has laid it out
     rests     whether nothing moves: while a slider does, only the first stage is solved
     box       the window that was chosen for a new atlas, in this view
-    ends      those of the scale of the picture in view
     lacking   what the picture in view lacks, and why
-    lines     the kinds of curves that it shows
     shares    of each stage, the coarsest first, the share of the view that is drawn as densely; empty without a picture
     trouble   what else cannot be done, and why
     """
@@ -26,9 +24,7 @@ class State:
     size: tuple[int, int] = (0, 0)
     rests: bool = True
     box: tuple[Range, Range] | None = None
-    ends: Ends = (None, None)
     lacking: str = ""
-    lines: tuple[str, ...] = ()
     shares: tuple[float, ...] = ()
     trouble: str = ""
 
@@ -62,8 +58,7 @@ class Store:
             chosen = replace(chosen, follow=None)
         if chosen != before:
             stays = (chosen.x, chosen.y, chosen.plane) == (before.x, before.y, before.plane)
-            ends = old.ends if chosen.scale == before.scale else (None, None)
-            self.set(chosen=chosen, rests=rests, trouble="", box=old.box if stays else None, ends=ends)
+            self.set(chosen=chosen, rests=rests, trouble="", box=old.box if stays else None)
 
     def escape(self) -> None:
         """Follow an orbit no further, or else close the cut."""

@@ -4,7 +4,7 @@ A page of at least three columns' width has the plane between its controls and t
 as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
 """
 
-KEY_WIDTH = 165
+KEY_WIDTH = 190
 """Pixels of the key beside a plane."""
 RIGHT_MARGIN, TOOLBAR = 12, 30
 """Pixels between a plane and its key, and of the toolbar to the right of a plot."""
@@ -127,13 +127,23 @@ LINE = f"""
 """
 
 KEY = f"""
-:host {{ position: relative; overflow: hidden; }}
-img {{ position: absolute; left: 0; top: var(--above); max-width: none; max-height: calc(100% - var(--above)); }}
-@media {SINGLE} {{
-  :host {{ flex: none !important; height: auto !important; margin-left: 60px !important; }}
-  img {{ position: static; max-height: none; }}
-}}
+:host {{ overflow: hidden auto; padding-left: 6px; box-sizing: border-box; }}
+:host > div {{ width: 100%; }}
+.key {{ display: block; font-size: 12px; line-height: 1.3; }}
+.key h2 {{ font-size: 12.5px; }}
+.key input[type=number] {{ width: 4.6rem; }}
+.key input[type=number], .key button {{ font: inherit; padding: 2px 4px; min-height: 24px; box-sizing: border-box; }}
+.key .ends {{ gap: 4px; }} .key label {{ min-height: 22px; }}
+{FOCUS}
+@media (prefers-color-scheme: dark) {{ canvas {{ filter: invert(1); }} }}
+@media {SINGLE} {{ :host {{ flex: none !important; height: auto !important; width: auto !important; }} }}
 """
-"""``--above`` is the height of what was cut off above, where an image beside the plane had nothing. One that is taller
-than the plane has become is shown smaller until there is another: no entry is cut off.
+"""The key of a map beside the plane, or below it on a phone; its colours are not inverted."""
+
+LOOK = """
+:host > div { width: 100%; } .look { display: block; } .look h4 { margin-top: 4px; }
+label { display: flex; gap: 6px; align-items: center; min-height: 22px; }
+label.map { margin-bottom: 4px; } select { flex: 1; width: 0; min-width: 0; font: inherit; padding: 0 4px; }
+@media (pointer: coarse) { label { min-height: 38px; } }
 """
+"""What is shown of a plane."""

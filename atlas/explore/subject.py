@@ -228,11 +228,6 @@ class Subject:
         values = lattice.values(level, cells.index)
         return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE))
 
-    def edges(self, sight: Sight) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Where the cells in view begin and end, along x and along y."""
-        x, y = sight
-        return self.x.edges(x.level, x.first, x.last), self.y.edges(y.level, y.first, y.last)
-
     def grid(self, plane: SubjectPlane, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> Patch:
         """What it takes to solve cells of a plane at these values of the axes."""
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))

@@ -6,12 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from io import BytesIO
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
 from atlas.cell.command import point_words
 from atlas.explore.attractors import KeptAttractors
@@ -19,7 +14,6 @@ from atlas.explore.known import Cell
 from atlas.explore.patches import WorkState
 from atlas.explore.subject import Subject, SubjectPlane
 from atlas.render.classes import PALETTE
-from atlas.render.screen import Screen
 from atlas.spec.system import impacts_of
 from atlas.task.compile import kernels_for, warming
 from atlas.text import plain, plural
@@ -27,6 +21,11 @@ from workers.model.system import System
 from workers.results import ERROR, LARGEST, REASON, REGIME, result_named
 
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+HELP = """point at the plane: the numbers of a cell
+click a cell, or Enter: all of it, its motion, its attractors, its basins
+wheel, two fingers, + and −: zoom
+drag, arrows: move
+pen above the plane: a cut along a line"""
 CLOSE = 1e-3
 """A window so narrow, relative to its place, has ticks that count from a round number near its centre."""
 
@@ -195,17 +194,6 @@ def point_line(cell: Cell, subject: Subject) -> str:
     return shlex.join(point_words(subject.system, cell.parameters, settings, cell.results.keys()))
 
 
-def progress_bar(shares: Sequence[float]) -> str:
-    """The bar over the plane that shows how far its picture is refined, as HTML; empty once that is all."""
-    share = math.floor(100.0 * sum(shares) / max(len(shares), 1))
-    if share == 100 or not shares:
-        return ""
-    return (
-        '<div role="progressbar" aria-label="how far the view is refined, coarse to fine" aria-valuemin="0" '
-        f'aria-valuemax="100" aria-valuenow="{share}" style="width: {share}%"></div>'
-    )
-
-
 def refinement(shares: Sequence[float]) -> str:
     """How densely a view is drawn, in words, by the share of it that is known at each stage, the coarsest first."""
     if not shares:
@@ -231,26 +219,9 @@ def progress(state: WorkState, left: int, notes: Iterable[str], shares: Sequence
     return text
 
 
-def key_image(screen: Screen) -> str:
-    """The colour bar and the legend of a picture, on a light page and on a dark one, as HTML."""
-    above = int(np.argmax(np.any(screen.key[..., :3] != 255, axis=(1, 2))))  # rows of white
-    light, dark = (png_address(key[above:]) for key in (screen.key, screen.dark_key))
-    return (
-        f'<picture><source media="(prefers-color-scheme: dark)" srcset="{dark}">'
-        f'<img alt="colour bar and legend" style="--above: {above}px" src="{light}"></picture>'
-    )
-
-
 def spaced(count: float) -> str:
     """A whole number with its thousands apart."""
     return f"{count:,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
-
-
-def png_address(rgba: NDArray[np.uint8]) -> str:
-    """An image as an address that a page can show."""
-    data = BytesIO()
-    Image.fromarray(rgba).save(data, format="png")
-    return data_address("image/png", data.getvalue())
 
 
 def data_address(kind: str, content: bytes) -> str:

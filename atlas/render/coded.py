@@ -3,7 +3,8 @@
 A code stands for a colour, or for a scale on which the page places the cell's number.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +15,12 @@ from matplotlib.markers import MarkerStyle
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.orbits.curves.table import Curve
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.plane import Plane
 from atlas.query.window import axis_names
 from atlas.render import style, words
-from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
+from atlas.render.kinds import BASINS, LABELS, LOGARITHM, MAPS, NUMBER, SCALAR, TABLE
 from atlas.render.layers import CellLook, Colors, Entry, Field, Layers, View
 from atlas.render.maps import explained
 from atlas.render.page import STANDARD
@@ -36,28 +38,36 @@ class CodedMap:
     codes      (y, x) entry of each cell, which gives its colour
     needs      the variables that it reads, first the one on the scale
     described  further data for the page, as plain JSON
+    layers     the layers that it is made from
     """
 
     name: str
     codes: NDArray[np.uint8] | NDArray[np.uint16]
     needs: tuple[str, ...]
     described: dict[str, Any]
+    layers: Layers
 
 
 def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
     """Every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable as numbers."""
     held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*TABLE[name].variables}]
-    for name in held:
-        kind = TABLE[name]
-        if name in PAINTERS and not (name == LABELS and BASINS in held):  # labels are of starts there
-            view = View(kind, ds, Plane.of(seen, kind.variables), Wanted(STANDARD, name))
-            try:
-                yield _coded(name, kind.meaning, view, kind.variables)
-            except InputError:  # this machine has no such map
-                continue
-    for name in numbers_of_cells(seen):
-        view = View(TABLE[SCALAR], ds, Plane.of(seen, [name]), Wanted(STANDARD, SCALAR, variable=name))
-        yield _coded(f"number-{name}", text_of(words.variable_label(ds, name)), view, (name,))
+    kinds = [
+        name for name in held if name in PAINTERS and not (name == LABELS and BASINS in held)
+    ]  # labels are of starts
+    for name in (*kinds, *(f"{NUMBER}{variable}" for variable in numbers_of_cells(seen))):
+        with suppress(InputError):  # this machine has no such map
+            yield coded_map(ds, seen, name)
+
+
+def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
+    """The map of a name of the cells ``seen`` of an atlas; InputError where they have none."""
+    variable = name.removeprefix(NUMBER).removesuffix(LOGARITHM) if name.startswith(NUMBER) else None
+    kind = TABLE[SCALAR if variable else name]
+    needs = (variable,) if variable else kind.variables
+    kind.require(seen, needs)
+    wanted = Wanted(STANDARD, kind.name, variable=variable, log=name.endswith(LOGARITHM))
+    view = View(kind, ds, Plane.of(seen, needs), wanted)
+    return _coded(name, text_of(words.variable_label(ds, variable)) if variable else kind.meaning, view, needs)
 
 
 def text_of(label: str) -> str:
@@ -71,15 +81,19 @@ def curves_over(ds: xr.Dataset) -> dict[str, Any]:
     """The curves of this plane in the store of an atlas, with the looks of their kinds; empty without any."""
     from atlas.orbits.curves import asking
 
-    try:
-        curves = asking.curves_of(ds)
-    except InputError:
-        return {}
-    if curves.axes != axis_names(ds):
-        return {}
+    with suppress(InputError):
+        found = asking.curves_of(ds)
+        if found.axes == axis_names(ds):
+            return described_curves([*found])
+    return {}
+
+
+def described_curves(curves: Sequence[Curve]) -> dict[str, Any]:
+    """Curves where their orbit is otherwise stable, as plain JSON."""
     corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
+    kinds = {curve.kind for curve in curves}
     return {
-        "looks": {kind: _line_look(look) for kind, look in style.LOOKS.items() if curves.of_kind(kind)},
+        "looks": {kind: _line_look(look) for kind, look in style.LOOKS.items() if kind in kinds},
         "lines": [
             {"kind": curve.kind, "orbit": curve.label, "points": line.ravel().tolist()}
             for curve in curves
@@ -123,7 +137,7 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
         "legend": [_entry(entry) for entry in layers.entries],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
-    return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described)
+    return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described, layers)
 
 
 def _main(layers: Layers) -> Field | None:

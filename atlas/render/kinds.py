@@ -73,6 +73,9 @@ class Kind:
 BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
 """The kinds of planes of initial states, of labelled attractors, and of a named variable."""
 
+NUMBER, LOGARITHM = "number-", "-log"
+"""The map of a variable by itself is called NUMBER and its name, and LOGARITHM on such a scale."""
+
 _PER_PERIOD = "[per forcing period]"
 _EXPONENTS = Scale(rf"$\lambda_i$ {_PER_PERIOD}")
 _VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")

@@ -30,12 +30,12 @@ _ARROW = {
 """The arrow from a name to its region."""
 
 
-def draw_layers(view: View, layers: Layers, cells: bool = True) -> Figure:
-    """The map of a view as a figure, with its overlays; ``cells`` false: only the overlays and legend."""
+def draw_layers(view: View, layers: Layers) -> Figure:
+    """The map of a view as a figure, with its overlays."""
     wanted, page, layers = view.wanted, view.page, explained(layers, view.ds)
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(view.ds))
-        entries = [*lay(ax, view.plane, layers, page, cells), *overlays.draw(ax, view)]
+        entries = [*lay(ax, view.plane, layers, page), *overlays.draw(ax, view)]
         scales.draw_bars(drawn, [ax], layers.bars, page)
         page.legend(drawn, entries, beside=layers.beside)
         if layers.names and wanted.names:
@@ -56,9 +56,9 @@ def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
     return View(kind, ds, plane, wanted)
 
 
-def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: bool = True) -> list[Artist]:
+def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> list[Artist]:
     """Draw the layers of a map into a plot, and return its legend entries."""
-    enlarged = raster.draw_cells(ax, plane, layers, page, cells)
+    enlarged = raster.draw_cells(ax, plane, layers, page)
     for texture in layers.textures:
         raster.hatch(ax, plane, texture.cells, texture.hatch, texture.ink)
         if texture.outlined is not None:

@@ -40,9 +40,11 @@ Array = NDArray[np.float64]
 
 _CROWDED = 5.0
 """Distance in points below which two grazing lines are solid: adjacent dashes look like a bar code."""
-_LEAST_LINE = 40.0
+LEAST_LINE = 40.0
 """Length in points below which a piece of an isoline is left out."""
-_SHADOW = "#3c4650"
+BOUNDARY = "#101418"
+"""The colour of regime boundaries."""
+SHADOW = "#3c4650"
 """The edge of an isoline on pale cells; isolines are white, unlike boundaries."""
 CASING = {False: 1.5, True: 0.7}
 """Extra width of the white casing of a curve over a map, by whether another curve runs beside it."""
@@ -70,11 +72,21 @@ def draw(ax: Axes, view: View) -> list[Artist]:
     return entries
 
 
-def _grazing(ax: Axes, view: View) -> list[Artist]:
-    x, y, size = view.plane.x, view.plane.y, view.page.map_size
-    lines = grazing_lines(view.ds, x, y)
+def lines_of_grazing(view: View) -> list[Array]:
+    """Where motion without impact would just touch a stop, (N, 2) each."""
+    return grazing_lines(view.ds, view.plane.x, view.plane.y)
+
+
+def grazing_label(view: View, lines: list[Array]) -> str:
+    """What a legend says of these lines."""
+    x, y = view.plane.x, view.plane.y
     symmetric = machine.twins_everywhere(view.ds, {x.name: x.values, y.name: y.values})
     label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"
+    return label + ("" if lines else ": not in this window")
+
+
+def _grazing(ax: Axes, view: View) -> list[Artist]:
+    size, lines = view.page.map_size, lines_of_grazing(view)
     dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
     places = [raster.in_points(ax, line, size) for line in lines]
     cut = [(part, beside) for _, part, beside in crowded_parts(lines, places, _CROWDED)]
@@ -83,23 +95,23 @@ def _grazing(ax: Axes, view: View) -> list[Artist]:
     for segments, color, width, look in looks:
         drawn = LineCollection(segments, colors=color, linewidths=width, linestyles=[look], zorder=3)
         ax.add_collection(drawn, autolim=False)
-    label += "" if lines else ": not in this window"
-    return [Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, path_effects=halo, label=label)]
+    shown: Any = {"linestyle": dashes, "path_effects": halo, "label": grazing_label(view, lines)}
+    return [Line2D([], [], color="black", linewidth=1.3, **shown)]
 
 
 def _boundaries(ax: Axes, view: View) -> list[Artist]:
     regions, left_out = outlined(view.plane.regime, view.page.map_size)
     for code in np.unique(regions):
-        raster.outline(ax, view.plane, regions == code, "#101418", 0.6)
+        raster.outline(ax, view.plane, regions == code, BOUNDARY, 0.6)
     label = "regime boundary" + (",\nclouds of cells left out" if left_out else "")
-    return [Line2D([], [], color="#101418", linewidth=0.9, label=label)]
+    return [Line2D([], [], color=BOUNDARY, linewidth=0.9, label=label)]
 
 
 def _isolines(ax: Axes, view: View) -> list[Artist]:
     plane, kept = view.plane, dict[float, list[Array]]()
     for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
         _, along = dense(raster.in_points(ax, line, view.page.map_size))
-        if along[-1] >= _LEAST_LINE:
+        if along[-1] >= LEAST_LINE:
             kept.setdefault(level, []).append(line)
     if not kept:
         return []
@@ -109,8 +121,8 @@ def _isolines(ax: Axes, view: View) -> list[Artist]:
         named = drawn.clabel(fontsize=7.0 * view.page.scale, colors="black", inline=False, fmt=names, zorder=3.5)
         for text in named:
             text.set_path_effects([withStroke(linewidth=1.6, foreground="white", alpha=0.85)])
-    drawn.set_path_effects([withStroke(linewidth=1.5, foreground=_SHADOW)])
-    shadow = [withStroke(linewidth=2.0, foreground=_SHADOW)]
+    drawn.set_path_effects([withStroke(linewidth=1.5, foreground=SHADOW)])
+    shadow = [withStroke(linewidth=2.0, foreground=SHADOW)]
     return [Line2D([], [], color="white", linewidth=1.0, path_effects=shadow, label=r"$\lambda_1$ constant")]
 
 

@@ -27,25 +27,20 @@ _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT
 _MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
-def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage, cells: bool = True) -> set[str]:
+def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[str]:
     """Draw the cells of a map from edge to edge, as pixels also in vector files; returns names of enlarged regimes.
 
     An image for equal cells, else quadrilaterals. Colours are never blended between cells. A cell with the look of its
     regime has the regime's texture; those without a result that would be invisible get a mark of visible size.
-    ``cells`` false: only textures and marks are drawn.
     """
     x, y = plane.x, plane.y
-    if not cells:
-        ax.patch.set_visible(False)
-        hatch(ax, plane, layers.as_regime(PENDING), style.HATCH[PENDING], style.TEXTURE)
+    # Pending cells are transparent and show this texture.
+    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
+    if x.uniform and y.uniform:
+        extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
+        ax.imshow(paint(layers), origin="lower", extent=extent, aspect="auto", interpolation="nearest")
     else:
-        # Pending cells are transparent and show this texture.
-        ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
-        if x.uniform and y.uniform:
-            extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
-            ax.imshow(paint(layers), origin="lower", extent=extent, aspect="auto", interpolation="nearest")
-        else:
-            ax.pcolormesh(x.edges, y.edges, paint(layers), rasterized=True)
+        ax.pcolormesh(x.edges, y.edges, paint(layers), rasterized=True)
     scale_axes(ax, x=x, y=y)
     enlarged = set()
     for code in (*_WITH_TEXTURE, UNDETERMINED):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.explore.static.numbers import pack
+from atlas.explore.front.numbers import pack
 from atlas.query.plane import Plane
 from atlas.render.coded import CodedMap
 

@@ -11,12 +11,13 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.chosen import carried, from_address, to_address, turned_to
+from atlas.explore.chosen import carried, from_address, turned_to
 from atlas.explore.explorer import MOST_OTHERS, Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.view import TileKey
+from tests.explore.messages import to_address
 from tests.explore.test_solving import exploring, waited
 from workers.results import PENDING, REGIME
 

@@ -13,11 +13,12 @@ from bokeh.plotting import figure
 import atlas
 from atlas.errors import InputError
 from atlas.explore.branches import Arrow, FollowedBranch, Here, arrows, beginning, branch_asked, distance, follow_orbit
-from atlas.explore.chosen import Chosen, FollowedOrbit, Point, followable, from_address, to_address
+from atlas.explore.chosen import Chosen, FollowedOrbit, Point, followable, from_address
 from atlas.explore.details import Details
 from atlas.explore.followpanel import FollowPanel, label_of
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
+from tests.explore.messages import to_address
 
 CELL = {"omega": 1.75, "b": 0.125}
 """Its orbit of period 1 breaks its symmetry at 1.60, turns back at a fold at 1.758, and loses an impact at 1.27."""

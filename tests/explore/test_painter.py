@@ -8,7 +8,6 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 from distributed import Client
@@ -19,6 +18,7 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.painter import Painted, Painter
 from atlas.explore.view import STAGES
 from atlas.platform import give_back_memory
+from tests.explore.messages import opened
 from tests.explore.test_solving import exploring, waited
 
 SIZE = (48, 40)
@@ -58,7 +58,7 @@ def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
     assert came[-1].shares == (1.0, 1.0, 1.0, 1.0)
     steps = [each.shares for each in came]
     assert all(old <= new for one, other in pairwise(steps) for old, new in zip(one, other, strict=True))
-    assert came[-1].x[0] == pytest.approx(2.55, abs=0.05)
+    assert opened(came[-1].message)[0]["axes"][0]["edges"][0] == pytest.approx(2.55, abs=0.05)
 
 
 def test_while_a_slider_moves_the_first_stage_alone_is_solved(
@@ -102,9 +102,11 @@ def test_a_painter_that_is_closed_ends_at_once(explorer: Explorer) -> None:
 def test_a_picture_has_the_cells_of_its_window(painter: Painter, came: list[Painted], view: Chosen) -> None:
     painter.show(view, SIZE)
     assert waited(lambda: bool(came))
-    shape = np.array(came[0].screen.cells.shape[1::-1])
-    spans = np.array([np.ptp(came[0].x) / np.ptp(view.x), np.ptp(came[0].y) / np.ptp(view.y)])
-    assert np.all(np.abs(shape - np.array(SIZE) * spans) <= 1)
+    for axis, window, size in zip(opened(came[0].message)[0]["axes"], (view.x, view.y), SIZE, strict=True):
+        low, high = axis["edges"]
+        cell = (high - low) / axis["count"]
+        assert low <= window[0] < low + cell and high - cell < window[1] <= high
+        assert 0.4 * size < axis["count"] <= 1.2 * size + 2
 
 
 def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(

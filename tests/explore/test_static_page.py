@@ -2,6 +2,7 @@
 
 import json
 import re
+from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -19,7 +20,7 @@ from click.testing import CliRunner
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.explore.static.numbers import DIGITS, MANTISSA, Packed, fit, pack, rounded, unpack
+from atlas.explore.front.numbers import DIGITS, MANTISSA, Packed, fit, pack, rounded, unpack
 from atlas.explore.static.page import LIMIT, page_of, write_page
 from atlas.query.plane import Plane
 from atlas.query.window import select
@@ -57,7 +58,9 @@ def numbers(page: str) -> dict[str, np.ndarray]:
     known = described(page)
     width = len(known["axes"][0]["values"])
     texts = dict(re.findall(r'<script type="text/plain" id="([\w-]+)">(.*?)</script>', page))
-    return {name: unpack(Packed(about["type"], texts[name]), width) for name, about in known["arrays"].items()}
+    return {
+        name: unpack(Packed(about["type"], b64decode(texts[name])), width) for name, about in known["arrays"].items()
+    }
 
 
 # Numbers

@@ -1,25 +1,28 @@
-"""What goes between the browser and the explorer, in messages and bytes: pictures, views, and scales."""
+"""What goes between the browser and the explorer, in messages and bytes, and what the browser does without any."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
 from atlas.explore.chosen import from_address
+from atlas.explore.drawn import BITS
+from atlas.explore.front.numbers import rounded
 from atlas.explore.session import Exploration
-from atlas.explore.style import KEY_WIDTH
-from atlas.render.screen import screen
+from atlas.query.plane import Plane
+from atlas.render.kinds import TABLE
+from atlas.render.layers import View, paint
+from atlas.render.page import STANDARD
+from atlas.render.painters import PAINTERS
+from atlas.render.wanted import Wanted
 from rig.browser import Tab, opened
 from tests.explore.test_page import arguments, painter_of, settled
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 
 WINDOW = "omega=3.2:4.2&b=0.3:0.5&kind=scalar&variable=peak_to_peak"
-SMALL = 60_000
-"""Bytes that no picture has, and no other message exceeds."""
-IMAGE = "[...Bokeh.documents[0]._all_models.values()].find((model) => model.data?.image?.length)"
-INPUT = '[...Bokeh.documents[0]._all_models.values()].find((model) => model.title === "scale from")'
+IMAGE = "[...Bokeh.documents[0]._all_models.values()].find((model) => model.data?.cells?.length).data"
 
 
 @pytest.fixture
@@ -35,86 +38,134 @@ def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
 def rested(running: Exploration, tab: Tab) -> None:
     """Wait until nothing more is to come."""
     settled(running, tab)
-    tab.page.wait_for_timeout(1200)
-
-
-def pictures(tab: Tab, since: int) -> list[int]:
-    """The sizes of the messages since then that may hold a picture."""
-    return [size for size in tab.received[since:] if size > SMALL]
+    tab.page.wait_for_timeout(1500)
 
 
 def pixels(tab: Tab) -> np.ndarray:
-    """The picture (y, x, 4) from below, as the browser shows it."""
-    script = f"() => {{ const [image] = {IMAGE}.data.image; return [image.shape, Array.from(image)] }}"
+    """The picture (y, x, 4) from above, as the browser shows it."""
+    script = f"() => {{ const [image] = {IMAGE}.image; return [image.shape, Array.from(image)] }}"
     shape, values = tab.page.evaluate(script)
     return np.array(values, dtype="<u4").view(np.uint8).reshape(*shape, 4)
 
 
-def test_other_ends_of_the_scale_recolour_the_map_at_once_and_send_no_picture(running: Exploration, tab: Tab) -> None:
-    received, sent = len(tab.received), len(tab.sent)
-    changed = tab.page.evaluate(
-        f"""async () => {{
-            const image = {IMAGE}, before = Uint32Array.from(image.data.image[0]), input = {INPUT}
-            input.value = 0.3
-            await new Promise((done) => setTimeout(done, 50))
-            const after = image.data.image[0]
-            return before.filter((color, k) => color !== after[k]).length / before.length
-        }}"""
-    )  # the server waits three times as long before it looks at a choice at all
-    assert changed > 0.2
-    tab.until(lambda: "vmin=0.3" in tab.address())
+def alone(tab: Tab, act: Callable[[], Any], shown: Callable[[], Any]) -> np.ndarray:
+    """The picture after something that the browser does without a message, once this is shown."""
+    before, sent, received = pixels(tab), len(tab.sent), len(tab.received)
+    act()
+    tab.until(shown, 10.0)
+    tab.page.wait_for_timeout(1500)  # the server waits a tenth as long before it looks at a view at all
+    assert (len(tab.sent) - sent, len(tab.received) - received) == (0, 0)
+    after = pixels(tab)
+    assert before.shape == after.shape and np.mean(np.any(before != after, axis=-1)) > 0.001
+    return after
+
+
+def ends(tab: Tab, low: float, high: float) -> None:
+    """Type the ends of the scale."""
+    inputs = tab.page.locator(".ends input")
+    for place, end in enumerate((low, high)):
+        inputs.nth(place).fill(f"{end}")
+        inputs.nth(place).press("Enter")
+
+
+def test_another_scale_needs_no_message(tab: Tab) -> None:
+    alone(tab, lambda: ends(tab, 0.3, 0.9), lambda: "vmax=0.9" in tab.address())
+    alone(tab, lambda: tab.page.get_by_role("button", name="reset").click(), lambda: "vmax" not in tab.address())
+    alone(tab, lambda: tab.page.get_by_label("logarithmic").check(), lambda: "log=1" in tab.address())
+    ends(tab, 0.3, 0.9)
+    fit = tab.page.get_by_role("button", name="fit the scale to the view")
+    alone(tab, fit.click, lambda: "vmax=" in tab.address() and "vmax=0.9" not in tab.address())
+
+
+def test_another_map_of_variables_that_the_page_holds_needs_no_message(running: Exploration, tab: Tab) -> None:
+    select = tab.page.locator("select").first
+    select.select_option("combined")
+    tab.until(lambda: "period 1" in tab.text())
     rested(running, tab)
-    assert pictures(tab, received) == []
-    print(f"{len(tab.sent) - sent} sent, {len(tab.received) - received} received, {sum(tab.received[received:])} bytes")
-    assert sum(tab.sent[sent:]) < 10_000 and len(tab.sent) - sent < 10
+    for name, words in (("exponent", "kind=exponent"), ("number-period", "variable=period"), ("period", "kind=period")):
+        alone(tab, lambda name=name: select.select_option(name), lambda words=words: words in tab.address())
 
 
-def test_the_browser_has_the_colours_that_the_server_draws(running: Exploration, tab: Tab) -> None:
-    for ends in ((None, None), (0.3, 0.9)):
-        if ends[0] is not None:
-            tab.page.goto(f"{running.url}?{WINDOW}&vmin={ends[0]}&vmax={ends[1]}")
-            tab.until(tab.image)
-            rested(running, tab)
+def test_lines_that_were_drawn_once_are_switched_without_a_message(running: Exploration, tab: Tab) -> None:
+    box = tab.page.get_by_label("boundaries", exact=True)
+    box.check()
+    tab.until(lambda: "regime boundary" in tab.text())
+    rested(running, tab)
+    alone(tab, box.uncheck, lambda: "overlay" not in tab.address())
+    alone(tab, box.check, lambda: "overlay=boundaries" in tab.address())
+
+
+def test_the_cell_under_the_pointer_is_read_without_a_message(tab: Tab) -> None:
+    sent, received = len(tab.sent), len(tab.received)
+    left, top, width, height = tab.plot()
+    said = set()
+    for share in (0.2, 0.5, 0.8):
+        tab.page.mouse.move(left + share * width, top + 0.4 * height)
+        tab.until(lambda: "regime" in tab.text().partition("under the pointer")[2])
+        tab.page.wait_for_timeout(100)
+        said.add(tab.text().partition("under the pointer")[2][:200])
+    assert len(said) == 3 and (len(tab.sent), len(tab.received)) == (sent, received)
+
+
+def test_the_server_learns_how_the_plane_looks_before_it_draws_a_file_or_another_view(
+    running: Exploration, tab: Tab
+) -> None:
+    tab.page.get_by_label("logarithmic").check()
+    ends(tab, 0.3, 0.9)
+    with tab.page.expect_download(timeout=60_000):
+        tab.page.get_by_role("button", name="PNG").click()
+    tab.page.evaluate("() => window.scrollTo(0, 0)")
+    tab.wheel(2)
+    rested(running, tab)
+    asked = painter_of(running, tab)._asked
+    assert asked is not None and asked[0].map == "number-peak_to_peak-log"
+
+
+def test_the_browser_has_the_colours_of_paint(running: Exploration, tab: Tab) -> None:
+    for low, high in ((None, None), (0.3, 0.9)):
+        if low is not None:
+            ends(tab, low, high)
+            tab.page.wait_for_timeout(500)
         painter, shown = painter_of(running, tab), pixels(tab)
         chosen = from_address(running.explorer.subject, arguments(tab))
         assert painter.sight is not None
         ds = running.explorer.known.seen(chosen.plane, painter.sight, chosen.names)
-        low, high = ends if ends[0] is not None else painter.fitted(chosen) or (None, None)
-        look: dict[str, Any] = {"variable": "peak_to_peak", "vmin": low, "vmax": high}
-        drawn = screen(ds, "scalar", shown.shape[1::-1], KEY_WIDTH, **look).cells[::-1]
-        off = np.abs(shown.astype(int) - drawn).max(axis=-1)
-        assert np.mean(off > 8) < 1e-3
-        assert len(np.unique(shown.reshape(-1, 4), axis=0)) > 50
+        ds = ds.assign(peak_to_peak=(ds.peak_to_peak.dims, rounded(ds.peak_to_peak.values, BITS)))
+        own = painter.ends(chosen)
+        asked = Wanted(STANDARD.__class__(vmin=own[0], vmax=own[1]), "scalar", variable="peak_to_peak")
+        expected = paint(PAINTERS["scalar"](View(TABLE["scalar"], ds, Plane.of(ds, ["peak_to_peak"]), asked)))
+        places = []
+        for name, (first, last), size in (("b", chosen.y, shown.shape[0]), ("omega", chosen.x, shown.shape[1])):
+            share = (ds[name].values - first) / (last - first)
+            places.append((np.floor(share * size).astype(int), (share > 0) & (share < 1)))
+        (rows, up), (columns, across) = places
+        found = shown[np.ix_(shown.shape[0] - 1 - rows[up], columns[across])]
+        wanted = expected[np.ix_(np.flatnonzero(up), np.flatnonzero(across))]
+        assert np.mean(np.any(found != wanted, axis=-1)) < 0.01  # a pixel on the border of two cells
+        assert len(np.unique(found.reshape(-1, 4), axis=0)) > 50
 
 
-def test_a_scale_fitted_to_the_view_sends_no_picture(running: Exploration, tab: Tab) -> None:
-    received = len(tab.received)
-    tab.page.get_by_role("button", name="fit the scale to the view").click()
-    tab.until(lambda: "vmin=" in tab.address())
-    rested(running, tab)
-    assert pictures(tab, received) == []
-
-
-def test_the_first_view_of_known_cells_is_one_picture(running: Exploration, browser: Any, tab: Tab) -> None:
-    count = pixels(tab).shape[0] * pixels(tab).shape[1]
+def test_the_first_view_of_known_cells_is_one_picture_and_few_messages(
+    running: Exploration, browser: Any, tab: Tab
+) -> None:
     with opened(browser, f"{running.url}?{WINDOW}") as other:
         other.until(other.image)
         other.page.wait_for_timeout(2500)
-        assert len(pictures(other, 0)) == 2  # the page itself, and the picture
-        print(f"{len(other.received)} messages of {sum(other.received)} bytes, {4 * count} of them pixels")
-        assert sum(other.received) < 4 * count + 500_000 and len(other.received) < 60
+        size = sum(other.received) + sum(other.sent)
+        print(f"{other.messages} messages, {size} bytes, the largest {sorted(other.received)[-3:]}")
+        assert 5 < other.messages <= 40 and size <= 400_000
 
 
 def test_a_wheel_to_known_cells_is_one_picture_and_few_messages(running: Exploration, tab: Tab) -> None:
-    def turned(key: str) -> tuple[list[int], int, int]:
+    def turned(key: str) -> tuple[int, int, int]:
         received, sent, window = len(tab.received), len(tab.sent), tab.image()
         tab.page.keyboard.press(key)
         tab.until(lambda: tab.image() != window)
         rested(running, tab)
-        return pictures(tab, received), len(tab.sent) - sent, sum(tab.sent[sent:])
+        return sum(tab.received[received:]), len(tab.received) - received, len(tab.sent) - sent
 
     turned("-")
     for key in ("+", "-"):
-        found, messages, size = turned(key)
-        print(f"{key}: pictures {found}, {messages} messages of {size} bytes sent")
-        assert len(found) == 1 and messages < 20 and size < 20_000
+        size, received, sent = turned(key)
+        print(f"{key}: {size} bytes in {received} frames, {sent} sent")
+        assert size < 150_000 and received < 20 and sent < 20

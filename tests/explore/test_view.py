@@ -1,6 +1,5 @@
 """What an explorer looks at: levels of an axis, tiles of a view, the cells in view as a dataset; nothing is solved."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,29 +8,26 @@ import pytest
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.chosen import beginning, from_address, kinds, overlays, to_address
+from atlas.explore.chosen import beginning, from_address, kinds, overlays
 from atlas.explore.compose import composed
-from atlas.explore.curvelist import CurveList
+from atlas.explore.drawn import InView, maps_of
 from atlas.explore.kept import Keeper
 from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
 from atlas.explore.patches import WorkState as Work
-from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, SubjectPlane, exploring, subject_of
 from atlas.explore.tiles import Memory, TileStore
 from atlas.explore.view import STAGES, TILE, TileKey
-from atlas.explore.words import compiled_first, plain, progress, progress_bar, refinement, ticks
+from atlas.explore.words import compiled_first, plain, progress, refinement, ticks
 from atlas.orbits.curves.asking import curves_of
 from atlas.orbits.curves.table import write_curves
-from atlas.render import SCALAR
-from atlas.render.screen import screen
 from atlas.spec.axis import Axis
 from atlas.spec.toml_text import spec_toml
 from atlas.store.store import open_handle
 from atlas.task.compile import ATTRACTORS
-from tests.pictures import atlas as atlas_of
+from tests.explore.messages import to_address
 from tests.pictures import curves
-from workers.results import PENDING, PERIODIC, REGIME, empty_results, result_variables
+from workers.results import PENDING, REGIME, empty_results, result_variables
 
 LINEAR = Lattice(Axis("omega", tuple(np.linspace(2.0, 4.0, 101).tolist())))
 LOG = Lattice(Axis("b", tuple(np.geomspace(0.01, 1.0, 51).tolist()), "log"))
@@ -197,9 +193,8 @@ def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(fi
     for kind in kinds(stored):
         chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
         ds = composed(stored, stored.plane, sight, tiles, chosen.names)
-        scalar = chosen.variable if kind == SCALAR else None
-        made = screen(ds, kind, (60, 40), 40, overlay=chosen.overlays, variable=scalar)
-        assert made.cells.shape == (40, 60, 4), kind
+        (made,) = maps_of(InView("", ds, sight, np.zeros(sight.shape, np.uint8)), chosen, others=False)
+        assert made.codes.shape == sight.shape and {*made.needs} <= {*chosen.names}, kind
 
 
 def test_curves_are_not_offered_where_there_is_no_store(subject: Subject) -> None:
@@ -264,20 +259,6 @@ def test_planes_that_differ_in_a_parameter_or_in_how_they_are_solved_have_digest
     assert len(set(planes)) == 3
 
 
-def test_the_list_of_curves_has_those_in_view_and_those_left_out_and_switches_them(subject: Subject) -> None:
-    store = Store(State(from_address(subject, {"without": [b"fold"]}), lines=("graze", "codimension_two")))
-    listed = CurveList(store)
-    listed.show(store.now)
-    assert not listed.widget.visible  # the curves are not drawn at all
-    store.listen(lambda _, state: listed.show(state))
-    store.choose(overlays=("curves",))
-    assert listed.widget.visible and len(listed.widget.labels) == 3 and listed.widget.active == [1, 2]
-    listed.widget.active = [0, 2]
-    assert store.now.chosen.hidden == ("graze",)
-    store.set(lines=("fold", "codimension_two"))
-    assert listed.widget.labels[:2] == ["fold", "graze"] and listed.widget.active == [0, 2]
-
-
 def test_the_progress_of_a_view_is_how_densely_it_is_drawn_and_is_not_rounded_up_to_all() -> None:
     lines = {
         (0.0, 0.0, 0.0, 0.0): "drawn: 0 % at 1/8 of full resolution",
@@ -286,8 +267,6 @@ def test_the_progress_of_a_view_is_how_densely_it_is_drawn_and_is_not_rounded_up
         (1.0, 1.0, 1.0, 1.0): "all that is in view is solved",
     }
     assert {shares: refinement(shares) for shares in lines} == lines
-    bars = [progress_bar(shares) for shares in lines]
-    assert [re.findall(r'aria-valuenow="(\d+)"', bar) for bar in bars] == [["0"], ["37"], ["99"], []]
     line = progress(Work("", 2, 1234.5), 3, [], (1.0, 0.5, 0.0, 0.0))
     assert "3 tiles left, 1\N{NARROW NO-BREAK SPACE}234 cells/s" in line
 
@@ -374,16 +353,6 @@ def test_the_command_refuses_in_one_line_what_cannot_be_explored(words: list[str
 
     shown = CliRunner().invoke(main, ["explore", "--no-browser", *words])
     assert shown.exit_code == 2 and message in shown.stderr.splitlines()[-1]
-
-
-def test_a_low_picture_loses_no_entry_of_its_legend(subject: Subject) -> None:
-    """Nine entries need 160 pixels: where there are fewer they are written smaller, and the first is still there."""
-    periods, shape = np.array([[1, 2, 3, 4, 5, 6, 8, 16, 17]], np.int32), (1, 9)
-    ds = atlas_of({"omega": np.arange(1.0, 10.0), "b": [0.1]}, regime=np.full(shape, PERIODIC, np.int8), period=periods)
-    for height in (400, 120):
-        key = screen(ds, "period", (300, height), 165).key
-        assert np.any(np.all(key[..., :3] == (0x44, 0x77, 0xAA), axis=-1)), height
-        assert np.any(np.all(key[..., :3] == (0x03, 0x14, 0xCF), axis=-1)), height
 
 
 def test_a_value_between_two_planes_of_a_stack_selects_the_nearest(tmp_path: Path) -> None:

@@ -81,6 +81,7 @@ function endsInputs(bar, look, change) {
 }
 
 function lineEntry(kind, label, look, change, paint) {
+  if (!kind) return make("li", {}, swatch(paint), label); // switched elsewhere
   const box = make("input", { type: "checkbox" });
   box.onchange = () => {
     const hidden = new Set(look.hidden);
@@ -92,7 +93,7 @@ function lineEntry(kind, label, look, change, paint) {
 }
 
 function curveEntries({ looks, marks, ends }, look, change) {
-  const lines = Object.entries(looks).map(([kind, { label, color, dashes, edge = "#ffffff" }]) => lineEntry(kind, label, look, change, ({ context, width, height }) => {
+  const lines = Object.entries(looks).map(([kind, { label, color, dashes, edge = "#ffffff", fixed }]) => lineEntry(!fixed && kind, label, look, change, ({ context, width, height }) => {
     for (const [ink, wide, broken] of [[edge, 5, []], [color, 2, dashes.map((dash) => 1.6 * dash)]]) {
       context.strokeStyle = ink;
       context.lineWidth = wide;
@@ -105,7 +106,8 @@ function curveEntries({ looks, marks, ends }, look, change) {
     lines.push(lineEntry("codimension_two", `codimension two: ${kinds.map(({ label }) => label).join(", ")}`, look, change,
       ({ context, width, height }) => outlined(context, kinds[0].shape, width / 2, height / 2)));
   if (ends.length) lines.push(make("li", {}, swatch((canvas) => dot(canvas.context, canvas.width / 2, canvas.height / 2)), "end of a curve"));
-  return [make("h2", { textContent: "curves" }), make("ul", {}, ...lines)];
+  const title = Object.values(looks).some(({ fixed }) => fixed) ? "lines" : "curves";
+  return [make("h2", { textContent: title }), make("ul", {}, ...lines)];
 }
 
 /** Fill an element with the key of a map; `look` has the ends asked for and the kinds of curves that are hidden. */

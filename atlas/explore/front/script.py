@@ -1,21 +1,53 @@
 """The modules that both pages run, joined into one script, and the style sheet of their keys."""
 
 import re
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
+from typing import Any
 
 SHARED = ("numbers.mjs", "colors.mjs", "plane.mjs", "words.mjs", "key.mjs")
 """The modules of both pages, each after those that it takes something from."""
 
 
+LIVE = ("live.mjs", "keys.mjs", "widgets.mjs")
+"""Those of the explorer's page."""
+TICKS = "return atlasPage.tickText(tick, base, unit, decimals)"
+
+
 def program(package: str, *own: str) -> str:
     """The shared modules and those of a package as one script: what they export and import are names of its own."""
-    modules = [files(__package__).joinpath(name) for name in SHARED] + [files(package).joinpath(name) for name in own]
-    return "".join(_joined(each.read_text("utf-8")) for each in modules)
+    return "".join(_joined(each) for each in (*_texts(__package__, SHARED), *_texts(package, own)))
+
+
+def page_script() -> str:
+    """The script of the explorer's page, which calls what its modules export ``atlasPage``."""
+    own = "".join(_texts(__package__, LIVE))
+    names = ", ".join(re.findall(r"^export (?:function|const) (\w+)", own, re.MULTILINE))
+    return (
+        f"const atlasPage = (() => {{\n{program(__package__, *LIVE)}\nreturn {{ {names} }};\n}})();\n"
+        'customElements.define("atlas-part", atlasPage.Part);'
+    )
+
+
+def call(function: str, **given: Any) -> Any:
+    """What has Bokeh call an exported function with these models and values, and the model that has changed."""
+    from bokeh.models import CustomJS
+
+    return CustomJS(args={"given": given}, code=f"atlasPage.{function}(given, cb_obj)")
+
+
+def part(name: str) -> str:
+    """The HTML of a part of the page that a module fills."""
+    return f'<atlas-part class="{name}" data-of="{name}"></atlas-part>'
 
 
 def looks() -> str:
     """The style sheet of the key of a map."""
     return files(__package__).joinpath("key.css").read_text("utf-8")
+
+
+def _texts(package: str, names: Iterable[str]) -> Iterator[str]:
+    return (files(package).joinpath(name).read_text("utf-8") for name in names)
 
 
 def _joined(module: str) -> str:

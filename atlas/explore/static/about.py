@@ -35,17 +35,20 @@ def described(ds: "xr.Dataset", handle: Atlas, axes: tuple[PlaneAxis, PlaneAxis]
             for p in fixed
             if float(ds[p.name]) or p.name not in record.states
         ],
-        "regimes": names | ({PENDING: f"not more than {place}"} if place else {}),
         "attractor": place,
-        "reasons": [reason.text for reason in REASONS],
         "allowances": {each.name: f"--{each.setting.replace('_', '-')}" for each in ALLOWANCES},
-        "special": {
-            "pending": PENDING,
-            "regime": REGIME.name,
-            "reason": REASON.name,
-            "largest": LARGEST.name,
-            "error": ERROR.name,
-        },
+        **meanings(),
+        "regimes": names | ({PENDING: f"not more than {place}"} if place else {}),
+    }
+
+
+def meanings() -> dict[str, Any]:
+    """The regimes and the reasons in words, and the names of the variables that a page treats in a way of their own."""
+    special = {"regime": REGIME, "reason": REASON, "largest": LARGEST, "error": ERROR}
+    return {
+        "regimes": {each.code: each.text for each in REGIME.codes},
+        "reasons": [reason.text for reason in REASONS],
+        "special": {"pending": PENDING} | {name: each.name for name, each in special.items()},
     }
 
 

@@ -2,7 +2,7 @@
 
 import { colorsOf } from "../front/colors.mjs";
 import { fillKey, fitted, make, updateKey } from "../front/key.mjs";
-import { drawAxes, drawPlane, place } from "../front/plane.mjs";
+import { drawAxes, drawPlane } from "../front/plane.mjs";
 import { sentence } from "../front/words.mjs";
 import { NX, REGIME, X, Y, atlas, axes, by, numbers } from "./atlas.mjs";
 import { copying, describe, drawCell, placeOf } from "./cell.mjs";

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_path
 from atlas.errors import InputError
+from atlas.explore.front.numbers import Packed, fit, pack
 from atlas.explore.front.script import looks, program
 from atlas.explore.static import about
-from atlas.explore.static.numbers import Packed, fit, pack
 from atlas.query.attractors import leading, of_all, one
 from atlas.query.export import check_writable, written_whole
 from atlas.query.open import handle_of
@@ -168,7 +168,7 @@ def _codes(maps: list[CodedMap]) -> dict[str, Packed]:
     found: dict[str, Packed] = {}
     for each in maps:
         packed = pack(each.codes)
-        same = [name for name, other in found.items() if other.text == packed.text]
+        same = [name for name, other in found.items() if other.data == packed.data]
         each.described["codes"] = same[0] if same else f"map-{each.name}"
         found.setdefault(each.described["codes"], packed)
     return found

@@ -1,7 +1,4 @@
-"""Arrays of cells as text inside a page: deflated bytes in base64, rounded only as far as a limit of size asks.
-
-``page.js`` reads them back.
-"""
+"""Arrays of cells as deflated bytes, rounded only as far as a limit of size asks; ``numbers.mjs`` reads them back."""
 
 import base64
 import zlib
@@ -21,15 +18,25 @@ half a unit of the last of these.
 
 @dataclass(frozen=True)
 class Packed:
-    """An array as text.
+    """An array as bytes, or as text.
 
     type     the name of its type in numpy
     bits     of the mantissa that are kept of a float; the values are exact with MANTISSA
     """
 
     type: str
-    text: str = field(repr=False)
+    data: bytes = field(repr=False)
     bits: int = MANTISSA
+
+    @property
+    def text(self) -> str:
+        """The bytes in base64."""
+        return base64.b64encode(self.data).decode()
+
+    @property
+    def length(self) -> int:
+        """How many characters that is."""
+        return 4 * -(-len(self.data) // 3)
 
     @property
     def digits(self) -> int | None:
@@ -38,7 +45,7 @@ class Packed:
 
 
 def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> Packed:
-    """An array (y, x) as text; of floats the first ``bits`` bits of the mantissa.
+    """An array (y, x), packed; of floats the first ``bits`` bits of the mantissa.
 
     Its bits count as whole numbers, of which each is stored as its difference from the one below in y, modulo the
     range of its type: neighbouring cells are alike, and their differences have few digits. Bytes of equal significance
@@ -49,13 +56,13 @@ def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> Packed:
     whole = np.ascontiguousarray(kept).view(f"u{kept.itemsize}")
     steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]]).astype(f"<u{kept.itemsize}")
     planes = steps.view(np.uint8).reshape(-1, kept.itemsize).T
-    return Packed(kept.dtype.name, base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode(), bits)
+    return Packed(kept.dtype.name, zlib.compress(planes.tobytes(), 6), bits)
 
 
 def unpack(packed: Packed, width: int) -> NDArray[np.generic]:
-    """The array (y, x) of this many columns that a text holds, as the page reads it."""
+    """The array (y, x) of this many columns that is packed, as the page reads it."""
     size = np.dtype(packed.type).itemsize
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed.text)), np.uint8).reshape(size, -1)
+    planes = np.frombuffer(zlib.decompress(packed.data), np.uint8).reshape(size, -1)
     steps = planes.T.copy().view(f"<u{size}").reshape(-1, width).astype(f"u{size}")
     return np.add.accumulate(steps, axis=0, dtype=steps.dtype).view(packed.type)
 
@@ -75,7 +82,7 @@ def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
 def fit(
     arrays: Mapping[str, Callable[[], NDArray[np.generic]]], limit: int, last: str, first: str
 ) -> tuple[dict[str, Packed], list[str]]:
-    """Arrays as texts of at most ``limit`` characters together where that can be, and the names of those left out.
+    """Arrays, packed, of at most ``limit`` characters as texts where that can be, and the names of those left out.
 
     They are exact where they fit. Otherwise floats lose digits, one after the other, always one of those that have
     most: the one named ``first``, then the largest text, ``last`` the last. Those are left out that have no more
@@ -85,9 +92,9 @@ def fit(
     left_out: list[str] = []
 
     def order(name: str) -> tuple[int, bool, bool, int]:
-        return found[name].bits, name != last, name == first, len(found[name].text)
+        return found[name].bits, name != last, name == first, found[name].length
 
-    while sum(len(each.text) for each in found.values()) > limit:
+    while sum(each.length for each in found.values()) > limit:
         floats = [name for name, each in found.items() if each.type == "float64"]
         if not floats:
             break

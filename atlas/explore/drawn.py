@@ -1,0 +1,153 @@
+"""The cells in view as the browser draws them: maps, lines and names, in one message of bytes."""
+
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.explore.chosen import Chosen, Range
+from atlas.explore.front.numbers import Packed, pack
+from atlas.explore.lattice import Lattice
+from atlas.explore.subject import Subject
+from atlas.explore.view import Sight, Stretch
+from atlas.query.extremes import numbers_of_cells
+from atlas.query.plane import Plane
+from atlas.render.coded import CodedMap, coded_map, coded_maps
+from atlas.render.kinds import LOGARITHM, NUMBER, TABLE, OverlayError
+from atlas.render.layers import View
+from atlas.render.lines import lines_over, names_on
+from atlas.render.page import STANDARD
+from atlas.render.wanted import Wanted
+from workers.results import LARGEST, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+BITS = 14
+"""Bits of the mantissa that numbers keep on their way to the page: four digits."""
+
+
+@dataclass(frozen=True)
+class InView:
+    """What is in view: cells as a dataset, where they are, and how often halved in density each of them is known.
+
+    of   names this view, which has the same cells each time
+    """
+
+    of: str
+    ds: "xr.Dataset"
+    sight: Sight
+    stages: NDArray[np.uint8]
+
+
+def maps_of(seen: InView, chosen: Chosen, others: bool) -> list[CodedMap]:
+    """The map that is chosen, and all others that its variables suffice for; InputError where it cannot be drawn."""
+    first = coded_map(seen.ds, seen.ds, chosen.map)
+    rest = _others(seen.ds) if others else ()
+    return [first, *(each for each in rest if each.name != chosen.map)]
+
+
+def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
+    yield from coded_maps(ds, ds)
+    for name in numbers_of_cells(ds):
+        with suppress(InputError):  # of numbers below zero
+            yield coded_map(ds, ds, f"{NUMBER}{name}{LOGARITHM}")
+
+
+def ends_of(made: CodedMap) -> Range | None:
+    """The ends of the scale of a map whose ends can be chosen; None for another."""
+    found = [tuple(bar["ends"]) for bar in made.described["bars"] if bar["main"]]
+    return found[0] if found else None
+
+
+def message(
+    seen: InView,
+    subject: Subject,
+    chosen: Chosen,
+    maps: list[CodedMap],
+    scales: Mapping[str, Range],
+    size: tuple[int, int],
+) -> tuple[NDArray[np.uint8], str]:
+    """What a page needs to draw these maps with the lines over them, and why it lacks some of these.
+
+    The length of the first part in four bytes; that part, deflated JSON; the arrays that it names, packed.
+    """
+    plane, (lines, arrays, lacking) = Plane.of(seen.ds, ()), _lines(seen, subject, chosen, size)
+    packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(seen.stages)}
+    described, names = [], dict[str, Any]()
+    for made in maps:
+        codes = pack(made.codes)
+        place = next((name for name, each in packed.items() if each.data == codes.data), f"map-{made.name}")
+        packed.setdefault(place, codes)
+        for name in made.needs:
+            if name not in packed:
+                packed[name] = pack(seen.ds[name].values, BITS)
+        bars = [bar | {"fit": bar["ends"], "ends": _held(bar, scales.get(made.name))} for bar in made.described["bars"]]
+        described.append(made.described | {"codes": place, "bars": bars})
+        names[made.name] = names_on(made.layers, plane, size)
+    packed.setdefault(REGIME.name, pack(seen.ds[REGIME.name].values))
+    about = {
+        "of": seen.of,
+        "axes": [_axis(lattice, stretch) for lattice, stretch in zip((subject.x, subject.y), seen.sight, strict=True)],
+        "maps": described,
+        "lines": lines,
+        "names": names,
+    }
+    return _joined(about, packed), "; ".join(lacking)
+
+
+def _held(bar: Mapping[str, Any], ends: Range | None) -> list[float]:
+    """The ends of a bar, which those of other views replace where it takes them."""
+    if ends is None or not bar["main"]:
+        return list(bar["ends"])
+    return list(ends)
+
+
+def _lines(
+    seen: InView, subject: Subject, chosen: Chosen, size: tuple[int, int]
+) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]], list[str]]:
+    """The lines that are chosen, the arrays that they need, and what is lacking."""
+    why = chosen.without_curves(subject)
+    found, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
+    names = [LARGEST.name] if LARGEST.name in seen.ds else []
+    view = View(TABLE["period"], seen.ds, Plane.of(seen.ds, names), Wanted(STANDARD))
+    for name in chosen.overlays:
+        found[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
+        if name not in chosen.drawn(subject):
+            continue
+        try:
+            lines = lines_over(view, name, size)
+        except OverlayError as error:
+            lacking.append(str(error))
+            continue
+        found[name] = lines.described
+        if lines.regions is not None:
+            arrays["regions"] = lines.regions
+    return found, arrays, lacking
+
+
+def _axis(lattice: Lattice, cells: Stretch) -> dict[str, Any]:
+    """Where cells begin and end, all of them unless they are equally wide on their scale."""
+    halves = np.arange(2 * cells.first - 1, 2 * (cells.first + cells.count), 2, dtype=np.int64)
+    edges = lattice.values(cells.level + 1, halves)
+    drawn = np.log(edges) if lattice.log else edges
+    even = np.allclose(np.diff(drawn), (drawn[-1] - drawn[0]) / cells.count, rtol=1e-3)
+    found = edges[[0, -1]] if even else edges
+    return {"edges": found.tolist(), "count": cells.count, "first": cells.first, "level": cells.level}
+
+
+def _joined(about: Mapping[str, Any], packed: Mapping[str, Packed]) -> NDArray[np.uint8]:
+    arrays, at = dict[str, Any](), 0
+    for name, each in packed.items():
+        arrays[name] = {"type": each.type, "digits": each.digits, "at": at, "size": len(each.data)}
+        at += len(each.data)
+    text = json.dumps({**about, "arrays": arrays}, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    head = zlib.compress(text.encode(), 6)
+    parts = [len(head).to_bytes(4, "little"), head, *(each.data for each in packed.values())]
+    return np.frombuffer(b"".join(parts), np.uint8)

@@ -1,0 +1,94 @@
+// What the widgets of the explorer's page do in the browser. Each gets its models, and the one that has changed.
+
+const find = (node) => [...node.querySelectorAll("*")].flatMap(
+  (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])]);
+
+/** Give what can be used the name of the nearest model around it that has one. */
+export function nameAll() {
+  const above = (each) => each.parentNode instanceof ShadowRoot ? each.parentNode.host : each.parentElement
+  const used = "input, select, [role=slider], .bk-events, .bk-spin-btn"
+  const name = () => {
+      for (const each of find(document).filter((each) => each.matches(used))) {
+          if (each.ariaLabel || [...(each.labels ?? [])].some((label) => label.textContent.trim())) continue
+          let from = each
+          while (from && !from.ariaLabel) from = above(from)
+          const step = {"bk-spin-btn-up": "more", "bk-spin-btn-down": "fewer"}[each.classList[1]]
+          each.ariaLabel = step ?? from?.ariaLabel ?? (each.matches(".bk-events") ? "diagram" : "")
+          if (each.matches(".bk-events")) each.role = "application"
+      }
+  }
+  name()
+  setTimeout(name, 1000)
+}
+
+/** How a tick of an axis is written, counted from a base. */
+export function tickText(tick, base, unit, decimals) {
+  const text = Math.abs(unit) === 1 && base === 0
+      ? (Math.abs(tick) >= 1e5 || (tick !== 0 && Math.abs(tick) < 1e-4) ? tick.toExponential(2)
+         : Number(tick.toFixed(Math.max(decimals, 3))).toString())
+      : Number(((tick - base) / unit).toFixed(decimals)).toString()
+  return text.replace("-", "\u2212")
+}
+
+/** Have the pointer on the plane or on a diagram of the cut mark the same point on the others. */
+export function linkPointer({ line, logs, plane, axis, spans_of, dot, of_plane }, cb_obj) {
+  const [x0, x1] = line.data.xs[0] ? [line.data.xs[0][0], line.data.xs[0].at(-1)] : [NaN, NaN]
+  const [y0, y1] = line.data.ys[0] ? [line.data.ys[0][0], line.data.ys[0].at(-1)] : [NaN, NaN]
+  if (Number.isNaN(x0) || cb_obj.x == null) return
+  const scales = logs.map((log) => log ? [Math.log, Math.exp] : [(v) => v, (v) => v])
+  const ends = [[x0, x1], [y0, y1]].map((pair, k) => pair.map(scales[k][0]))
+  const at = (k, share) => scales[k][1](ends[k][0] + share * (ends[k][1] - ends[k][0]))
+  let share
+  if (of_plane) {
+      const spans = [plane.x_range, plane.y_range].map((range, k) => scales[k][0](range.end) - scales[k][0](range.start))
+      const along = ends.map((pair, k) => (pair[1] - pair[0]) / spans[k])
+      const here = [cb_obj.x, cb_obj.y].map((v, k) => (scales[k][0](v) - ends[k][0]) / spans[k])
+      share = (along[0] * here[0] + along[1] * here[1]) / (along[0] ** 2 + along[1] ** 2)
+  } else {
+      const k = axis.data.along[0]
+      share = (scales[k][0](cb_obj.x) - ends[k][0]) / (ends[k][1] - ends[k][0])
+  }
+  share = Math.min(1, Math.max(0, share))
+  for (const span of spans_of) span.setv({location: at(axis.data.along[0], share)}, {sync: false})
+  dot.setv({data: {at_x: [at(0, share)], at_y: [at(1, share)]}}, {sync: false})
+}
+
+/** Move the machine along its orbit for as long as a button is pressed. */
+export function play({ path, here, machine, pace, seconds }, cb_obj) {
+  let begin = null
+  const step = (now) => {
+      const {y, v, ...masses} = path.data
+      const lanes = Object.keys(masses).filter((name) => name.startsWith("q")).sort()
+      if (!cb_obj.active || !y.length) return
+      begin ??= now
+      const k = Math.floor((now - begin) / 1000 / seconds * pace.data.per_period[0]) % y.length
+      here.setv({data: {now_y: [y[k]], now_v: [v[k]]}}, {sync: false})
+      machine.setv({data: {at: lanes.map((name) => masses[name][k]), lane: lanes.map((_, i) => i)}}, {sync: false})
+      requestAnimationFrame(step)
+  }
+  requestAnimationFrame(step)
+}
+
+/** Copy the value of a model; a page that another machine serves by plain HTTP has no clipboard. */
+export function copy({ source }) {
+  const text = source.value ?? source.tags[0]
+  if (navigator.clipboard) return navigator.clipboard.writeText(text)
+  const box = document.body.appendChild(document.createElement("textarea"))
+  box.value = text
+  box.select()
+  document.execCommand("copy")
+  box.remove()
+}
+
+/** Save a file. */
+export function download(_, { data }) {
+  const link = document.createElement("a");
+  link.href = data.href[0];
+  link.download = data.name[0];
+  link.click();
+}
+
+/** Give a model a class for as long as another one has a property. */
+export function mark({ model, name, property, unless }, cb_obj) {
+  model.css_classes = Boolean(cb_obj[property]) === !unless ? [name] : [];
+}

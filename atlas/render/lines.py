@@ -1,0 +1,150 @@
+"""Lines and names over a map for a page that draws them itself, as plain JSON and arrays of cells."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.query.plane import Plane
+from atlas.query.room import dense, places
+from atlas.query.tidy import isolines, outlined
+from atlas.render import overlays, style
+from atlas.render.coded import described_curves, text_of
+from atlas.render.kinds import OverlayError
+from atlas.render.layers import Layers, View
+from workers.results import LARGEST
+
+Array = NDArray[np.float64]
+Size = tuple[float, float]
+"""Width and height of a plane, in pixels."""
+
+NAME_SIZE = 11.5
+"""Pixels of the type of names."""
+_NAMED = 150.0
+"""Pixels of an isoline from which on it has room for its number."""
+_FINE = 1e-5
+"""Share of a plane's width to which points of lines are known."""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """An overlay: what a page has to know of it, and the cells (y, x) between whose numbers it has borders."""
+
+    described: dict[str, Any]
+    regions: NDArray[np.uint8] | None = None
+
+
+def lines_over(view: View, name: str, size: Size) -> Lines:
+    """An overlay of a map on so many pixels; OverlayError for one that cannot be drawn."""
+    try:
+        return _OVERLAYS[name](view, size)
+    except InputError as error:
+        raise OverlayError(name, str(error)) from None
+
+
+def names_on(layers: Layers, plane: Plane, size: Size) -> list[dict[str, Any]]:
+    """The names that fit into the regions of a map, each with its place, its angle and its colour."""
+    step = np.array(size[::-1]) / plane.regime.shape
+    found = places([each[:2] for each in layers.names], step, [NAME_SIZE])
+    return [
+        _name(layers.names[each.number][1], plane, each.cell, each.angle, style.ink_on(layers.names[each.number][2]))
+        for each in found
+    ]
+
+
+def _name(text: str, plane: Plane, cell: tuple[int, int], angle: float, color: str) -> dict[str, Any]:
+    at = {"x": float(plane.x.values[cell[1]]), "y": float(plane.y.values[cell[0]])}
+    return at | {"text": text, "angle": angle, "color": color, "size": NAME_SIZE}
+
+
+def _grazing(view: View, size: Size) -> Lines:
+    found = overlays.lines_of_grazing(view)
+    look = {"label": text_of(overlays.grazing_label(view, found)), "color": "#000000", "dashes": [5, 2], "width": 1.5}
+    return _polylines(view.plane, "grazing", look, found)
+
+
+def _boundaries(view: View, size: Size) -> Lines:
+    regions, left_out = outlined(view.plane.regime, size)
+    label = "regime boundary" + (", clouds of cells left out" if left_out else "")
+    look = {"label": label, "color": overlays.BOUNDARY, "dashes": [], "edge": overlays.BOUNDARY, "fixed": True}
+    return Lines(_described({"boundaries": look}, []), regions.astype(np.uint8))
+
+
+def _isolines(view: View, size: Size) -> Lines:
+    plane, kept, names = view.plane, list[Array](), list[dict[str, Any]]()
+    for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
+        at, along = dense(_placed(plane, line, size))
+        if along[-1] >= overlays.LEAST_LINE:
+            kept.append(line)
+        if along[-1] >= _NAMED:
+            x, y = at[at.shape[0] // 2] / size * (plane.x.values.size, plane.y.values.size)
+            cell = min(int(y), plane.y.values.size - 1), min(int(x), plane.x.values.size - 1)
+            names.append(_name(f"{level:g}".replace("-", "−"), plane, cell, 0.0, "#000000") | {"halo": True})
+    look = {"label": "λ₁ constant", "color": "#ffffff", "dashes": [], "width": 1.0, "edge": overlays.SHADOW}
+    found = _polylines(plane, "isolines", look, kept)
+    return Lines(found.described | {"names": names})
+
+
+def _curves(view: View, size: Size) -> Lines:
+    found = described_curves(overlays.wanted_curves(view, "overlay 'curves'"))
+    lines = [
+        {"kind": each["kind"], "points": part}
+        for each in found["lines"]
+        for part in _parts(view.plane, np.reshape(each["points"], (-1, 2)))
+    ]
+    low, high = map(np.array, _ends(view.plane))
+    inside = {
+        name: [each for each in found[name] if np.all((low <= each[1:]) & (each[1:] <= high))]
+        for name in ("corners", "ends")
+    }
+    return Lines(found | inside | {"lines": lines})
+
+
+def _polylines(plane: Plane, kind: str, look: Mapping[str, Any], lines: Iterable[Array]) -> Lines:
+    """Lines of one kind, which the legend does not switch: that is done where the overlay is chosen."""
+    parts = [{"kind": kind, "points": part} for line in lines for part in _parts(plane, line)]
+    return Lines(_described({kind: {**look, "fixed": True}}, parts))
+
+
+def _described(looks: Mapping[str, Any], lines: list[dict[str, Any]]) -> dict[str, Any]:
+    return {"looks": looks, "lines": lines, "marks": {}, "corners": [], "ends": []}
+
+
+def _ends(plane: Plane) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where the cells of a plane begin and end: (x, y) of either."""
+    return (plane.x.edges[0], plane.y.edges[0]), (plane.x.edges[-1], plane.y.edges[-1])
+
+
+def _parts(plane: Plane, line: Array) -> list[list[float]]:
+    """The parts of a line (N, 2) in view, each one point longer at its ends, as far as they are seen."""
+    low, high = _ends(plane)
+    first, last = line[:-1], line[1:]
+    seen = np.all((np.maximum(first, last) >= low) & (np.minimum(first, last) <= high), axis=1)
+    cuts = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(int)))
+    decimals = [int(np.ceil(-np.log10(_FINE * width))) for width in np.subtract(high, low)]
+    found = []
+    for begin, end in cuts.reshape(-1, 2).tolist():
+        part = line[begin : end + 1]
+        found.append(np.column_stack([np.round(part[:, k], decimals[k]) for k in (0, 1)]).ravel().tolist())
+    return found
+
+
+def _placed(plane: Plane, at: Array, size: Size) -> Array:
+    """Points of a plane in pixels from its lower left corner."""
+    found = []
+    for k, axis in enumerate((plane.x, plane.y)):
+        low, high, values = (np.log(v) if axis.log else v for v in (axis.edges[0], axis.edges[-1], at[:, k]))
+        found.append((values - low) / (high - low) * size[k])
+    return np.column_stack(found)
+
+
+_OVERLAYS: dict[str, Callable[[View, Size], Lines]] = {
+    "grazing": _grazing,
+    "boundaries": _boundaries,
+    "isolines": _isolines,
+    "curves": _curves,
+}

@@ -1,0 +1,170 @@
+"""What the server sends of the cells in view, and what the browser's modules make of it, without a browser."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atlas.explore.chosen import Chosen, beginning, look_query, looking
+from atlas.explore.compose import composed
+from atlas.explore.drawn import InView, ends_of, maps_of, message
+from atlas.explore.subject import Subject, subject_of
+from atlas.explore.view import TILE, Sight
+from atlas.orbits.curves.table import write_curves
+from atlas.query.plane import Plane
+from atlas.render.kinds import TABLE
+from atlas.render.layers import View, paint
+from atlas.render.page import STANDARD
+from atlas.render.painters import PAINTERS
+from atlas.render.wanted import Wanted
+from atlas.store.store import open_handle
+from tests.explore.messages import opened
+from tests.explore.node import run
+from tests.pictures import curves
+from workers.results import CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, REGIME
+
+SIZE = (240, 160)
+REGIMES = [PERIODIC, CHAOTIC, NO_IMPACT, PENDING, FAILED]
+COLORS = """
+import { readFileSync } from "node:fs"
+const { colorsOf } = await import(`${process.argv[1]}/colors.mjs`)
+const { map, codes, values, ends } = JSON.parse(readFileSync(0, "utf-8"))
+process.stdout.write(Buffer.from(colorsOf(map, codes, values, ends).buffer))
+"""
+
+
+@pytest.fixture
+def subject(finished: Path) -> Subject:
+    write_curves(open_handle(finished), curves())
+    return subject_of(str(finished))
+
+
+def seen_of(subject: Subject, chosen: Chosen) -> InView:
+    """Made-up cells of several regimes in the window that is chosen."""
+    sight = subject.sight(chosen.x, chosen.y, SIZE)
+    rng, tiles = np.random.default_rng(7), []
+    for key in sight.tiles(0):
+        arrays = subject.without_results(subject.variables, (TILE, TILE))
+        regime = rng.choice(REGIMES, (TILE, TILE), p=[0.4, 0.4, 0.1, 0.05, 0.05])
+        for values in arrays.values():
+            if values.dtype.kind == "f":
+                values[...] = rng.random(values.shape)
+            elif values.ndim == 2:
+                values[...] = rng.integers(1, 9, values.shape)
+        arrays[REGIME.name][...] = regime
+        arrays["largest"] *= np.where(regime == CHAOTIC, 1.0, -1.0)
+        tiles.append((key, arrays))
+    ds = composed(subject, chosen.plane, sight, tiles, chosen.names)
+    return InView("one", ds, sight, np.zeros(sight.shape, np.uint8))
+
+
+def sent(subject: Subject, chosen: Chosen, others: bool = True, scales: Any = None) -> tuple[Any, Any, str, InView]:
+    """A message, opened, what it lacks, and the cells that it is of."""
+    seen = seen_of(subject, chosen)
+    made, lacking = message(seen, subject, chosen, maps_of(seen, chosen, others), scales or {}, SIZE)
+    return *opened(made), lacking, seen
+
+
+def view_of(subject: Subject, **fields: Any) -> Chosen:
+    return replace(beginning(subject), x=(2.3, 2.9), y=(0.2, 0.3), **fields)
+
+
+def queries() -> Iterator[tuple[str, tuple[float, float] | None]]:
+    yield "kind=exponent", None
+    yield "kind=exponent", (-0.3, 0.7)
+    yield "kind=combined", (0.2, 0.5)
+    yield "kind=period", None
+    yield "kind=impacts", None
+    yield "kind=scalar&variable=largest", (-0.25, 0.75)
+    yield "kind=scalar&variable=peak_to_peak&log=1", (0.1, 0.9)
+
+
+@pytest.mark.parametrize(("query", "ends"), list(queries()))
+def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sent(
+    subject: Subject, query: str, ends: tuple[float, float] | None
+) -> None:
+    chosen = looking(subject, view_of(subject), query)
+    about, arrays, _, seen = sent(subject, chosen, others=False)
+    (made,) = about["maps"]
+    own = {name: arrays[name].ravel().tolist() for name in made["needs"]}
+    finite = {name: [None if np.isnan(value) else value for value in values] for name, values in own.items()}
+    own_ends = next((bar["ends"] for bar in made["bars"] if bar["main"]), None)
+    given = {"map": made, "codes": arrays[made["codes"]].ravel().tolist(), "values": finite, "ends": ends or own_ends}
+    found = np.frombuffer(run(COLORS, given), np.uint8).reshape(*seen.sight.shape, 4)
+
+    rounded = seen.ds.assign({name: (seen.ds[name].dims, arrays[name]) for name in made["needs"]})
+    kind = TABLE[chosen.kind]
+    wanted = ends or own_ends
+    page = STANDARD if wanted is None else replace(STANDARD, vmin=wanted[0], vmax=wanted[1])
+    variable = chosen.variable if chosen.kind == "scalar" else None
+    asked = Wanted(page, kind.name, variable=variable, log=chosen.log)
+    layers = PAINTERS[kind.name](View(kind, rounded, Plane.of(rounded, made["needs"]), asked))
+    expected = paint(layers)
+    expected[expected[..., 3] == 0] = 255
+    assert np.array_equal(found, expected)
+    assert len(np.unique(found.reshape(-1, 4), axis=0)) > 5
+
+
+def test_numbers_have_four_digits_on_the_page_and_the_regime_is_exact(subject: Subject) -> None:
+    about, arrays, _, seen = sent(subject, view_of(subject))
+    exact, found = seen.ds.largest.values, arrays["largest"]
+    assert about["arrays"]["largest"]["digits"] == 4
+    assert np.all(np.abs(found - exact) <= 0.5e-3 * np.abs(exact)) and np.any(found != exact)
+    assert np.array_equal(arrays[REGIME.name], seen.ds.regime.values)
+
+
+def test_a_view_that_is_known_comes_with_every_map_of_its_variables(subject: Subject) -> None:
+    names = [each["name"] for each in sent(subject, looking(subject, view_of(subject), "kind=combined"))[0]["maps"]]
+    assert names[0] == "combined"
+    assert {*names} == {"combined", "exponent", "period", "number-largest", "number-period", "number-period-log"}
+    alone = sent(subject, looking(subject, view_of(subject), "kind=combined"), others=False)[0]
+    assert [each["name"] for each in alone["maps"]] == ["combined"]
+
+
+def test_a_scale_keeps_its_ends_and_says_which_would_fit_the_view(subject: Subject) -> None:
+    held = (-3.0, 2.0)
+    about, _, _, seen = sent(subject, view_of(subject), scales={"exponent": held})
+    (bar,) = about["maps"][0]["bars"]
+    assert tuple(bar["ends"]) == held
+    (first, *_) = maps_of(seen, view_of(subject), others=False)
+    assert tuple(bar["fit"]) == ends_of(first) != held
+
+
+def test_lines_come_clipped_to_the_view_and_what_cannot_be_drawn_is_said(subject: Subject) -> None:
+    chosen = view_of(subject, overlays=("grazing", "boundaries", "isolines", "curves"))
+    about, arrays, lacking, seen = sent(subject, chosen)
+    assert lacking == "" and {*about["lines"]} == {*chosen.overlays}
+    for line in about["lines"]["curves"]["lines"]:
+        x = np.reshape(line["points"], (-1, 2))[:, 0]
+        assert x.min() < 2.9 and x.max() > 2.3 and np.count_nonzero((x < 2.25) | (x > 2.95)) <= 2
+    assert arrays["regions"].shape == seen.sight.shape
+    moved = replace(chosen, plane=chosen.plane.moved("R", 0.7), overlays=("curves",))
+    about, _, lacking, _ = sent(subject, moved)
+    assert "a store has curves of its own plane alone" in lacking
+    assert about["lines"]["curves"]["lines"] == []  # known to be lacking: the page asks no more
+
+
+def test_a_map_without_such_numbers_is_refused_as_a_whole(subject: Subject) -> None:
+    from atlas.errors import InputError
+
+    chosen = looking(subject, view_of(subject), "kind=scalar&variable=largest&log=1")
+    with pytest.raises(InputError, match="values below zero, which a logarithmic scale cannot show"):
+        sent(subject, chosen)
+
+
+def test_a_look_comes_back_from_its_query(subject: Subject) -> None:
+    given = "kind=scalar&variable=largest&log=1&overlay=grazing,curves&without=fold&vmin=0.25&vmax=2.0"
+    assert look_query(looking(subject, view_of(subject), given)) == given
+    assert looking(subject, looking(subject, view_of(subject), given), "kind=period").overlays == ()
+
+
+def test_the_cells_of_a_view_say_where_they_are(subject: Subject) -> None:
+    about, _, _, seen = sent(subject, view_of(subject))
+    for axis, lattice, stretch in zip(about["axes"], (subject.x, subject.y), seen.sight, strict=True):
+        assert tuple(axis["edges"]) == lattice.edges(stretch.level, stretch.first, stretch.last)
+        assert (axis["count"], axis["first"], axis["level"]) == (stretch.count, stretch.first, stretch.level)
+    assert isinstance(seen.sight, Sight) and json.dumps(about)

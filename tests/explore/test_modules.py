@@ -1,0 +1,55 @@
+"""The modules of JavaScript that both pages run: they parse, fit together, and stand in files of their own."""
+
+import re
+import subprocess
+from collections import Counter
+from itertools import chain
+from pathlib import Path
+
+import pytest
+
+from atlas.explore.front.script import LIVE, SHARED
+from atlas.explore.static.page import PROGRAM
+from tests.explore.node import FRONT, node
+
+STATIC = FRONT.parent / "static"
+MODULES = sorted(FRONT.parent.rglob("*.mjs"))
+DECLARED = re.compile(r"^(?:export )?(?:async )?(?:function|const|let|class) ([\w$]+)", re.MULTILINE)
+
+
+def name_of(path: Path) -> str:
+    return path.name
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_parses(path: Path) -> None:
+    done = subprocess.run([node(), "--check", str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_uses_what_it_imports_and_imports_what_is_exported(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    body = re.sub(r"^import .*?;\n", "", text, flags=re.MULTILINE | re.DOTALL)
+    for names, source in re.findall(r'^import \{(.*?)\} from "(.*?)";', text, re.MULTILINE | re.DOTALL):
+        exported = (path.parent / source).resolve().read_text(encoding="utf-8")
+        for name in (each.strip() for each in names.split(",")):
+            assert re.search(rf"^export .*\b{name}\b", exported, re.MULTILINE), f"{source} exports no {name}"
+            assert re.search(rf"\b{name}\b", body), f"{name} is not used"
+
+
+@pytest.mark.parametrize(
+    "paths", [[FRONT / n for n in (*SHARED, *LIVE)], [FRONT / n for n in SHARED] + [STATIC / n for n in PROGRAM]]
+)
+def test_modules_that_are_joined_into_one_script_share_no_name(paths: list[Path]) -> None:
+    found = Counter(chain.from_iterable(DECLARED.findall(path.read_text(encoding="utf-8")) for path in paths))
+    assert [name for name, count in found.items() if count > 1] == []
+    assert len(found) > 40
+
+
+def test_no_python_file_but_one_holds_javascript() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in FRONT.parent.rglob("*.py")}
+    assert [path.name for path, text in texts.items() if "CustomJS(" in text] == ["script.py"]
+    script = re.compile(r"\bconst \w+ =|addEventListener|=> \{|getElementById")
+    found = [path.name for path, text in texts.items() if script.search(text)]
+    assert found == ["script.py"]  # which joins modules into one
