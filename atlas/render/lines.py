@@ -25,21 +25,21 @@ Size = tuple[float, float]
 NAME_SIZE = 11.5
 """Pixels of the type of names."""
 _NAMED = 150.0
-"""Pixels of an isoline from which on it has room for its number."""
+"""Least length in pixels of an isoline with its number."""
 _FINE = 1e-5
-"""Share of a plane's width to which points of lines are known."""
+"""Precision of the points of lines, as a share of the plane's width."""
 
 
 @dataclass(frozen=True)
 class Lines:
-    """An overlay: what a page has to know of it, and the cells (y, x) between whose numbers it has borders."""
+    """An overlay: its data for a page, and the regions of cells (y, x) between which it draws borders."""
 
     described: dict[str, Any]
     regions: NDArray[np.uint8] | None = None
 
 
 def lines_over(view: View, name: str, size: Size) -> Lines:
-    """An overlay of a map on so many pixels; OverlayError for one that cannot be drawn."""
+    """An overlay of a map on this many pixels; OverlayError if it cannot be drawn."""
     try:
         return _OVERLAYS[name](view, size)
     except InputError as error:
@@ -49,10 +49,12 @@ def lines_over(view: View, name: str, size: Size) -> Lines:
 def names_on(layers: Layers, plane: Plane, size: Size) -> list[dict[str, Any]]:
     """The names that fit into the regions of a map, each with its place, its angle and its colour."""
     step = np.array(size[::-1]) / plane.regime.shape
-    found = places([each[:2] for each in layers.names], step, [NAME_SIZE])
+    fitting = places([named[:2] for named in layers.names], step, [NAME_SIZE])
     return [
-        _name(layers.names[each.number][1], plane, each.cell, each.angle, style.ink_on(layers.names[each.number][2]))
-        for each in found
+        _name(
+            layers.names[place.number][1], plane, place.cell, place.angle, style.ink_on(layers.names[place.number][2])
+        )
+        for place in fitting
     ]
 
 
@@ -62,9 +64,9 @@ def _name(text: str, plane: Plane, cell: tuple[int, int], angle: float, color: s
 
 
 def _grazing(view: View, size: Size) -> Lines:
-    found = overlays.lines_of_grazing(view)
-    look = {"label": text_of(overlays.grazing_label(view, found)), "color": "#000000", "dashes": [5, 2], "width": 1.5}
-    return _polylines(view.plane, "grazing", look, found)
+    lines = overlays.lines_of_grazing(view)
+    look = {"label": text_of(overlays.grazing_label(view, lines)), "color": "#000000", "dashes": [5, 2], "width": 1.5}
+    return _polylines(view.plane, "grazing", look, lines)
 
 
 def _boundaries(view: View, size: Size) -> Lines:
@@ -85,27 +87,27 @@ def _isolines(view: View, size: Size) -> Lines:
             cell = min(int(y), plane.y.values.size - 1), min(int(x), plane.x.values.size - 1)
             names.append(_name(f"{level:g}".replace("-", "−"), plane, cell, 0.0, "#000000") | {"halo": True})
     look = {"label": "λ₁ constant", "color": "#ffffff", "dashes": [], "width": 1.0, "edge": overlays.SHADOW}
-    found = _polylines(plane, "isolines", look, kept)
-    return Lines(found.described | {"names": names})
+    drawn = _polylines(plane, "isolines", look, kept)
+    return Lines(drawn.described | {"names": names})
 
 
 def _curves(view: View, size: Size) -> Lines:
-    found = described_curves(overlays.wanted_curves(view, "overlay 'curves'"))
+    curves = described_curves(overlays.wanted_curves(view, "overlay 'curves'"))
     lines = [
-        {"kind": each["kind"], "points": part}
-        for each in found["lines"]
-        for part in _parts(view.plane, np.reshape(each["points"], (-1, 2)))
+        {"kind": line["kind"], "points": part}
+        for line in curves["lines"]
+        for part in _parts(view.plane, np.reshape(line["points"], (-1, 2)))
     ]
     low, high = map(np.array, _ends(view.plane))
     inside = {
-        name: [each for each in found[name] if np.all((low <= each[1:]) & (each[1:] <= high))]
+        name: [mark for mark in curves[name] if np.all((low <= mark[1:]) & (mark[1:] <= high))]
         for name in ("corners", "ends")
     }
-    return Lines(found | inside | {"lines": lines})
+    return Lines(curves | inside | {"lines": lines})
 
 
 def _polylines(plane: Plane, kind: str, look: Mapping[str, Any], lines: Iterable[Array]) -> Lines:
-    """Lines of one kind, which the legend does not switch: that is done where the overlay is chosen."""
+    """Lines of one kind. The legend does not switch them: the choice of overlays does."""
     parts = [{"kind": kind, "points": part} for line in lines for part in _parts(plane, line)]
     return Lines(_described({kind: {**look, "fixed": True}}, parts))
 
