@@ -123,7 +123,8 @@ def branch(
     ``omega=4.0`` or a mapping gives parameters other than the defaults; the cell is solved first. The orbit, as the
     solution of equations for its impacts, is followed by pseudo-arclength through the (low, high) ``window`` of the
     parameter ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to
-    1e-10 or better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. With
+    1e-10 or better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. Of a
+    machine without a force it is that of a cycle, with its period, or of an equilibrium, with its Hopf points. With
     ``switch_branches`` the branches from symmetry breakings and period doublings are followed too, and further branches
     from these, ``budget`` branches in all; ``untried`` of the result lists the events that remain. ``observe`` names an
     observable, such as "impact_phase:stop": the points have its values too, and pictures show it. The result has the

@@ -106,7 +106,7 @@ def branch(
 
     The cell is one of STORE, by --at, or is solved here, by --set. Prints the events on the way: folds, symmetry
     breakings, period doublings, Neimark-Sacker points, grazes, lost impacts and contacts, onset and end of stick, each
-    located to 1e-10 or better.
+    located to 1e-10 or better. Of a machine without a force it follows cycles and equilibria, with their Hopf points.
     """
     _check_out(out)
     look = {name: options.pop(name) for name in LOOK if name in options}

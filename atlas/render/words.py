@@ -102,7 +102,8 @@ def gap_label(system: System | None) -> str:
         return "first state at $t = kT$"
     entries = [entry.constant for entry in system.definition.shown]
     states = [system.parameter(name) for name in system.definition.coordinates]
-    ending = " at $t = kT$" + unit_ending(*(state.unit for state, c in zip(states, entries, strict=True) if c != 0.0))
+    at = "its event" if system.definition.unforced else "$t = kT$"
+    ending = f" at {at}" + unit_ending(*(state.unit for state, c in zip(states, entries, strict=True) if c != 0.0))
     known = [entry for entry in entries if entry is not None]
     if len(known) < len(entries):
         return f"gap coordinate\n$y${ending}"

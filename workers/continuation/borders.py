@@ -13,7 +13,7 @@ from workers.continuation.events import (
     solution,
     solved_on,
 )
-from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on
+from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on, time_shift
 from workers.continuation.legs import ACT, SLOWS
 from workers.continuation.motion import OrbitMotion
 from workers.continuation.onward import asks_multipliers, is_smooth
@@ -97,7 +97,7 @@ def _of_loss(step: Step, X: Array, motion: OrbitMotion, why: Fault, near: float 
     if own is None:
         return None
     conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
-    contacts = np.append(eq.contacts(X), time)
+    contacts = np.append(eq.contacts(X) + time_shift(orbit, eq.orbit(X), float(motion.span[0])), time)
     if not orbit.itinerary.sides and motion.lin.elements.starts.shape[1] == 2 and not eq.conditions:
         # of any number of periods it is the answer of one, which touches once in that
         orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))

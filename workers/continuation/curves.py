@@ -68,6 +68,8 @@ def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
     ((leg,), time) = own.chains[impact], orbit.times[impact : impact + 1]
     still = (leg._replace(begun=(0,) * len(leg.begun), signal=-1, side=0),)
     legs = tuple(own.chains[i] for i in kept) or (still,)
-    rest = own._replace(sides=tuple(own.sides[i] for i in kept), legs=legs).bare
+    periods = own.periods or int(not kept)
+    rest = own._replace(sides=tuple(own.sides[i] for i in kept), periods=periods, legs=legs).bare
     graze = Condition(GRAZE, side=leg.side, signal=leg.signal)
-    return Orbit(rest, orbit.times[kept], orbit.speeds[kept], orbit.length), graze, time
+    first = orbit.times[kept[0]] if own.is_cycle and kept else 0.0  # times of a cycle count from its first event
+    return Orbit(rest, orbit.times[kept] - first, orbit.speeds[kept], orbit.length), graze, time - first

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from workers.continuation.branches import EDGE, MOST_POINTS, RESOLUTION, BranchRun, bounds_of
 from workers.continuation.events import Event, Point
+from workers.continuation.extended import Condition
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.continuation.oscillator import Family, machine_of
 from workers.model.family import NoOscillatorError
@@ -38,10 +39,10 @@ HALVINGS = 60
 
 
 class Equilibrium(NamedTuple):
-    """An equilibrium at a value of the parameter: its mode, its state (2n,), its exponents per unit of time, those that
-    grow fastest first, and the frequency of the machine's natural period."""
+    """An equilibrium at parameters (free,): its mode, its state (2n,), its exponents per unit of time, those that grow
+    fastest first, and the frequency of the machine's natural period."""
 
-    value: float
+    values: Array
     code: Code
     state: Array
     exponents: NDArray[np.complex128]
@@ -56,7 +57,7 @@ class Equilibrium(NamedTuple):
         """It as a point of a branch: an orbit without events, with its multipliers over a natural period."""
         lost = np.zeros(len(self.state) - len(self.exponents))
         multipliers = np.concatenate([np.exp(self.exponents * 2.0 * np.pi / self.omega), lost])
-        return Point(np.array([self.value]), _orbit(self.code), np.zeros(0), multipliers, unstable)
+        return Point(self.values, _orbit(self.code), np.zeros(0), multipliers, unstable)
 
 
 class Equilibria(NamedTuple):
@@ -74,15 +75,25 @@ def equilibrium_of(system: System, values: Mapping[str, float], state: Array) ->
     return _orbit(code)
 
 
+def is_equilibrium(orbit: Orbit, system: System) -> bool:
+    """Whether an orbit of a system is an equilibrium: nothing moves where no event ever comes and no force acts."""
+    return system.definition.unforced and not orbit.itinerary.sides
+
+
+def code_of(orbit: Orbit) -> Code:
+    """The mode of an equilibrium."""
+    return orbit.itinerary.chains[0][0].code
+
+
 def _orbit(code: Code) -> Orbit:
     leg = Leg(code, (0,) * max(1, SIGNALS * len(code.contacts) + len(code.slips)), -1, 0)
     return Orbit(Itinerary((), 1, legs=((leg,),)).bare, np.zeros(0), np.zeros(0))
 
 
-def equilibrium_near(family: Family, value: float, code: Code) -> Equilibrium | None:
-    """The equilibrium at a value of the one free parameter, in this mode or in one that leads on from it; None where
+def equilibrium_near(family: Family, values: Array, code: Code) -> Equilibrium | None:
+    """The equilibrium at parameters (free,), in this mode or in one that leads on from it; None where
     there is none without friction that sticks, or that turns round."""
-    lin = family.model(np.array([[value]]))
+    lin = family.model(values[None])
     own, tried, signs = lin.elements, set[Code](), np.sign(code.slips)
     rigid = own.soft[0] == 0.0
     while code not in tried and len(tried) < MOST_MODES:
@@ -106,7 +117,7 @@ def equilibrium_near(family: Family, value: float, code: Code) -> Equilibrium | 
                              [across.T @ A @ across, across.T @ B @ across]])  # fmt: skip
             exponents = np.linalg.eigvals(flow).astype(np.complex128)
             order = np.lexsort([-exponents.imag, -exponents.real])
-            return Equilibrium(value, code, z, exponents[order], float(lin.omega[0]))
+            return Equilibrium(values, code, z, exponents[order], float(lin.omega[0]))
         code = after
         if np.any(np.sign(code.slips) != signs):
             return None
@@ -136,7 +147,7 @@ def equilibria(
     of a law to the next, and where the equilibrium ends. ValueError where there is none, or friction holds it.
     """
     bounds = bounds_of(family.free, dict.fromkeys(family.free, window))[:, 0]
-    first = equilibrium_near(family, value, orbit.itinerary.chains[0][0].code)
+    first = equilibrium_near(family, np.array([value]), code_of(orbit))
     if first is None:
         raise ValueError(f"no equilibrium at {family.free[0]} = {value:g}")
     step = resolution * float(bounds[1] - bounds[0])
@@ -146,7 +157,10 @@ def equilibria(
         sides.append(list(_towards(family, first, np.linspace(value, end, count + 1)[1:])))
     ahead, back = sides
     entries = [*back[::-1], (first, first.point(first.unstable), ""), *ahead]
-    points, events = [point for _, point, _ in entries], [Event(kind, (), point) for _, point, kind in entries if kind]
+    points, events = (
+        [point for _, point, _ in entries],
+        [Event(kind, (Condition(kind),), point) for _, point, kind in entries if kind],
+    )
     ends = tuple(kind if (kind := each[-1][2] if each else "") == BORDER else EDGE for each in (back, ahead))
     return Equilibria(BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([each.state for each, *_ in entries]))
 
@@ -155,7 +169,7 @@ def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tupl
     """The equilibria on the way over values, each with its point and the kind of the event that it is."""
     here = first
     for value in values.tolist():
-        there = equilibrium_near(family, value, here.code)
+        there = equilibrium_near(family, np.array([value]), here.code)
         while there is None or there.unstable != here.unstable:
             near, far = _halved(family, here, there, value)
             if far is None:
@@ -163,7 +177,7 @@ def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tupl
                 return
             low, high = sorted((near, far), key=lambda each: each.unstable)
             crossing = high.exponents[low.unstable]
-            yield far, _of_event(far, low.unstable, abs(crossing.imag)), HOPF if crossing.imag else FOLD
+            yield far, point_of_event(far, low.unstable, abs(crossing.imag)), HOPF if crossing.imag else FOLD
             here = far
         yield there, there.point(there.unstable), ""
         here = there
@@ -174,18 +188,18 @@ def _halved(
 ) -> tuple[Equilibrium, Equilibrium | None]:
     """The first change on a step: the last equilibrium that is as stable, and the next one, None where it ends."""
     for _ in range(HALVINGS):
-        middle = 0.5 * (here.value + value)
-        if middle in (here.value, value):
+        middle = 0.5 * (here.values + value)
+        if middle[0] in (here.values[0], value):
             break
         found = equilibrium_near(family, middle, here.code)
         if found is not None and found.unstable == here.unstable:
             here = found
         else:
-            there, value = found, middle
+            there, value = found, float(middle[0])
     return here, there
 
 
-def _of_event(found: Equilibrium, unstable: int, frequency: float) -> Point:
+def point_of_event(found: Equilibrium, unstable: int, frequency: float) -> Point:
     """The point of an event: at a Hopf point the length of the orbit is that of the cycle which begins there."""
     point = found.point(unstable)
     if not frequency:

@@ -65,19 +65,40 @@ def conditions_on(
     """Conditions on a former orbit as those on one with other events, at about the same time else; None where an event
     that one of them is of is gone.
     """
-    found = []
+    found, later = [], time_shift(orbit, former, span)
     for condition in conditions:
         if condition.kind in (SPEED, ONSET, ENDS):
-            turns = (orbit.times - former.times[condition.impact]) / span
-            flips = np.where(np.round(turns) % 2 == 0, 1, orbit.itinerary.sign)
-            alike = flips * np.array(orbit.itinerary.sides) == former.itinerary.sides[condition.impact]
-            near = np.where(alike, np.abs(turns - np.round(turns)), np.inf)
-            if not np.any(near < SAME_EVENT):
+            near, flips = _apart(orbit, former, span, later)
+            if not np.any(near[:, condition.impact] < SAME_EVENT):
                 return None
-            place = int(np.argmin(near))
-            condition = condition._replace(impact=place, side=int(flips[place]) * condition.side)
+            place = int(np.argmin(near[:, condition.impact]))
+            condition = condition._replace(impact=place, side=int(flips[place, condition.impact]) * condition.side)
         found.append(condition)
     return tuple(found)
+
+
+def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:
+    """What times of a former orbit have to be increased by in one with other events too: times of cycles count from
+    the first event, whichever that is. The shift that brings the events of both nearest to each other.
+    """
+    if not (orbit.itinerary.is_cycle and former.itinerary.is_cycle):
+        return 0.0
+    shifts = (orbit.times[:, None] - former.times).ravel()
+    fewer = int(len(orbit.times) > len(former.times))
+
+    def misfit(shift: float) -> float:
+        return float(np.sum(np.min(_apart(orbit, former, span, shift)[0], axis=1 - fewer)))
+
+    return float(min(shifts, key=misfit))
+
+
+def _apart(orbit: Orbit, former: Orbit, span: float, later: float) -> tuple[Array, Array]:
+    """How far the events of an orbit (m,) are from those of another one (k,), (m, k), in turns, infinite for other
+    kinds of events; and -1 where the one is the mirror image of the other."""
+    turns = (orbit.times[:, None] - (former.times + later)) / span
+    flips = np.where(np.round(turns) % 2 == 0, 1, orbit.itinerary.sign)
+    alike = flips * np.array(orbit.itinerary.sides)[:, None] == np.array(former.itinerary.sides)
+    return np.where(alike, np.abs(turns - np.round(turns)), np.inf), flips
 
 
 class Extended:

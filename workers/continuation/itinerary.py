@@ -86,7 +86,7 @@ class Itinerary(NamedTuple):
     @property
     def is_cycle(self) -> bool:
         """Whether its length is its own, since no force tells it."""
-        return self.periods == 0
+        return self.periods == 0 and bool(self.sides)
 
     @property
     def turn(self) -> float:

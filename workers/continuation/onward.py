@@ -15,7 +15,7 @@ import numpy as np
 from workers.continuation.admissible import VERTEX
 from workers.continuation.equations import motion_of
 from workers.continuation.events import CONTACT_LOST, GRAZING, GRAZING_SLIDING, STICK_END, STICK_ONSET, Event
-from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve
+from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve, time_shift
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.orbits import continued_to, known_states, many_of, states_at_sections
 from workers.continuation.oscillator import Family
@@ -209,7 +209,8 @@ def _solved(
     (here, orbit, contacts, *_), free, values = event.point, equations.free, beside.values + beside.away
     own = [each._replace(kappa=event.kappa) if each.kind == PAIR else each for each in event.conditions[:-1]]
     try:
-        conditions = conditions_on(far, tuple(own), orbit, orbit.span(equations.model(here)))
+        span = orbit.span(equations.model(here))
+        conditions = conditions_on(far, tuple(own), orbit, span)
         if conditions is None:
             return None
         there = Extended(equations.family, far, conditions, values, equations.width)
@@ -218,7 +219,7 @@ def _solved(
             row[len(row) - free :] = beside.along / equations.width
         else:
             row[there.states - there.m : there.states] = changes
-        X = there.pack(far, contacts[: there.grazes], values)
+        X = there.pack(far, contacts[: there.grazes] + time_shift(far, orbit, span), values)
         there = there.at(X)
         found = solve(there, X, row / there.scale / np.linalg.norm(row))
     except (NoOscillatorError, ValueError, np.linalg.LinAlgError):

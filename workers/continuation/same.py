@@ -17,22 +17,29 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     """The largest difference between two orbits at the same parameters, of times in radians of the force and of speeds
     relative to the fastest impact; over all phases and both mirror images the smallest. Infinite for other itineraries.
 
-    Mirror images are compared whatever the machine: of one that is not its own, none is an orbit of it.
+    Cycles may begin at any time, and their times count in radians of their own turn. Mirror images are compared
+    whatever the machine: of one that is not its own, none is an orbit of it.
     """
     a, b = one.itinerary, other.itinerary
     if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
         return np.inf
-    one, other = (doubled(orbit, np.pi * a.periods / omega) if a.symmetric else orbit for orbit in (one, other))
+    halves = np.pi * a.periods / omega
+    one, other = (
+        doubled(each, float(each.length) if a.is_cycle else halves) if a.symmetric else each for each in (one, other)
+    )
+    if a.is_cycle:  # all that a turn is of it, in radians
+        omega = 2.0 * np.pi / float(one.length)
     sides, others = np.array(one.itinerary.sides), np.array(other.itinerary.sides)
-    times, m = np.append(other.times, other.times + 2.0 * np.pi * a.periods / omega), len(sides)
-    best = np.inf if m else 0.0
+    whole = float(other.length) if a.is_cycle else 2.0 * np.pi * a.periods / omega
+    times, m = np.append(other.times, other.times + whole), len(sides)
+    best, longer = np.inf if m else 0.0, omega * abs(whole - float(one.length)) if a.is_cycle else 0.0
     for mirror, turn in product((1, -1), range(m)):
         if np.array_equal(mirror * np.roll(others, -turn), sides):
             # whole forcing periods apart, an image half a period more
             later = omega * (times[turn : turn + m] - one.times) - (0.0 if mirror > 0 else np.pi)
-            later -= 2.0 * np.pi * np.round(np.mean(later) / (2.0 * np.pi))
+            later -= np.mean(later) if a.is_cycle else 2.0 * np.pi * np.round(np.mean(later) / (2.0 * np.pi))
             speeds = mirror * np.roll(other.speeds, -turn) - one.speeds
-            best = min(best, max(np.max(np.abs(later)), np.max(np.abs(speeds)) / np.max(np.abs(one.speeds))))
+            best = min(best, max(np.max(np.abs(later)), np.max(np.abs(speeds)) / np.max(np.abs(one.speeds)), longer))
     return float(best)
 
 

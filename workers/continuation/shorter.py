@@ -57,7 +57,7 @@ def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
     kept = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
     chain = before + legs[lost][-1][1:]
     after = (*legs[: lost.start - 1], chain, *legs[lost.stop :]) if kept else (_of_phases(chain),)
-    itinerary = Itinerary(tuple(sides[i] for i in kept), periods, symmetric, after)
+    itinerary = Itinerary(tuple(sides[i] for i in kept), periods or int(not kept), symmetric, after)
     return Orbit(itinerary, orbit.times[kept], orbit.speeds[kept], orbit.length)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.workers.continuation.test_equilibria import chords_of
 from workers import Settings, System, solve_tile
 from workers.continuation import BranchRun, Family, Point, branch, family_of, orbit_from_state
 
@@ -126,10 +127,7 @@ def test_a_cycle_goes_on_with_other_contacts_and_turns_back_at_folds_where_a_mul
 def test_the_cycle_on_a_belt_with_a_law_in_segments_ends_by_grazing_sliding_where_c4_says(h: float, end: float) -> None:
     """Friction .5 + .5 e^(-2 v) in chords at multiples of h: its end tends to 1.836600972208 as h^2. The unstable cycle
     that slips only takes over there."""
-    v = np.append(h * np.arange(round(4.0 / h) + 1), 5.0)
-    law = [[float(at), 0.5 + 0.5 * math.exp(-2.0 * min(float(at), 4.0))] for at in v]
-    friction = {"name": "belt", "row": [1.0], "belt": "u", "law": law}
-    system = machine(damping=[[0.1]], friction=[friction], parameters={"u": 1.7, "x": 0.9, "v": 1.7})
+    system = machine(damping=[[0.1]], friction=[chords_of(h)], parameters={"u": 1.7, "x": 0.9, "v": 1.7})
     run, _ = followed(system, "u", (1.69, 2.0))
     (event,) = (each for each in run.events if each.kind == "grazing_sliding")
     assert event.point.values[0] == pytest.approx(end, abs=1e-9)

@@ -27,12 +27,16 @@ def machine(**entries: Any) -> System:
     return System.from_mapping(mass | entries)
 
 
-def chords(h: float) -> System:
-    """The belt of B5 with chords of its law at multiples of h up to 4, and constant from there on."""
+def chords_of(h: float) -> dict[str, Any]:
+    """The friction of B5 with chords of its law at multiples of h up to 4, and constant from there on."""
     v = np.append(h * np.arange(round(4.0 / h) + 1), 5.0)
     law = [[float(at), 0.5 + 0.5 * math.exp(-2.0 * min(float(at), 4.0))] for at in v]
-    friction = {"name": "belt", "row": [1.0], "belt": "u", "law": law}
-    return machine(damping=[[0.1]], friction=[friction], parameters={"u": 1.3})
+    return {"name": "belt", "row": [1.0], "belt": "u", "law": law}
+
+
+def chords(h: float) -> System:
+    """The belt of B5 with this friction."""
+    return machine(damping=[[0.1]], friction=[chords_of(h)], parameters={"u": 1.3})
 
 
 def hopf_of(found: Equilibria) -> tuple[float, float]:

@@ -1,0 +1,186 @@
+"""Curves of Hopf points of equilibria in two parameters.
+
+On a circle about a point of the curve, as large as a step, the equilibrium changes its stability where the curve
+crosses: there, to rounding, is its next point. No derivative is asked for, so that the curve turns round the corners
+that it has where segments of laws meet.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from workers.continuation.branches import (
+    BUDGET,
+    CLOSED,
+    EDGE,
+    INADMISSIBLE,
+    MOST_POINTS,
+    RESOLUTION,
+    BranchRun,
+    bounds_of,
+)
+from workers.continuation.equilibria import FOLD, Equilibrium, code_of, equilibrium_near, point_of_event
+from workers.continuation.events import Point
+from workers.continuation.itinerary import Orbit
+from workers.continuation.oscillator import Family
+from workers.model.oscillator import Array
+
+ANGLES = 24
+STEP = 2.0 * math.pi / ANGLES
+"""Angle between the points of a circle at which the equilibrium is looked at before a crossing is halved."""
+
+SHARP = 1e-13
+"""Angle to which a crossing is halved."""
+
+BACK = 0.75 * math.pi
+"""The most that a curve turns by in a step."""
+
+
+def hopf_curve(
+    family: Family,
+    orbit: Orbit,
+    values: Array,
+    window: Mapping[str, tuple[float, float]],
+    *,
+    resolution: float = RESOLUTION,
+    budget: int = MOST_POINTS,
+) -> BranchRun:
+    """The curve of a Hopf point in the plane of a family's two free parameters, in both directions from values (2,).
+
+    orbit    the equilibrium there, see ``equilibria.equilibrium_of``
+    window   bounds of both parameters by name
+    Orbits of its points have the length of the cycle that begins there. It ends at the window's edge, where it closes,
+    at a point where a real exponent crosses 0 instead ("fold"), where the equilibrium ends ("inadmissible"), or after
+    ``budget`` points per direction. ValueError where nothing changes around ``values``.
+    """
+    walk = _Walk(family, orbit, bounds_of(family.free, window), resolution)
+    ways = walk.begin(np.asarray(values, dtype=np.float64))
+    ahead, end = walk.along(ways[0], budget)
+    if end == CLOSED:
+        return BranchRun([walk.first, *ahead, walk.first], [], (CLOSED, CLOSED), 0)
+    back, other = walk.along(ways[1], budget) if len(ways) > 1 else ([], INADMISSIBLE)
+    return BranchRun([*back[::-1], walk.first, *ahead], [], (other, end), 0)
+
+
+class _Walk:
+    """A walk along the curve, in units of the window; ``first`` is its first point."""
+
+    def __init__(self, family: Family, orbit: Orbit, bounds: Array, length: float) -> None:
+        self.family, self.code, self.length = family, code_of(orbit), length
+        self.low, self.width = bounds[0], bounds[1] - bounds[0]
+        self.least = 0
+
+    def begin(self, values: Array) -> list[float]:
+        """The directions, as angles, in which the curve leaves the point from which it is followed."""
+        self.start = (values - self.low) / self.width
+        counts = [found.unstable for angle in self._circle() if (found := self._seen(self.start, angle)) is not None]
+        if len(set(counts)) < 2:
+            raise ValueError("no equilibrium changes its stability around the Hopf point")
+        self.least = min(counts)
+        ways = self._crossings(self.start)
+        point = self._point(self.start, ways[0]) if ways else None
+        if point is None:
+            raise ValueError("no pair of exponents crosses the imaginary axis there")
+        self.first = point._replace(values=values)
+        return ways
+
+    def along(self, angle: float, budget: int) -> tuple[list[Point], str]:
+        """The points of one direction, and why it ends."""
+        here, points = self.start, list[Point]()
+        while len(points) < budget:
+            there = here + self.length * np.array([math.cos(angle), math.sin(angle)])
+            if np.any((there < 0.0) | (there > 1.0)):
+                edge = self._at_edge(here, there)
+                return points + ([edge] if edge is not None else []), EDGE
+            point = self._point(here, angle)
+            if point is None:
+                return points, FOLD
+            points.append(point)
+            if len(points) > 2 and np.linalg.norm(there - self.start) < self.length:
+                return points, CLOSED
+            way = self._onward(there, angle)
+            if way is None:
+                return points, INADMISSIBLE
+            here, angle = there, way
+        return points, BUDGET
+
+    def _equilibrium(self, place: Array) -> Equilibrium | None:
+        return equilibrium_near(self.family, self.low + place * self.width, self.code)
+
+    def _seen(self, center: Array, angle: float) -> Equilibrium | None:
+        return self._equilibrium(center + self.length * np.array([math.cos(angle), math.sin(angle)]))
+
+    def _is_stable(self, found: Equilibrium | None) -> bool:
+        return found is not None and found.unstable <= self.least
+
+    def _circle(self) -> list[float]:
+        return [STEP * (k + 0.5) for k in range(ANGLES)]
+
+    def _crossings(self, center: Array) -> list[float]:
+        """The angles at which the curve crosses the circle about a place."""
+        angles = self._circle()
+        stable = [self._is_stable(self._seen(center, angle)) for angle in angles]
+        return [
+            self._crossing(center, angles[k] - STEP, stable[k - 1], angles[k])
+            for k in range(ANGLES)
+            if stable[k - 1] != stable[k]
+        ]
+
+    def _onward(self, center: Array, angle: float) -> float | None:
+        """The angle nearest to one at which the curve crosses the circle; None where it would turn back."""
+        ends = [angle - 0.5 * STEP, angle + 0.5 * STEP]
+        stable = [self._is_stable(self._seen(center, end)) for end in ends]
+        if stable[0] != stable[1]:
+            return self._crossing(center, ends[0], stable[0], ends[1])
+        for k in range(1, int(BACK / STEP) + 1):
+            for side, sign in ((1, 1.0), (0, -1.0)):
+                end = angle + sign * (k + 0.5) * STEP
+                if self._is_stable(self._seen(center, end)) != stable[side]:
+                    return self._crossing(center, ends[side], stable[side], end)
+                ends[side] = end
+        return None
+
+    def _crossing(self, center: Array, low: float, stable: bool, high: float) -> float:
+        """The angle between two at which the curve crosses, to rounding; the equilibrium is ``stable`` at the first."""
+        while abs(high - low) > SHARP:
+            middle = 0.5 * (low + high)
+            if self._is_stable(self._seen(center, middle)) == stable:
+                low = middle
+            else:
+                high = middle
+        return high
+
+    def _point(self, center: Array, angle: float) -> Point | None:
+        """The point of the curve at a crossing; None where no pair of exponents crosses the axis."""
+        beside = [self._seen(center, angle + sign * 1e-9) for sign in (-1.0, 1.0)]
+        return self._between(beside, center + self.length * np.array([math.cos(angle), math.sin(angle)]))
+
+    def _between(self, beside: list[Equilibrium | None], place: Array) -> Point | None:
+        seen = sorted((found for found in beside if found is not None), key=lambda found: found.unstable)
+        if len(seen) < 2 or len(seen[1].exponents) <= self.least or not seen[1].exponents[self.least].imag:
+            return None
+        frequency = abs(float(seen[1].exponents[self.least].imag))
+        return point_of_event(seen[0], self.least, frequency)._replace(values=self.low + place * self.width)
+
+    def _at_edge(self, here: Array, there: Array) -> Point | None:
+        """The point at which the curve leaves the window between two places; None where it is not found."""
+        axis = int(np.argmax(np.maximum(-there, there - 1.0)))
+        edge, other = float(np.clip(there[axis], 0.0, 1.0)), 1 - axis
+        share = (edge - here[axis]) / (there[axis] - here[axis])
+        place = here + share * (there - here)
+        place[axis] = edge
+
+        def at(value: float) -> Equilibrium | None:
+            moved = place.copy()
+            moved[other] = value
+            return self._equilibrium(moved)
+
+        low, high = place[other] - self.length, place[other] + self.length
+        before = self._is_stable(at(low))
+        if self._is_stable(at(high)) == before:
+            return None
+        while low < (middle := 0.5 * (low + high)) < high:
+            low, high = (middle, high) if self._is_stable(at(middle)) == before else (low, middle)
+        place[other] = high
+        return self._between([at(high - 1e-9), at(high + 1e-9)], place) if 0.0 <= high <= 1.0 else None
