@@ -1,6 +1,7 @@
 """The orbits of a plane's cells: from stored results, at other cells, and at points of curves."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +9,11 @@ from numpy.typing import NDArray
 from atlas.orbits.curves.plane import Cells, CurvePlane
 from atlas.orbits.stored import NEEDED, orbits_of
 from workers.continuation import Family, Orbit, family_of
+from workers.continuation.equilibria import code_of, equilibrium_near, equilibrium_of, is_equilibrium
 from workers.continuation.orbits import alike, attract, continued_to, many_of
 from workers.continuation.same import same_orbit
 from workers.model.family import NoOscillatorError
+from workers.results import CYCLE_PERIOD, NO_IMPACT
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,9 +49,33 @@ class CellOrbits:
         wanted = np.array([cell for cell in dict.fromkeys(cells.tolist()) if cell not in found], dtype=np.int64)
         found.update(dict.fromkeys(wanted.tolist()))
         wanted = wanted[plane.proven[wanted]]
-        orbits = orbits_of(self.family, plane.values(wanted), {name: getattr(plane, name)[wanted] for name in NEEDED})
+        names, still = list(NEEDED), self.are_still(wanted)
+        if plane.system.definition.unforced:
+            names.append(CYCLE_PERIOD.name)
+            found.update((cell, self._equilibrium(cell)) for cell in wanted[still].tolist())
+            wanted = wanted[~still]
+        orbits = orbits_of(self.family, plane.values(wanted), {name: getattr(plane, name)[wanted] for name in names})
         known = zip(wanted.tolist(), orbits, strict=True)
         found.update((cell, orbit) for cell, orbit in known if isinstance(orbit, Orbit))
+
+    def are_still(self, cells: Cells) -> Mask:
+        """Which of these cells stand still, without a force: their orbits are equilibria."""
+        return np.asarray((self.plane.regime[cells] == NO_IMPACT) & self.plane.system.definition.unforced)
+
+    def _equilibrium(self, cell: int) -> Orbit | None:
+        """The equilibrium of a cell; None where friction holds it."""
+        plane, (values,) = self.plane, self.plane.values(np.array([cell]))
+        given = {**plane.fixed, **dict(zip(plane.axes, values.tolist(), strict=True))}
+        with suppress(ValueError):
+            return equilibrium_of(plane.system, given, plane.state[cell])
+        return None
+
+    def _stands(self, orbit: Orbit, cell: int) -> int:
+        """The fate of an equilibrium at a cell's parameters."""
+        found = equilibrium_near(self.family, self.plane.values(np.array([cell]))[0], code_of(orbit))
+        if found is None or found.unstable:
+            return CEASES
+        return IS if self.are_still(np.array([cell]))[0] else PERSISTS
 
     def omega(self, values: Array) -> Array:
         """The forcing frequency (N,) at points (N, 2)."""
@@ -63,6 +90,9 @@ class CellOrbits:
         found = np.full(len(pairs), CEASES)
         regions = self.plane.regions[pairs]
         for rows, orbits in self._grouped(pairs[:, 0]):
+            if self.are_still(pairs[rows[0], :1])[0]:
+                found[rows] = [self._stands(orbit, int(pairs[row, 1])) for row, orbit in zip(rows, orbits, strict=True)]
+                continue
             here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
             start = many_of(orbits, here)
             try:
@@ -81,6 +111,8 @@ class CellOrbits:
         """The fate of an orbit at parameters (2,), continued to a cell's parameters: CEASES, PERSISTS, or IS the cell's
         own.
         """
+        if is_equilibrium(orbit, self.plane.system):
+            return self._stands(orbit, cell)
         there = self.plane.values(np.array([cell]))
         try:
             taken = continued_to(self.family, many_of([orbit], values[None]), there)
@@ -99,6 +131,9 @@ class CellOrbits:
         found = np.zeros(len(cells), dtype=bool)
         omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
         for rows in alike(orbit.itinerary for orbit in points):
+            if is_equilibrium(points[rows[0]], self.plane.system):
+                found[rows] = self.are_still(cells[rows])
+                continue
             start = many_of([points[row] for row in rows], values[rows])
             try:
                 taken = continued_to(self.family, start, self.plane.values(cells[rows]))

@@ -63,7 +63,7 @@ def as_curve(found: Followed) -> Curve:
         points, unstable, ends, corners, hits = points[::-1], unstable[::-1], ends[::-1], corners[::-1], hits[::-1]
     return Curve(
         kind=found.of.kind,
-        period=itinerary.periods,
+        period=itinerary.sections,
         impacts_upper=hits[:, 0].copy(),
         impacts_lower=hits[:, 1].copy(),
         symmetric=itinerary.symmetric,

@@ -8,10 +8,13 @@ from numpy.typing import NDArray
 from atlas.orbits.curves.cells import CEASES, CellOrbits
 from atlas.orbits.curves.chords import passes
 from workers.continuation import Condition, Event, Family, Itinerary, Orbit, Point, branch, curve
+from workers.continuation.admissible import VERTEX
 from workers.continuation.branches import EDGE, BranchRun, Until
 from workers.continuation.curves import loses_impact, without_impact
+from workers.continuation.equilibria import HOPF, equilibria, is_equilibrium
 from workers.continuation.events import GRAZING, LOST
 from workers.continuation.extended import PAIR, Extended, conditions_on, solve
+from workers.continuation.hopf import hopf_curve
 from workers.continuation.same import same_orbit
 from workers.model.family import NoOscillatorError
 
@@ -46,7 +49,7 @@ class Located(NamedTuple):
     def signature(self) -> tuple[str, int, int, bool]:
         """Properties common to its curve up to a change of contacts: kind, periods, events, symmetry."""
         itinerary = self.orbit.itinerary
-        return self.kind, itinerary.periods, len(itinerary.sides), itinerary.symmetric
+        return self.kind, itinerary.sections, len(itinerary.sides), itinerary.symmetric
 
 
 class Followed(NamedTuple):
@@ -116,7 +119,11 @@ def _towards(
     """The branch of ``events_towards``, and these events."""
     behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
     window = (min(behind, end), max(behind, end))
-    run = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution, until=until)
+    family, value = orbits.along(axis, here), float(here[axis])
+    if is_equilibrium(orbit, orbits.plane.system):
+        run = equilibria(family, orbit, value, window, resolution=resolution).run
+    else:
+        run = branch(family, orbit, value, window, resolution=resolution, until=until)
     found = []
     for event in run.events if behind < end else run.events[::-1]:
         if bounds_stability(event):
@@ -128,7 +135,7 @@ def _towards(
 
 def bounds_stability(event: Event) -> bool:
     """Whether an event of a branch is one where a stable orbit loses stability or ends."""
-    return event.point.unstable == 0 and len(event.conditions) == 1
+    return event.point.unstable == 0 and len(event.conditions) == 1 and event.kind != VERTEX
 
 
 def _located(event: Event, values: Array) -> Located:
@@ -145,6 +152,8 @@ def _located(event: Event, values: Array) -> Located:
 
 def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
     """The curve of an event through the plane's window, or why there is none."""
+    if is_equilibrium(event.orbit, orbits.plane.system):
+        return _follow_hopf(orbits, event, resolution, budget)
     try:
         run = curve(
             orbits.family,
@@ -175,6 +184,28 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
     )
 
 
+def _follow_hopf(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
+    """The curve of a Hopf point; other events of equilibria have none that is followed."""
+    if event.kind != HOPF:
+        return f"the {event.kind} of an equilibrium is not followed, Hopf points alone are"
+    given = orbits.family, event.orbit, event.values, orbits.plane.window
+    try:
+        run = hopf_curve(*given, resolution=resolution, budget=budget)
+    except ValueError as error:
+        return str(error)
+    points = run.points
+    return Followed(
+        of=event,
+        values=np.array([point.values for point in points]),
+        orbits=[point.orbit for point in points],
+        contacts=np.zeros((len(points), 0)),
+        conditions=[event.condition] * len(points),
+        unstable=np.array([point.unstable for point in points], dtype=np.int64),
+        corners=[],
+        ends=run.ends,
+    )
+
+
 def with_own_ends(points: list[Point]) -> list[Point]:
     """The points, an end at which the orbit becomes another one replaced by its neighbour."""
     own = list(points)
@@ -185,7 +216,7 @@ def with_own_ends(points: list[Point]) -> list[Point]:
 
 
 def _length(itinerary: Itinerary) -> tuple[int, bool]:
-    return itinerary.periods, itinerary.symmetric
+    return itinerary.sections, itinerary.symmetric
 
 
 def _conditions(orbits: CellOrbits, event: Located, points: list[Point]) -> list[Condition] | None:
@@ -197,7 +228,7 @@ def _conditions(orbits: CellOrbits, event: Located, points: list[Point]) -> list
             here, former = points[k], points[k - way]
             found[k] = found[k - way]
             if here.orbit.itinerary != former.orbit.itinerary:
-                span = float(former.orbit.itinerary.span(orbits.family.model(former.values[None]))[0])
+                span = former.orbit.span(orbits.family.model(former.values[None]))
                 carried = conditions_on(here.orbit, (found[k - way],), former.orbit, span)
                 if carried is None:
                     return None
@@ -214,6 +245,8 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
         return False
     width = orbits.plane.width
     for place, share in passes(known.values / width, event.values / width, NEAR):
+        if is_equilibrium(event.orbit, orbits.plane.system):
+            return True  # a machine has one that this one is continued to
         found = _solved_at(orbits.family, event, known, place, share, width)
         if found is None:
             continue

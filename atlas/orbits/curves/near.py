@@ -66,8 +66,7 @@ def orbits_beside(passings: list[Passing]) -> tuple[list[Orbit], Array]:
             orbits.append(found.orbits[nearer])
             values.append(found.values[nearer])
             continue
-        times = (1.0 - share) * first.times + share * last.times
-        speeds = (1.0 - share) * first.speeds + share * last.speeds
-        orbits.append(Orbit(first.itinerary, times, speeds))
+        fields = ((1.0 - share) * a + share * b for a, b in zip(first[1:], last[1:], strict=True))
+        orbits.append(Orbit(first.itinerary, *fields))
         values.append((1.0 - share) * found.values[chord] + share * found.values[chord + 1])
     return orbits, np.array(values).reshape(-1, 2)

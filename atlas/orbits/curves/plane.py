@@ -15,7 +15,7 @@ from atlas.spec.system import must_offer
 from atlas.store.store import Atlas
 from workers.model.parameter import TAU
 from workers.model.system import System
-from workers.results import INVALID, NO_IMPACT, PERIODIC, REGIME
+from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -39,6 +39,7 @@ class CurvePlane:
     log             which of them is logarithmic
     regime, period, impacts_upper, impacts_lower, symmetric, speed (cells,), state (cells, 2n)   as the atlas has them,
                     speed the mean one of impacts, NaN where it has none
+    cycle_period (cells,)   the periods of cycles, NaN of other motion and where there is a force
     fixed           all other parameters by name
     """
 
@@ -55,6 +56,7 @@ class CurvePlane:
     symmetric: NDArray[np.bool_]
     speed: Array
     state: Array
+    cycle_period: Array
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -162,7 +164,8 @@ class CurvePlane:
     def digest(self) -> str:
         """Of all that curves depend on: cells, axes, system and fixed parameters."""
         found = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
-        for name in ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state"):
+        names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state")
+        for name in (*names, *([CYCLE_PERIOD.name] if self.system.definition.unforced else [])):
             found.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         return found.hexdigest()
 
@@ -177,7 +180,7 @@ def plane_of(handle: Atlas) -> CurvePlane:
         found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
         raise InputError(f"{handle.place}: found {found}; curves need a plane with two axes")
     system = spec.record
-    must_offer(system, "curves")
+    must_offer(system, "curves", unforced=True)
     for axis in spec.axes:
         if axis.name in system.states or (axis.name == TAU and len(system.definition.phases) < 2):
             raise InputError(
@@ -187,7 +190,8 @@ def plane_of(handle: Atlas) -> CurvePlane:
         if len(axis) < 2:
             raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
     must_be_finished(handle)
-    (x, y), leading = spec.axes, {name: values[:, 0] for name, values in columns_of(handle, NEEDED).items()}
+    needed = (*NEEDED, CYCLE_PERIOD.name) if system.definition.unforced else NEEDED
+    (x, y), leading = spec.axes, {name: values[:, 0] for name, values in columns_of(handle, needed).items()}
     return CurvePlane(
         system=system,
         axes=(x.name, y.name),
@@ -202,4 +206,5 @@ def plane_of(handle: Atlas) -> CurvePlane:
         symmetric=leading["symmetric"].astype(np.bool_),
         speed=leading[SPEED].astype(np.float64),
         state=leading["state"].astype(np.float64),
+        cycle_period=leading.get(CYCLE_PERIOD.name, np.full(len(x) * len(y), np.nan)),
     )

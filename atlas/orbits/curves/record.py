@@ -45,6 +45,7 @@ def curve_as_json(found: Followed) -> dict[str, Any]:
         "values": found.values.tolist(),
         "times": [orbit.times.tolist() for orbit in found.orbits],
         "speeds": [orbit.speeds.tolist() for orbit in found.orbits],
+        "lengths": [_as_length(orbit) for orbit in found.orbits],
         "contacts": found.contacts.tolist(),
         "unstable": found.unstable.tolist(),
         "corners": [[kind, place.tolist()] for kind, place in found.corners],
@@ -56,8 +57,8 @@ def curve_from_json(given: dict[str, Any]) -> Followed:
     """The inverse of ``curve_as_json``."""
     shared = [(_itinerary(itinerary), Condition(*condition)) for itinerary, condition in given["itineraries"]]
     orbits = [
-        Orbit(shared[k][0], np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64))
-        for k, times, speeds in zip(given["which"], given["times"], given["speeds"], strict=True)
+        _orbit(shared[k][0], *fields)
+        for k, *fields in zip(given["which"], given["times"], given["speeds"], given["lengths"], strict=True)
     ]
     first, last = given["ends"]
     return Followed(
@@ -78,13 +79,22 @@ def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
         "itinerary": list(orbit.itinerary),
         "times": orbit.times.tolist(),
         "speeds": orbit.speeds.tolist(),
+        "length": _as_length(orbit),
     }
 
 
 def orbit_from_json(given: dict[str, Any]) -> Orbit:
     """The inverse of ``orbit_as_json``."""
-    times, speeds = (np.array(given[name], dtype=np.float64) for name in ("times", "speeds"))
-    return Orbit(_itinerary(given["itinerary"]), times, speeds)
+    return _orbit(_itinerary(given["itinerary"]), given["times"], given["speeds"], given["length"])
+
+
+def _as_length(orbit: Orbit) -> float | None:
+    return None if np.isnan(orbit.length) else float(orbit.length)
+
+
+def _orbit(itinerary: Itinerary, times: list[float], speeds: list[float], length: float | None) -> Orbit:
+    fields = (np.array(field, dtype=np.float64) for field in (times, speeds, np.nan if length is None else length))
+    return Orbit(itinerary, *fields)
 
 
 def _itinerary(given: list[Any]) -> Itinerary:

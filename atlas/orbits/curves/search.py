@@ -211,7 +211,7 @@ class CurveSearch:
         counts = {itinerary.impacts(1), itinerary.impacts(-1)}
         own = {int(plane.impacts_upper[cell]), int(plane.impacts_lower[cell])}
         uncounted = min(own) < 0
-        return bool(plane.proven[cell]) and plane.period[cell] == itinerary.periods and (counts == own or uncounted)
+        return bool(plane.proven[cell]) and plane.period[cell] == itinerary.sections and (counts == own or uncounted)
 
     def _explained(self, each: _Event) -> None:
         if each.edge >= 0:

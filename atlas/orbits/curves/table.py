@@ -18,7 +18,7 @@ VERSION = 1
 
 KINDS = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
-    "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "vertex",
+    "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "hopf",
 )  # fmt: skip
 """What a curve can be of; where an impact is lost the orbit without it grazes, and that is the curve kept."""
 
