@@ -296,9 +296,14 @@ _IN_TIME = {
 
 
 def in_time(variable: Variable) -> Variable:
-    """The variable of a machine without a force: per unit time in place of per forcing period."""
+    """The variable of a machine without a force: per unit time in place of per forcing period.
+
+    What moves without impact there is at rest, or slides for ever.
+    """
     meaning = variable.long_name.replace(PER_PERIOD, PER_TIME)
-    return replace(variable, long_name=_IN_TIME.get(variable.name, meaning))
+    still = variable.name == REGIME.name
+    codes = tuple(replace(c, text="equilibrium") if still and c.code == NO_IMPACT else c for c in variable.codes)
+    return replace(variable, long_name=_IN_TIME.get(variable.name, meaning), codes=codes)
 
 
 def of_one(variable: Variable) -> Variable:

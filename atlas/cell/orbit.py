@@ -264,7 +264,7 @@ def describe(orbit: CellOrbit) -> str:
     """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``, of one stop ``2 impacts``."""
     cell = orbit.cell
     code = int(cell[REGIME.name])
-    words = [REGIME.meaning(code).text]
+    words = [orbit.system.regime.meaning(code).text]
     if code == PERIODIC:
         n, p, q = (int(cell[name]) for name in ("period", "impacts_upper", "impacts_lower"))
         if orbit.system.definition.unforced:

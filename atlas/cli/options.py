@@ -75,7 +75,7 @@ system_option = click.option(
     default=DEFAULT,
     show_default=True,
     shell_complete=of_names(completion.systems, files=True),
-    help="A name, see: atlas systems; or the path of a .toml file.",
+    help="A name, see: atlas systems; the path of a .toml file; or an example that describes its own system.",
 )
 norm_option = click.option(
     "--norm",

@@ -17,7 +17,7 @@ from atlas.query.motions import motions as motions_of
 from atlas.query.plane import Plane
 from atlas.render import style, words
 from atlas.render.layers import Class, Entry, Layers, Points, Shade, Texture, View, layered
-from workers.results import ATTRACTOR, CYCLE_PERIOD, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED
+from workers.results import ATTRACTOR, CYCLE_PERIOD, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED, Variable
 
 PERIODS: tuple[tuple[int, int, str], ...] = (
     (1, 1, style.COLORS[PERIODIC]),
@@ -223,7 +223,8 @@ def basins(view: View) -> Layers:
     known, plane, unforced = reached.table(view.ds), view.plane, words.is_unforced(view.ds)
     colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
     label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
-    named = [(label == k, color, _name_of_attractor(known, k)) for k, color in enumerate(colors)]
+    regimes = words.regime(view.ds)
+    named = [(label == k, color, _name_of_attractor(known, k, regimes)) for k, color in enumerate(colors)]
     layers, there = layered(plane.regime, named), label >= 0
     points, shade, legend = _points(known, plane, colors), None, list(layers.legend)
     if there.any():
@@ -238,11 +239,11 @@ def basins(view: View) -> Layers:
     return replace(layers, legend=legend, shade=shade, points=points, point_entry=entry)
 
 
-def _name_of_attractor(known: xr.Dataset, label: int) -> str:
+def _name_of_attractor(known: xr.Dataset, label: int, regimes: Variable) -> str:
     """An attractor in a few words: its label, its regime or period, its share."""
     one = known.isel({ATTRACTOR: label})
     regime = int(one["regime"])
-    what = f"period {int(one['period'])}" if regime == PERIODIC else REGIME.meaning(regime).text
+    what = f"period {int(one['period'])}" if regime == PERIODIC else regimes.meaning(regime).text
     if is_cycle(one):
         what = f"cycle of {float(one[CYCLE_PERIOD.name]):.4g}"
     return f"{label}: {what}, {100 * float(one['share']):.3g} %"

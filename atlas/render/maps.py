@@ -19,7 +19,7 @@ from atlas.render.kinds import Kind
 from atlas.render.layers import Entry, Layers, View
 from atlas.render.page import DrawnPage
 from atlas.render.wanted import Wanted
-from workers.results import ATTRACTOR, LARGEST, PENDING
+from workers.results import ATTRACTOR, LARGEST, PENDING, REGIME
 
 LABEL_SIZE = 7.5
 """Points of the type of names on a map."""
@@ -76,11 +76,19 @@ def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> list[Artist]
 
 
 def explained(layers: Layers, ds: xr.Dataset) -> Layers:
-    """Layers with a legend note that cells without a result may have too few attractors for the selected one."""
-    if not ds.attrs.get(ATTRACTOR, 0):
-        return layers
-    none, why = Entry.of_regime(PENDING), f"not more than {ds.attrs[ATTRACTOR]}"
-    return replace(layers, legend=[replace(entry, label=why) if entry == none else entry for entry in layers.legend])
+    """Layers whose legend has the words of the atlas's machine for regimes, and a note that cells without a result may
+    have too few attractors for the selected one.
+    """
+    own = words.regime(ds)
+    said = {each.text: own.meaning(each.code).text for each in REGIME.codes}
+    if ds.attrs.get(ATTRACTOR, 0):
+        said[REGIME.meaning(PENDING).text] = f"not more than {ds.attrs[ATTRACTOR]}"
+
+    def in_words(entry: Entry) -> Entry:
+        return replace(entry, label=said.get(entry.label, entry.label))
+
+    textures = [texture._replace(entry=texture.entry and in_words(texture.entry)) for texture in layers.textures]
+    return replace(layers, legend=[in_words(entry) for entry in layers.legend], textures=textures)
 
 
 def name_regions(

@@ -67,7 +67,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
     more = () if shown is None else shown.reads
     read = line(ds, [*panels, *more, *held([ERROR.name], ds)])  # an atlas of another origin may lack error bars
-    legend = regime_legend(read[0][REGIME.name].values) + ([] if shown is None else shown.notes(read[0]))
+    legend = regime_legend(read[0][REGIME.name].values, read[0]) + ([] if shown is None else shown.notes(read[0]))
     return stack(ds, read, panels, legend, wanted, shown)
 
 
@@ -78,7 +78,7 @@ def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
     panels: dict[str, Panel] = {} if shown is None else {shown.name: _panel_of_points(shown)}
     panels[SPECTRUM.name] = _draw_spectrum
     read = line(ds, [*panels, *(() if shown is None else shown.reads)])
-    legend = regime_legend(read[0][REGIME.name].values) if len(panels) > 1 else []
+    legend = regime_legend(read[0][REGIME.name].values, read[0]) if len(panels) > 1 else []
     for i in range(read[0][SPECTRUM.name].shape[-1]):
         legend.append(Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$"))
     return stack(ds, read, panels, legend + ([] if shown is None else shown.notes(read[0])), wanted, shown)
@@ -140,7 +140,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     if known is not None:
         label = read[0][LABEL.name].values
         entries, regime = [entry.drawn() for entry in classes.branch_entries(known, label, ink=True)], regime[label < 0]
-    entries += regime_legend(regime)
+    entries += regime_legend(regime, read[0])
     if ends:
         low, high = (read[0][end].values for end in ends)
         reach = float(np.nanmax(high - low, initial=0.0)) / 2.0
@@ -360,10 +360,11 @@ def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedPoints | None
     return np.asarray(ds[name].values) if shown is None or name != shown.name else shown.values(ds, x)
 
 
-def regime_legend(regime: NDArray[np.int8]) -> list[Artist]:
-    """Legend entries for the regimes of points."""
+def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:
+    """Legend entries for the regimes of points of an atlas."""
+    own = words.regime(ds)
     codes = np.unique(regime[regime != PENDING]).tolist()
-    return [_dot(style.INK[code], REGIME.meaning(code).text, 4.0) for code in codes]
+    return [_dot(style.INK[code], own.meaning(code).text, 4.0) for code in codes]
 
 
 def _dot(color: str, label: str, size: float) -> Line2D:

@@ -10,7 +10,7 @@ from matplotlib.mathtext import MathTextParser
 from atlas.query.plane import Meaning
 from atlas.spec.system import stored_system
 from workers.model.system import System
-from workers.results import PER_PERIOD, PER_TIME
+from workers.results import PER_PERIOD, PER_TIME, REGIME, Variable
 
 _TERMS = 3
 """Most terms of a gap coordinate in a label."""
@@ -58,6 +58,12 @@ def is_unforced(ds: xr.Dataset) -> bool:
     """Whether the machine of an atlas has no force."""
     system = stored_system(ds.attrs)
     return system is not None and system.definition.unforced
+
+
+def regime(ds: xr.Dataset) -> Variable:
+    """The regime of an atlas's cells, whose codes have the words for its machine."""
+    system = stored_system(ds.attrs)
+    return REGIME if system is None else system.regime
 
 
 def unit_ending(*units: str) -> str:

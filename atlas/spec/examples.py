@@ -1,10 +1,13 @@
 """The packaged examples of specs."""
 
 import os
+from collections.abc import Mapping
 from importlib import resources
 
 from atlas.errors import InputError
 from workers.model.parameter import unknown_name
+from workers.model.system import System
+from workers.model.toml_text import parse_toml
 
 
 def example_names() -> list[str]:
@@ -21,6 +24,12 @@ def example_text(name: str) -> str:
     if name not in names:
         raise InputError(unknown_name("example", name, names))
     return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
+
+
+def example_system(name: str) -> System | None:
+    """The system that the packaged example of that name describes itself; None where there is no such example."""
+    table = parse_toml(example_text(name))["system"] if name in example_names() else None
+    return System.from_mapping(table) if isinstance(table, Mapping) else None
 
 
 def packaged_text(name: str) -> str:

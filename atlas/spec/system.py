@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from atlas.errors import InputError, shown
+from atlas.spec.examples import example_system
 from workers.model.system import System, find_system
 
 
 def checked_system(system: object, folder: Path | None = None) -> System:
     """The system of this name, .toml file (relative to the folder, if any), or table; a System is returned as it is.
 
+    The name of a packaged example that describes its own system is one, too.
     InputError for an unknown name, with the nearest known one, and for a wrong definition.
     """
     if not isinstance(system, str | Mapping | System):
@@ -23,6 +25,8 @@ def checked_system(system: object, folder: Path | None = None) -> System:
     try:
         return find_system(system)
     except KeyError as error:
+        if (found := example_system(str(system))) is not None:
+            return found
         raise InputError(error.args[0]) from None
     except ValueError as error:
         raise InputError(str(error)) from None

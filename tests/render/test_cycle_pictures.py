@@ -32,7 +32,7 @@ def test_a_portrait_shows_a_cycle_once_around_over_its_own_period() -> None:
 
 def test_a_portrait_of_an_equilibrium_has_no_period() -> None:
     orbit = cell_orbit({"u": 1.2, "zeta": 0.2}, "belt", FAST)
-    assert describe(orbit) == "no impact"
+    assert describe(orbit) == "equilibrium"
     assert np.ptp(orbit.states, axis=0).max() < 1e-12
 
 
@@ -52,7 +52,9 @@ def test_a_plane_of_belts_is_solved_asked_and_drawn(tmp_path: Path, client: Clie
     assert atlas.verify(tmp_path / "belt.zarr").fine
     drawn = figure(ds, kind="scalar", variable="cycle_period")
     assert "time that a cycle takes" in {ax.get_ylabel() for ax in drawn.axes}
-    figure(ds, kind="period")
+    said = [text.get_text() for legend in figure(ds, kind="period").legends for text in legend.get_texts()]
+    assert "equilibrium" in said
+    assert "no impact" not in said
 
 
 def test_what_is_not_there_without_a_force_is_refused_in_a_line() -> None:
@@ -77,4 +79,5 @@ def test_basins_without_a_force_show_the_whole_cycle_and_are_sound(tmp_path: Pat
     said = "\n".join(text.get_text() for legend in figure(ds).legends for text in legend.get_texts())
     assert f"cycle of {cycle['cycle_period']:.4g}, {100 * cycle['share']:.3g} %" in said
     assert "natural periods" in said
+    assert "1: equilibrium" in said or "0: equilibrium" in said
     assert "kT" not in said

@@ -16,8 +16,10 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main as cli
 from atlas.errors import InputError
+from atlas.spec.examples import example_text
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
+from atlas.spec.system import checked_system
 from atlas.store.store import open_handle
 from tests.workers.model.test_systems import MACHINE, table
 from workers import System, solve_tile, trace
@@ -199,3 +201,11 @@ def test_a_path_in_a_store_is_not_followed(tmp_path: Path) -> None:
     resolved = Spec("two-mass", {"omega": [2.0, 3.0]}).resolved() | {"system": str(tmp_path / "machine.toml")}
     with pytest.raises(InputError, match="unknown system"):
         Spec.from_resolved(resolved)
+
+
+def test_an_example_that_describes_its_own_system_has_its_name_and_others_have_none() -> None:
+    own = checked_system("shaken-base")
+    assert (own.name, own.title) == ("shaken-base", "mass on a shaken base with a fixed stop")
+    assert Spec.from_toml(example_text("shaken-base")).record == own
+    with pytest.raises(InputError, match="unknown system 'fig6'"):
+        checked_system("fig6")

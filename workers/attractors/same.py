@@ -171,7 +171,7 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
     if (old.regime, old.period) != (new.regime, new.period):
         return False
     if old.cycle and new.cycle:
-        return old.cycle.is_through(new.result["state"] * (-1.0 if half else 1.0), new.cycle.period)
+        return not half and old.cycle.is_through(new.result["state"], new.cycle.period)
     neutral = old.jacobian is None and new.jacobian is None  # nothing pulls motion to one of these orbits
     if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # there is one alone
         return True

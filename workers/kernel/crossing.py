@@ -35,6 +35,9 @@ DOUBLED = math.log(2.0)
 TRIALS = 4
 """Trial lengths at the end of a safe step."""
 
+UNCLEAR = 4
+"""In place of the order of a start whose derivatives rounding hides: a guard that falls back to its end at once."""
+
 TINY = 1e-300
 """Keeps a quotient finite for a state at rest."""
 
@@ -134,11 +137,15 @@ def meets(g, v, a, j3, M3, M4, tol, H):
 
 
 @inline_always
-def _first_step(order, side, a, j3, M3, M4):
+def _first_step(order, side, a, j3, M3, M4, tol):
     """A time in which a start on stop ``side`` with v = 0 certainly leaves it: 3|a|/M3, or 4|j|/M4 if a = 0 too.
 
     The longer of both if the jerk points inward too: a may be zero up to rounding.
+    If a and j are negligible beside M4, the time s in which the guard stays within tol of the stop, M4 s^4 = 24 tol.
     """
+    hidden = math.sqrt(math.sqrt(24.0 * tol / max(M4, TINY)))
+    if order == UNCLEAR and abs(j3) <= M4 * hidden and abs(a) <= M4 * hidden * hidden:
+        return hidden
     by_jerk = 4.0 * abs(j3) / max(M4, TINY)
     if order == 3:
         return by_jerk
@@ -151,7 +158,8 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
     """The first time in [0, H] at which the guard plus offset reaches ``upper`` from below or ``lower`` from above.
 
     h (n, 2) and phase: the start. start: 0 inside; +-k at ``upper`` or ``lower``, where the k-th derivative of the
-    guard is the first nonzero one: 1 after a rebound, 2 with v = 0, 3 after a release. scratch: (n, 2), overwritten.
+    guard is the first nonzero one: 1 after a rebound, 2 with v = 0, 3 after a release; UNCLEAR if rounding hides it.
+    scratch: (n, 2), overwritten.
     Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H; 2 if the march needed more than
     MAX_EVALUATIONS.
     """
@@ -176,12 +184,13 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
             if inside or abs(stop) == np.inf or side * (offset - stop) + reach < 0.0:
                 continue
             g, approach, push = side * (stop - y), side * v, side * a
+            tol = GAP_ROUNDING * (scale + abs(stop))
             if count == 1 and start * side > 0:
                 g = 0.0
                 if abs(start) > 1:
-                    step = min(step, _first_step(abs(start), side, a, j3, M3, M4))
+                    step = min(step, _first_step(abs(start), side, a, j3, M3, M4, tol))
                     continue
-            contact = meets(g, approach, push, side * j3, M3, M4, GAP_ROUNDING * (scale + abs(stop)), end - s)
+            contact = meets(g, approach, push, side * j3, M3, M4, tol, end - s)
             if contact < np.inf:
                 return s + contact, side, count
             if side == ahead:

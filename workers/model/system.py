@@ -29,6 +29,7 @@ from workers.results import (
     NO_REASON,
     OUT_OF_RANGE,
     PROGRESS,
+    REGIME,
     InvalidError,
     Variable,
     in_time,
@@ -124,6 +125,11 @@ class System:
         drifts = [("system.drift", PROGRESS)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
         return [*measure_variables(self.definition.measures), *elements, *drifts, *cycles]
+
+    @property
+    def regime(self) -> Variable:
+        """The regime of its motions, whose codes have the words for them."""
+        return in_time(REGIME) if self.definition.unforced else REGIME
 
     @property
     def own_variables(self) -> tuple[Variable, ...]:

@@ -26,7 +26,7 @@ _PROVENANCE = {
 def described(ds: "xr.Dataset", handle: Atlas, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
     """What the page's program knows of an atlas, as plain JSON."""
     record, place = handle.spec.record, ds.attrs.get(ATTRACTOR)
-    names = {each.code: each.text for each in REGIME.codes}
+    names = {each.code: each.text for each in record.regime.codes}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
     return {
         "axes": [_axis(ds, axis) for axis in axes],

@@ -13,6 +13,7 @@ import numpy as np
 
 from workers.kernel.chatter import chatter_left
 from workers.kernel.contact import REBOUND, load_at_rest, outcome
+from workers.kernel.crossing import UNCLEAR
 from workers.kernel.hybrid.state import (
     damping_along,
     guard_value,
@@ -104,6 +105,16 @@ def release(elements, g, c, where, states, slips, begun, order):
     begun[g] = side * order
 
 
+@inlined
+def go_on(begun, g, side):
+    """Signal g begins at this end of its range at a rate, as what it has just left; nothing jumps.
+
+    Where it has left the other mode in no time too, rounding hides its derivatives: at rest on its end it would change
+    for ever.
+    """
+    begun[g] = side * (UNCLEAR if begun[g] * side < 0 else 1)
+
+
 @kernel
 def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun):
     """Friction e begins to slip, or stops sliding: then it sticks if it can, else slides the other way.
@@ -114,7 +125,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun
     elements, sign = table.elements, 1 if slips[e] > 0 else -1
     if slips[e] != 0 and (slips[e] != sign or side == sign):  # the next or the previous segment of a law
         slips[e] += side
-        begun[g] = -side
+        go_on(begun, g, -side)
         return np.int64(0), np.int64(0)
     if slips[e] == 0:
         slips[e] = -side
@@ -148,7 +159,7 @@ def other_push(state):
 def soft_event(g, c, side, states, begun):
     """A soft contact engages or opens, enters another segment, or begins or ceases to push. Nothing jumps."""
     state = states[c]
-    begun[g] = -side
+    go_on(begun, g, -side)
     if g % SIGNALS == 1:
         states[c] = other_push(state)
     elif state == OPEN:
