@@ -16,7 +16,6 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main as cli
 from atlas.errors import InputError
-from atlas.spec.examples import example_text
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
 from atlas.spec.system import checked_system
@@ -206,6 +205,6 @@ def test_a_path_in_a_store_is_not_followed(tmp_path: Path) -> None:
 def test_an_example_that_describes_its_own_system_has_its_name_and_others_have_none() -> None:
     own = checked_system("shaken-base")
     assert (own.name, own.title) == ("shaken-base", "mass on a shaken base with a fixed stop")
-    assert Spec.from_toml(example_text("shaken-base")).record == own
+    assert Spec.from_toml("shaken-base").record == own
     with pytest.raises(InputError, match="unknown system 'fig6'"):
         checked_system("fig6")
