@@ -29,6 +29,8 @@ HOPF, FOLD, BORDER = "hopf", "fold", "border"
 """Kinds of events: a pair of exponents crosses the imaginary axis; one crosses 0; the equilibrium ends, where a contact
 or friction lets it go on in no mode."""
 
+OF_EQUILIBRIA = HOPF, FOLD, BORDER
+
 HELD = "friction holds it, as one equilibrium of a continuum, which is no branch"
 
 MOST_MODES = 200

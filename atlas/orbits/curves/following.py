@@ -11,7 +11,7 @@ from workers.continuation import Condition, Event, Family, Itinerary, Orbit, Poi
 from workers.continuation.admissible import VERTEX
 from workers.continuation.branches import EDGE, BranchRun, Until
 from workers.continuation.curves import loses_impact, without_impact
-from workers.continuation.equilibria import HOPF, equilibria, is_equilibrium
+from workers.continuation.equilibria import HOPF, OF_EQUILIBRIA, equilibria, is_equilibrium
 from workers.continuation.events import GRAZING, LOST
 from workers.continuation.extended import PAIR, Extended, conditions_on, solve
 from workers.continuation.hopf import hopf_curve
@@ -152,7 +152,7 @@ def _located(event: Event, values: Array) -> Located:
 
 def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
     """The curve of an event through the plane's window, or why there is none."""
-    if is_equilibrium(event.orbit, orbits.plane.system):
+    if event.condition.kind in OF_EQUILIBRIA:
         return _follow_hopf(orbits, event, resolution, budget)
     try:
         run = curve(
@@ -245,7 +245,7 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
         return False
     width = orbits.plane.width
     for place, share in passes(known.values / width, event.values / width, NEAR):
-        if is_equilibrium(event.orbit, orbits.plane.system):
+        if event.condition.kind in OF_EQUILIBRIA:
             return True  # a machine has one that this one is continued to
         found = _solved_at(orbits.family, event, known, place, share, width)
         if found is None:

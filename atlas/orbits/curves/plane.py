@@ -39,7 +39,7 @@ class CurvePlane:
     log             which of them is logarithmic
     regime, period, impacts_upper, impacts_lower, symmetric, speed (cells,), state (cells, 2n)   as the atlas has them,
                     speed the mean one of impacts, NaN where it has none
-    cycle_period (cells,)   the periods of cycles, NaN of other motion and where there is a force
+    cycle_period (cells,)   the periods of cycles, NaN of other motion; None where there is a force
     fixed           all other parameters by name
     """
 
@@ -56,7 +56,7 @@ class CurvePlane:
     symmetric: NDArray[np.bool_]
     speed: Array
     state: Array
-    cycle_period: Array
+    cycle_period: Array | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -206,5 +206,5 @@ def plane_of(handle: Atlas) -> CurvePlane:
         symmetric=leading["symmetric"].astype(np.bool_),
         speed=leading[SPEED].astype(np.float64),
         state=leading["state"].astype(np.float64),
-        cycle_period=leading.get(CYCLE_PERIOD.name, np.full(len(x) * len(y), np.nan)),
+        cycle_period=leading.get(CYCLE_PERIOD.name),
     )
