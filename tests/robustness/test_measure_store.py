@@ -306,7 +306,9 @@ def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
     handle = open_handle(with_margins)
     monkeypatch.setattr(curves, "finished", lambda search: Curves(("omega", "b"), ()))
     search: Any = SimpleNamespace(tasks=dict)
-    crew: Any = SimpleNamespace(claim=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1)
+    crew: Any = SimpleNamespace(
+        claim=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1, tasks=0, processor_seconds=0.0
+    )
     curves._Coordinator(handle, search, "another", crew).run()
     ds = atlas.open(with_margins)
     assert "margin" not in ds and "reactivity" in ds

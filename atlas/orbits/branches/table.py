@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from atlas.query import machine
 from atlas.spec.resolved import digest_of
 from atlas.text import motion_name, plural
-from workers.continuation.equilibria import HOPF
 from workers.model.observables import Observable
 from workers.model.parameter import OMEGA
 from workers.model.system import System, identity
@@ -194,23 +193,25 @@ class Branches:
             kinds = {id(event.point): event.kind for event in branch.run.events}
             for point, states, own in zip(branch.run.points, branch.sections, branch.itineraries, strict=True):
                 size, event = modulus(point, own), kinds.get(id(point), "")
-                told = self._told(point, own)
-                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *told, event)
+                values = self._pattern_values(point, own)
+                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *values, event)
 
     @property
     def _pattern(self) -> tuple[str, ...]:
         return (*_PATTERN, CYCLE_PERIOD.name) if self.system.definition.unforced else _PATTERN
 
-    def _told(self, point: "Point", own: "Itinerary") -> tuple[Any, ...]:
+    def _pattern_values(self, point: "Point", own: "Itinerary") -> tuple[Any, ...]:
         """The values of ``_pattern``."""
         return (*pattern(own), *[cycle_period(point, own)][: self.system.definition.unforced])
 
     def _events(self) -> Iterator[tuple[Any, ...]]:
+        from workers.continuation.equilibria import HOPF  # of kernels, which pictures are drawn without
+
         leaving = {id(event): number for number, b in enumerate(self.traced) for _, event in b.origins if event}
         for number, branch in enumerate(self.traced):
             for k, event in zip(branch.places, branch.run.events, strict=True):
                 point, state = event.point, branch.sections[k, 0].tolist()
-                own = self._told(point, point.orbit.itinerary)
+                own = self._pattern_values(point, point.orbit.itinerary)
                 left, alone = leaving.get(id(event), -1), list[float]()
                 if self.system.definition.unforced:
                     alone = [2.0 * math.pi / own[-1] if event.kind == HOPF else math.nan]
