@@ -11,7 +11,7 @@ import pytest
 
 from tests.workers.continuation.test_equilibria import chords_of
 from workers import Settings, System, solve_tile
-from workers.continuation import BranchRun, Family, Point, branch, family_of, orbit_from_state
+from workers.continuation import BranchRun, Family, Point, branch, family_of, leaving_branch, orbit_from_state
 
 QUICK = Settings(survival=0, max_periods=2000)
 
@@ -144,3 +144,24 @@ def start_of(family: Family, point: Point) -> np.ndarray:
 
     found: np.ndarray = motion_of(family.model(point.values[None]), many_orbits([point.orbit])).start[0]
     return found
+
+
+def test_a_cycle_doubles_and_beyond_the_doubling_cells_fall_into_the_branch_that_leaves() -> None:
+    """Two masses, the first driven by negative damping against a rigid stop: a cycle of three impacts doubles."""
+    stop = {"name": "stop", "gap": [1.0, 0.0], "upper": 1.0, "restitution": "R"}
+    system = System.from_mapping({
+        "name": "driven", "coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 1.0019]],
+        "damping": [[-0.0709, 0.0], [0.0, 0.0609]], "stiffness": [[2.3229, -1.3229], [-1.3229, 1.3229]],
+        "contacts": [stop], "parameters": {"R": {"default": 0.5, "low": 0.0, "high": 1.0}, "x1": 0.1},
+    })  # fmt: skip
+    run, family = followed(system, "R", (0.4, 0.52))
+    (doubling,) = (event for event in run.events if event.kind == "period_doubling")
+    assert np.abs(doubling.point.multipliers + 1.0).min() < 1e-7
+    start = leaving_branch(family, doubling, 0.12)
+    doubled = branch(family, start.orbit, start.value, (0.4, 0.52))
+    assert doubled.ends == ("edge", "period_doubling")
+    assert doubled.events[0].point.values[0] == pytest.approx(doubling.point.values[0], abs=1e-9)
+    edge, cell = at(doubled, 0.4), solve_tile(system, {"R": 0.4}, QUICK)
+    assert (edge.values[0], edge.unstable, cell["impacts_upper"]) == (0.4, 0, 6)
+    assert cell["cycle_period"] == pytest.approx(period_of(edge), rel=1e-11)
+    assert cell["cycle_period"] == pytest.approx(2.0 * period_of(doubling.point), rel=0.01)
