@@ -72,7 +72,7 @@ def test_another_scale_needs_no_message(tab: Tab) -> None:
     alone(tab, lambda: ends(tab, 0.3, 0.9), lambda: "vmax=0.9" in tab.address())
     alone(tab, lambda: tab.page.get_by_role("button", name="reset").click(), lambda: "vmax" not in tab.address())
     alone(tab, lambda: tab.page.get_by_label("logarithmic").check(), lambda: "log=1" in tab.address())
-    ends(tab, 0.3, 0.9)
+    alone(tab, lambda: ends(tab, 0.3, 0.9), lambda: "vmax=0.9" in tab.address())
     fit = tab.page.get_by_role("button", name="fit the scale to the view")
     alone(tab, fit.click, lambda: "vmax=" in tab.address() and "vmax=0.9" not in tab.address())
 
