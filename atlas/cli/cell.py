@@ -84,7 +84,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
 @system_option
 @picture_option
 @look_options("vmin", "vmax")
-@settings_options("exponents", "section_samples", "observe", "observe_values")
+@settings_options("exponents", "section_samples")
 def portrait(
     store: str | None,
     given: tuple[str, ...],
@@ -111,7 +111,7 @@ def portrait(
         else:
             ds = opened(store, read_pairs("--select", select, read_number))
             cell = solved_cell(ds, read_pairs("--at", point, read_number))
-        prepare_kernels(show, *kernels_for(cell.system, PATHS))
+        prepare_kernels(show, *kernels_for(cell.system, PATHS, settings=cell.settings))
         show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
     click.echo(str(out))

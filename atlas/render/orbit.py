@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from atlas.cell import shown as selection
 from atlas.cell.orbit import CellOrbit, describe
 from atlas.render import style, words
+from atlas.render.observed import shown_label
 from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.sweep import color_of
+from workers.model.observables import Observable, observables_of
 from workers.results import CYCLE_PERIOD, PER_PERIOD, PER_TIME, REGIME, UNDETERMINED
 
 Array = NDArray[np.float64]
@@ -45,6 +47,7 @@ class Shown(NamedTuple):
 def figure(orbit: CellOrbit, page: DrawnPage = STANDARD, gap_plane: bool = True) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
 
+    Of a cell with observables the return map of the first one is in place of the section.
     ``gap_plane`` false leaves out the phase plane of the gap coordinate, if it is shown elsewhere.
     """
     masses = [_shown(orbit, row) for row in selection.displacements(orbit)]
@@ -78,7 +81,11 @@ def figure(orbit: CellOrbit, page: DrawnPage = STANDARD, gap_plane: bool = True)
             _zoom(plots["zoom"], orbit, chatter)
         for k, (mass, other) in enumerate(planes):
             _phase_plane(plots[f"plane {k}"], orbit, mass, other)
-        _section(plots["section"], orbit)
+        observables = observables_of(orbit.settings.observe, orbit.system.definition)
+        if observables:
+            _return_map(plots["section"], orbit, observables[0])
+        else:
+            _section(plots["section"], orbit)
         _convergence(plots["exponents"], orbit)
         _write_values(plots["values"], orbit, columns)
         page.legend(drawn, _legend(orbit), handlelength=1.4)
@@ -179,6 +186,19 @@ def _section(ax: Axes, orbit: CellOrbit) -> None:
             ax.set(**{name: (middle - reach, middle + reach)})
     ax.set_xlabel(f"{shown.label} at {'its event' if np.isfinite(_cycle(orbit)) else '$t = kT$'}")
     ax.set_ylabel(shown.rate, labelpad=1.0)
+    ax.ticklabel_format(useOffset=False)
+
+
+def _return_map(ax: Axes, orbit: CellOrbit, observable: Observable) -> None:
+    """Each value of an observable and the next one, in place of the section."""
+    values = orbit.cell[observable.variable]
+    values = values[np.isfinite(values)]
+    if int(orbit.cell["period"]) and int(orbit.cell[observable.number]) == len(values):  # the whole turn is known
+        values = np.append(values, values[:1])
+    few, ink = selection.is_few(values[:-1], values[1:]), style.INK[int(orbit.cell[REGIME.name])]
+    ax.plot(values[:-1], values[1:], "o" if few else ".", color=ink, markersize=4.0 if few else 1.5, markeredgewidth=0)
+    ax.set_xlabel(shown_label(observable, orbit.system).replace("\n", " "))
+    ax.set_ylabel("the next one", labelpad=1.0)
     ax.ticklabel_format(useOffset=False)
 
 

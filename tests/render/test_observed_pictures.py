@@ -11,10 +11,13 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
+from atlas.cell.orbit import cell_orbit
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.orbits.branches.table import aligned
+from atlas.render import orbit as portrait
 from atlas.render.observed import PlottedPoints, held_by
+from workers import Settings
 from workers.model.observables import Observable
 
 SWEEP = {"omega": [2.3, 3.5, 4.0]}
@@ -113,3 +116,14 @@ def test_points_of_branches_have_the_values_of_an_observable(tmp_path: Path) -> 
 def test_a_branch_of_what_cannot_be_observed_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match=r"observe: impact_phase:wall: unknown contact 'wall'; possible: stop"):
         atlas.branch(omega=3.9, b=0.15, along="omega", window=(3.8, 4.0), observe="impact_phase:wall")
+
+
+def test_a_portrait_shows_the_return_map_of_the_first_observable_over_the_whole_orbit() -> None:
+    settings = Settings(survival=0, max_periods=1000, observe="impact_phase:stop,energy_loss")
+    orbit = cell_orbit({"omega": 3.5, "b": 0.15}, settings=settings)
+    first, second = orbit.cell["impact_phase_stop"][:2]
+    assert orbit.cell["impact_phase_stop_number"] == 2
+    (ax,) = (ax for ax in portrait.figure(orbit).axes if ax.get_ylabel() == "the next one")
+    (line,) = ax.lines
+    np.testing.assert_array_equal(line.get_xydata(), [(first, second), (second, first)])
+    assert ax.get_xlabel() == "phase of the force at impacts on stop [rad]"
