@@ -13,6 +13,7 @@ import xarray as xr
 
 import atlas
 from atlas import render
+from atlas.arguments import checked_pixels
 from atlas.errors import InputError
 from tests.synthetic import complete, spec_of
 
@@ -156,6 +157,12 @@ def test_a_store_is_a_path(tmp_path: Path) -> None:
             assert_refused(lambda f=function, value=value: f(value), "store")
     for value in nonsense(str):
         assert_refused(lambda value=value: atlas.pack(tmp_path, value), "file")
+
+
+@pytest.mark.parametrize("given", [(0, 4), (4, 0), (4,), (4, 4, 4), (4, 2.5), "x", 4, True])
+def test_a_size_in_pixels_is_two_whole_numbers_from_1_on(given: object) -> None:
+    with pytest.raises(InputError, match=r"pixels: found .*, must be two whole numbers, \(x, y\), 1 or more"):
+        checked_pixels(given)
 
 
 def test_a_run_refuses_arguments_of_a_wrong_kind(tmp_path: Path) -> None:
