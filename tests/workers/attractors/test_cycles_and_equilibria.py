@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.unforced import machine, pair_of, random_pair
 from workers import Settings, System, solve_tile
 from workers.attractors.basins import AttractorTable, section_points, solve_basins
 from workers.attractors.starts import Starts
@@ -18,12 +19,6 @@ from workers.results import CENTRE, NO_IMPACT, PERIODIC, REASONS, UNDETERMINED
 
 SETTINGS = Settings(exponents="spectrum", max_periods=1000, survival=500)
 ROUND = Starts(64, box=(("x", -2.0, 2.0), ("v", 0.0, 2.0)))
-
-
-def machine(**entries: Any) -> System:
-    """A mass of 1 on a spring of 1."""
-    mass = {"name": "mass", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]]}
-    return System.from_mapping(mass | entries)
 
 
 def belt(c: float = 0.1, speed: float = 0.5) -> System:
@@ -163,27 +158,12 @@ def test_cycles_that_are_mirror_images_are_two_attractors() -> None:
     assert found["cycle_period"][a] == pytest.approx(found["cycle_period"][b], rel=1e-10)
 
 
-def pair(seed: int) -> System:
-    """Two masses, one on a belt and the other driven against a stop, at random."""
-    rng = np.random.default_rng(seed)
-    k, c, d = rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.1), rng.uniform(-0.15, -0.02)
-    rigid = bool(rng.integers(2))
-    how = {"restitution": rng.uniform(0.3, 0.9)} if rigid else {"stiffness": rng.uniform(5, 20), "damping": 0.1}
-    rub = {"row": [1.0, 0.0], "kinetic": rng.uniform(0.2, 0.6), "static": 1.0, "belt": rng.uniform(0.1, 0.6)}
-    matrices = {
-        "mass": [[1.0, 0.0], [0.0, rng.uniform(0.5, 2.0)]], "damping": [[c, 0.0], [0.0, d]],
-        "stiffness": [[1.0 + k, -k], [-k, k + 0.5]],
-    }  # fmt: skip
-    return System.from_mapping({
-        "name": "pair", "coordinates": ["x1", "x2"], **matrices, "friction": [{"name": "belt", **rub}],
-        "contacts": [{"name": "stop", "gap": [0.0, 1.0], **how, "upper": rng.uniform(0.3, 1.0)}],
-    })  # fmt: skip
-
-
 @pytest.mark.parametrize("seed", [103, 105, 112, 115, 121, 123])
 def test_a_cycle_is_told_once_round_from_wherever_it_is_reached(seed: int) -> None:
-    """Motions that return after two or three turns first were on cycles of so many times the length, p, and cells."""
-    found = solve_attractors(pair(seed), {}, Settings(exponents="none", max_periods=500, survival=0), Starts(8))
+    """No two cycles have lengths in a whole ratio: motions that return after two or three turns are on the same one."""
+    found = solve_attractors(
+        pair_of(*random_pair(seed)), {}, Settings(exponents="none", max_periods=500, survival=0), Starts(8)
+    )
     T = found["cycle_period"][: int(found["attractors"])]
     ratios = T[:, None] / T
     assert np.all((np.abs(ratios - np.round(ratios)) > 1e-6) | np.eye(len(T), dtype=bool))

@@ -16,18 +16,13 @@ from atlas.spec.spec import Spec, checked_parameters
 from rig.oracle.pieces.machine import Contact, Friction, Machine
 from rig.oracle.pieces.motion import simulate
 from rig.oracle.pieces.rows import belt as belt_of_oracle
+from tests.unforced import machine, pair_of, random_pair
 from workers import Settings, System, solve_tile
 from workers.history import within_periods
 from workers.model.entries import DefinitionError
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 SPECTRUM = Settings(exponents="spectrum")
-
-
-def machine(**entries: Any) -> System:
-    """A mass of 1 on a spring of 1."""
-    mass = {"name": "mass", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]]}
-    return System.from_mapping(mass | entries)
 
 
 def belt(**entries: Any) -> System:
@@ -288,20 +283,8 @@ def test_chaos_has_an_exponent_of_zero_and_obeys_the_sum_law_in_units_of_time() 
 
 def cycles_close(seed: int) -> bool:
     """Whether a random pair of masses, one on a belt and one between a stop, has a cycle; the oracle goes round it."""
-    rng = np.random.default_rng(seed)
-    k, c, d = rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.1), rng.uniform(-0.15, -0.02)
-    rigid = bool(rng.integers(2))
-    how = {"restitution": rng.uniform(0.3, 0.9)} if rigid else {"stiffness": rng.uniform(5, 20), "damping": 0.1}
-    rub = {"row": [1.0, 0.0], "kinetic": rng.uniform(0.2, 0.6), "static": 1.0, "belt": rng.uniform(0.1, 0.6)}
-    matrices = {
-        "mass": [[1.0, 0.0], [0.0, rng.uniform(0.5, 2.0)]], "damping": [[c, 0.0], [0.0, d]],
-        "stiffness": [[1.0 + k, -k], [-k, k + 0.5]],
-    }  # fmt: skip
-    stop = how | {"upper": rng.uniform(0.3, 1.0)}
-    system = System.from_mapping({
-        "name": "pair", "coordinates": ["x1", "x2"], **matrices, "friction": [{"name": "belt", **rub}],
-        "contacts": [{"name": "stop", "gap": [0.0, 1.0], **stop}],
-    })  # fmt: skip
+    matrices, rub, stop = random_pair(seed)
+    system = pair_of(matrices, rub, stop)
     found = solved(system, Settings(exponents="spectrum", max_periods=500, survival=0), x1=0.3)
     if found["regime"] != PERIODIC:
         return False

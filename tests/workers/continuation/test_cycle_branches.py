@@ -9,17 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.unforced import machine
 from tests.workers.continuation.test_equilibria import chords_of
 from workers import Settings, System, solve_tile
 from workers.continuation import BranchRun, Family, Point, branch, family_of, leaving_branch, orbit_from_state
 
 QUICK = Settings(survival=0, max_periods=2000)
-
-
-def machine(**entries: Any) -> System:
-    """A mass of 1 on a spring of 1."""
-    mass = {"name": "mass", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]]}
-    return System.from_mapping(mass | entries)
 
 
 def belt() -> System:

@@ -8,6 +8,7 @@ import pytest
 
 import atlas
 from atlas.errors import InputError
+from tests.unforced import machine
 from workers import Settings, System
 from workers.continuation import family_of
 from workers.continuation.equilibria import Equilibria, equilibria, equilibrium_of
@@ -20,11 +21,6 @@ def followed(system: System, along: str, window: tuple[float, float], state: lis
     values = {parameter.name: parameter.default for parameter in system.parameters} | given
     orbit = equilibrium_of(system, values, np.array(state))
     return equilibria(family_of(system, values, (along,)), orbit, values[along], window)
-
-
-def machine(**entries: Any) -> System:
-    mass = {"name": "mass", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]]}
-    return System.from_mapping(mass | entries)
 
 
 def chords_of(h: float) -> dict[str, Any]:
