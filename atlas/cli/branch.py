@@ -35,7 +35,7 @@ from atlas.orbits.branches.table import Branches, orbit_name
 from atlas.query.export import write_rows, written_whole
 from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.task.compile import ORBITS, kernels_for
+from atlas.task.compile import OBSERVED, ORBITS, kernels_for
 from atlas.text import plural
 from workers.results import CYCLE_PERIOD
 
@@ -113,6 +113,8 @@ def branch(
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
         observable = observed_of(seed, observe)
+        if observable is not None:
+            prepare_kernels(show, *kernels_for(seed.system, OBSERVED))
         show(Progress("following"))
         found = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
         if out is not None:
