@@ -266,10 +266,13 @@ def test_a_torus_has_two_exponents_of_zero_and_passes_an_event_at_ever_other_sta
 
 
 def test_chaos_has_an_exponent_of_zero_and_obeys_the_sum_law_in_units_of_time() -> None:
-    """Sum = -tr C + 2 ln R times the impacts in a unit of time."""
-    c, d, R = 0.2295, 0.2072, 0.7933
+    """Sum = -tr C + 2 ln R times the impacts in a unit of time.
+
+    All of 40 motions from machines 1e-9 apart are chaotic here: rounding does not decide the class.
+    """
+    c, d, R = 0.05, 0.29, 0.68
     settings = Settings(exponents="spectrum", survival=1000, max_periods=3000, tolerance=0.05, section_samples=50)
-    found = solved(driven(), settings, c=c, d=d, R=R, k=0.9674)
+    found = solved(driven(), settings, c=c, d=d, R=R, k=1.26)
     assert found["regime"] == CHAOTIC
     assert found["largest"] > 0.05
     assert np.sum(found["spectrum"] == 0.0) == 1
