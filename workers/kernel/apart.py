@@ -19,43 +19,53 @@ from numba.extending import lower_builtin, type_callable
 from workers.kernel.cache import CACHE
 from workers.kernel.lend import lend_value, lent_as
 
-__all__ = ["FLOATS", "apart", "load"]
+__all__ = ["FLOATS", "WHOLE", "apart", "load"]
 
-FLOATS = {axes: types.Array(types.float64, axes, "C") for axes in (1, 2, 3, 4)}
-"""The types of float64 arrays by their number of axes."""
+FLOATS, WHOLE = (
+    {axes: types.Array(number, axes, "C") for axes in range(1, 7)} for number in (types.float64, types.int64)
+)
+"""The types of arrays of float64, and of int64, by their number of axes."""
 
-_waiting: list["Apart"] = []
+_waiting: dict[bool, list["Apart"]] = {False: [], True: []}
 _loading, _compiles = threading.RLock(), False
 
 
-def load() -> None:
-    """Compile or load all functions that are not yet compiled, in the order of their definition."""
+def load(modes: bool = False) -> None:
+    """Compile or load the functions that are not yet compiled, in the order of their definition.
+
+    ``modes``: also those that only kernels of machines with modes call.
+    """
     global _compiles
     with _loading:  # other threads wait until all are compiled
         if _compiles:  # a function calls only functions defined before it
             return
         _compiles = True
         try:
-            while _waiting:
-                _waiting[0].compile()
-                _waiting.pop(0)
+            for waiting in (_waiting[False], _waiting[True] if modes else []):
+                while waiting:
+                    waiting[0].compile()
+                    waiting.pop(0)
         finally:
             _compiles = False
 
 
-def apart(*kinds: types.Type, result: types.Type = types.void) -> Callable[[Callable[..., Any]], Any]:
+def apart(
+    *kinds: types.Type, result: types.Type = types.void, modes: bool = False
+) -> Callable[[Callable[..., Any]], Any]:
     """Decorator of a function of these argument types that kernels call by symbol.
 
     Arrays and records are passed lent, see lend.py: fields of records are used directly, arrays through ``whole``. The
-    result is a number.
+    result is a number. ``modes``: only kernels of machines with modes call it.
     """
-    return lambda function: function if config.DISABLE_JIT else Apart(function, kinds, result)  # type: ignore[attr-defined]
+    return lambda function: function if config.DISABLE_JIT else Apart(function, kinds, result, modes)  # type: ignore[attr-defined]
 
 
 class Apart:
     """A function that kernels call by symbol, see ``apart``. Python calls compile it as a kernel (tests only)."""
 
-    def __init__(self, function: Callable[..., Any], kinds: tuple[types.Type, ...], result: types.Type) -> None:
+    def __init__(
+        self, function: Callable[..., Any], kinds: tuple[types.Type, ...], result: types.Type, modes: bool
+    ) -> None:
         self.function, self.result = function, result
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.alone = njit(nogil=True, error_model="numpy")(function)
@@ -63,7 +73,7 @@ class Apart:
         self.lent = tuple(map(lent_as, kinds))
         type_callable(self)(self._typed)
         lower_builtin(self, *(types.Any for _ in kinds))(self._code)
-        _waiting.append(self)
+        _waiting[modes].append(self)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the compiled function."""

@@ -6,6 +6,7 @@ function that lent them: no function returns them.
 
 from typing import Any, TypeVar
 
+import numpy as np
 from numba import types
 from numba.core.cgutils import alloca_once_value, create_struct_proxy
 from numba.core.datamodel import models
@@ -13,8 +14,9 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, register_model, type_callable
 
 from workers.kernel.borrow import many_type, many_value, row_of, row_type, row_value, without_counts
+from workers.model.oscillator import map_fields
 
-__all__ = ["lend", "lend_value", "lent_as", "only_row", "row_in", "whole", "with_phase"]
+__all__ = ["as_many", "lend", "lend_value", "lent_as", "row_in", "whole", "with_phase"]
 
 Given = TypeVar("Given")
 
@@ -29,9 +31,13 @@ def row_in(record: Given, r: int) -> Given:
     return row_of(record, r)
 
 
-def only_row(record: Given) -> Given:
-    """The same record; in kernels row_in of its single row, so that functions of rows of many accept it."""
-    return record
+def as_many(record: Given) -> Given:
+    """A record of many with this row alone, at the same memory; in kernels lent.
+
+    Functions of rows of many, and functions called by symbol, accept it.
+    """
+    many: Given = map_fields(record, lambda field: np.asarray(field)[None])
+    return many
 
 
 def whole(given: Given) -> Given:
@@ -137,18 +143,22 @@ def _row_in_compiled(context: Any, builder: Any, signature: Any, arguments: Any)
     return _row_at(context, builder, signature.return_type, arguments[0], number)
 
 
-@type_callable(only_row)
-def _only_row_typed(context: Any) -> Any:
-    return lambda record: record if isinstance(record, LentRow) else LentRow(many_type(lent_as(record).kind))
+@type_callable(as_many)
+def _as_many_typed(context: Any) -> Any:
+    return lambda row: Lent(row.kind if isinstance(row, LentRow) else many_type(lent_as(row).kind))
 
 
-@lower_builtin(only_row, types.Any)
-def _only_row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    record, row = signature.args[0], signature.return_type
-    if record == row:
-        return arguments[0]
-    many = many_value(context, builder, lent_as(record).kind, given_value(builder, record, arguments[0]))
-    return _row_at(context, builder, row, alloca_once_value(builder, many), context.get_constant(types.intp, 0))
+@lower_builtin(as_many, types.Any)
+def _as_many_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    kind, value = signature.args[0], arguments[0]
+    if isinstance(kind, LentRow):
+        own = create_struct_proxy(kind)(context, builder, value=value)
+        record, kind = builder.load(own.record), kind.kind
+        value = row_value(context, builder, kind, record, own.number)
+        kind = row_type(kind)
+    else:
+        kind, value = lent_as(kind).kind, given_value(builder, kind, value)
+    return alloca_once_value(builder, many_value(context, builder, kind, value))
 
 
 @type_callable(lend)

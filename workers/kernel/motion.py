@@ -7,10 +7,13 @@ from numba import types
 from numba.extending import register_jitable, typeof_impl
 from numpy.typing import NDArray
 
-from workers.kernel.apart import FLOATS
+from workers.kernel.apart import FLOATS, WHOLE, load
+from workers.kernel.borrow import row_type
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
+from workers.model.hybrid import Elements, Table
 from workers.model.hybrid_machines import HybridMachines
+from workers.model.hybrid_modes import Pieces
 from workers.model.oscillator import Held, Mode, Oscillator, map_fields
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
@@ -72,21 +75,29 @@ class Motion(NamedTuple):
     scratch: NDArray[np.float64]
 
 
-def _record(kind: type, *fields: int | types.Type) -> types.NamedTuple:
+def record_type(kind: type, *fields: int | types.Type) -> types.NamedTuple:
     """The type of a record in kernels; an integer stands for a float64 array with that many axes."""
     return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
 
 
-MODE = _record(Mode, 2, 2, 1, 4)
-HELD_MOTION = _record(Held, MODE, 2, 2, 1)
-OSCILLATOR = _record(Oscillator, MODE, 2, 2, 1, 1, types.float64, HELD_MOTION, types.none)
-MOTION = _record(Motion, 2, types.Array(types.int64, 1, "C"), 3, 1, 2, 1, 2, 1, 2)
-"""Types of records in kernels."""
+MODE = record_type(Mode, 2, 2, 1, 4)
+HELD_MOTION = record_type(Held, MODE, 2, 2, 1)
+OSCILLATOR = record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, HELD_MOTION, types.none)
+MOTION = record_type(Motion, 2, WHOLE[1], 3, 1, 2, 1, 2, 1, 2)
+TABLES = record_type(
+    Table, WHOLE[2], WHOLE[2], WHOLE[2],
+    record_type(Pieces, 5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2),
+    record_type(Elements, 3, 3, 2, 3, 2, 2, 3, 3, 2, 3, 3, 2, 2, 4, 3),
+    1, 1, 1, types.none,
+)  # fmt: skip
+SWITCHING = record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, types.none, row_type(TABLES))
+"""Types of records in kernels, the oscillator of a machine with modes last; TABLES of many, all others of one."""
 
 
 @typeof_impl.register(HybridMachines)
 def _(machines: HybridMachines, context: Any) -> types.Type:
-    """Hide from kernels the machines from which Python builds modes."""
+    """Hide from kernels the machines from which Python builds modes, and load their functions called by symbol."""
+    load(modes=True)
     return types.none
 
 

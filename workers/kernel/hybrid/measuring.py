@@ -271,7 +271,7 @@ def noted_period(table, z, code, tally, duration):
 @kernel
 def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
     """Add legs up to the state ``end`` (2n,); see read_leg."""
-    before = -1
+    before = np.int64(-1)  # typed: a literal would compile the callees once more
     for i in range(len(legs)):
         last = i + 1 == len(legs)
         signal = -1 if last else int(legs[i + 1, LEG.signal])

@@ -1,15 +1,17 @@
 """The one loop of mode, first guard and reset, of hybrid machines."""
 
 import numpy as np
+from numba import types
 
+from workers.kernel.apart import FLOATS, apart
 from workers.kernel.crossing import next_crossing
 from workers.kernel.hybrid.neutral import count_progress
 from workers.kernel.hybrid.state import product, product_of_blocks
-from workers.kernel.hybrid.trip import CLOCK, PLACE, begin_leg, begin_trip, end_leg, trips_for
+from workers.kernel.hybrid.trip import CLOCK, PLACE, TRIPS, begin_leg, begin_trip, end_leg, trips_for
 from workers.kernel.jit import kernel
-from workers.kernel.lend import lend, only_row, row_in
+from workers.kernel.lend import as_many, lend, row_in, whole
 from workers.kernel.linalg import copy_into, identity
-from workers.kernel.motion import MARCH_GAVE_UP, RUNNING, STATUS, spend
+from workers.kernel.motion import MARCH_GAVE_UP, MOTION, RUNNING, STATUS, SWITCHING, TABLES, spend
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import HEAD, Mode
 
@@ -22,7 +24,7 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
         if low == -np.inf and high == np.inf:
             continue
-        mode = Mode(pieces.blocks[k, g], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k])
+        mode = lend(Mode(pieces.blocks[k, g], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k]))
         at, there, evaluations = next_crossing(mode, h, phase, pieces.offset[k, g], high, low, begun[g], s, scratch)
         spend(tally, evaluations)
         if there == 2:
@@ -30,6 +32,23 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
         if abs(there) == 1 and (at < s or hit < 0):
             s, hit, side = at, g, there
     return s, hit, side
+
+
+@apart(
+    TABLES, types.int64, TRIPS, types.int64, FLOATS[2], FLOATS[2], FLOATS[2], types.float64,
+    result=types.boolean, modes=True,
+)  # fmt: skip
+def pass_leg(tables, r, trips, slot, hits, legs, scratch, duration):
+    """Find the first event of the leg of machine r on this trip, and end the leg there.
+
+    Returns whether the trip is over; not if the motion cannot continue. See through_modes.
+    """
+    table, trip = row_in(tables, r), row_in(trips, slot)
+    k, phase, H = trip.place[PLACE.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
+    s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, whole(scratch), trip.tally)
+    if trip.tally[STATUS] != RUNNING:
+        return False
+    return end_leg(table, trip, s, reached, end, duration, whole(hits), whole(legs), np.bool_(False))
 
 
 @kernel
@@ -44,20 +63,21 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.LegRecord
     Stops early with tally[STATUS] set if the motion cannot continue.
     """
-    trips = trips_for(only_row(table), 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
+    trips = trips_for(row_in(as_many(table), 0), 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
     take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration)
 
 
 @kernel
 def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration):
     """through_modes with work arrays. A separate kernel, since lent arrays live as long as the caller."""
-    trip = row_in(lend(trips), 0)
+    trips = lend(trips)
+    trip = row_in(trips, 0)
     copy_into(trip.z, z)
     copy_into(trip.W, W)
     copy_into(trip.growth, growth)
     copy_into(trip.triangle, triangle)
     copy_into(trip.tally, tally)
-    code[0] = go_through(only_row(table), trip, code[0], hits, legs, duration)
+    code[0] = go_through(as_many(table), trips, code[0], hits, legs, duration)
     copy_into(z, trip.z)
     copy_into(W, trip.W)
     copy_into(growth, trip.growth)
@@ -65,22 +85,22 @@ def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, 
     copy_into(tally, trip.tally)
 
 
-@kernel
-def go_through(table, trip, number, hits, legs, duration):
-    """Advance a trip from a section, beginning in the mode of this number; returns its last mode. See through_modes."""
+@apart(TABLES, TRIPS, types.int64, FLOATS[2], FLOATS[2], types.float64, result=types.int64, modes=True)
+def go_through(tables, trips, number, hits, legs, duration):
+    """Advance a single trip from a section, beginning in the mode of this number; returns its last mode.
+
+    See through_modes.
+    """
+    table, trip, hits, legs = row_in(tables, 0), row_in(trips, 0), whole(hits), whole(legs)
     tally, scratch = trip.tally, np.empty_like(trip.h)
     legs[:] = np.nan
     begin_trip(table, trip, number)
     while True:
-        H = begin_leg(table, trip, duration)
-        if tally[STATUS] != RUNNING:
-            return number
-        k, phase = trip.place[PLACE.mode], trip.clock[CLOCK.phase]
-        s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, scratch, tally)
+        trip.clock[CLOCK.horizon] = begin_leg(table, trip, duration)
         if tally[STATUS] != RUNNING:
             return number
         last = trip.place[PLACE.number]
-        if end_leg(table, trip, s, reached, end, duration, hits, legs, np.bool_(False)):
+        if pass_leg(tables, 0, trips, 0, hits, legs, scratch, duration):
             return last
 
 
@@ -131,22 +151,29 @@ def put_down(to_blocks, omega, motion, trip, more, resets):
 
 
 @kernel
-def propagate_hybrid(osc, motion, duration):
-    """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
-    framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
-    more = 1 if osc.table.drifts > 0.0 and framed else 0
-    n, m = motion.h.shape[0], motion.V.shape[0] + more
-    take_on(osc, motion, trips_for(only_row(osc.table), 1, n, m, framed, square), more, duration)
-
-
-@kernel
 def take_on(osc, motion, trips, more, duration):
-    """propagate_hybrid with work arrays. A separate kernel, since lent arrays live as long as the caller."""
-    table, motion, trip = only_row(osc.table), only_row(motion), row_in(lend(trips), 0)
+    """through_events with work arrays. A separate kernel, since lent arrays live as long as the caller."""
+    tables, motion, trips = as_many(osc.table), row_in(as_many(motion), 0), lend(trips)
+    table, trip = row_in(tables, 0), row_in(trips, 0)
     take_up(osc.to_physical, motion, trip, more)
-    go_through(table, trip, motion.contact[0] - FIRST_NUMBER, motion.impacts, np.empty((0, 0)), duration)
+    go_through(tables, trips, motion.contact[0] - FIRST_NUMBER, motion.impacts, np.empty((0, 0)), duration)
     if trip.tally[STATUS] != RUNNING:
         motion.tally[STATUS] = trip.tally[STATUS]
         return
     resets = table.drifts > 0.0 and duration >= osc.head[HEAD.period]
     put_down(osc.to_blocks, table.omega, motion, trip, more, resets)
+
+
+@apart(SWITCHING, MOTION, types.float64, modes=True)
+def through_events(osc, motion, duration):
+    """The one loop of mode, first guard and reset: see period.propagate."""
+    framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
+    more = 1 if osc.table.drifts > 0.0 and framed else 0
+    n, m = motion.h.shape[0], motion.V.shape[0] + more
+    take_on(osc, motion, trips_for(row_in(as_many(osc.table), 0), 1, n, m, framed, square), more, duration)
+
+
+@kernel
+def propagate_hybrid(osc, motion, duration):
+    """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
+    through_events(osc, motion, duration)

@@ -4,7 +4,7 @@ import numpy as np
 
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.lend import only_row
+from workers.kernel.lend import as_many, row_in
 from workers.kernel.linalg import copy_into
 from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import ON
@@ -158,7 +158,7 @@ def enter_from_section(osc, k, h, at):
     z = np.empty((1, 2 * n))
     leave_frame(osc.to_physical, h.copy().reshape((1, n, 2)), z)
     turn = turned(osc.tau, osc.table.pieces.waves.shape[2])
-    enter(only_row(osc.table).pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
+    enter(row_in(as_many(osc.table), 0).pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
 
 
 @inlined

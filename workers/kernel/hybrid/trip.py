@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.apart import WHOLE
 from workers.kernel.chatter import UNKNOWN, chatter_end, fastest_rate, hop, with_estimate
 from workers.kernel.contact import REBOUND, REST
 from workers.kernel.crossing import TINY
@@ -51,6 +52,7 @@ from workers.kernel.motion import (
     STUCK,
     TALLIES,
     count_contact,
+    record_type,
     write_down_rest,
 )
 from workers.kernel.tangent import (
@@ -147,6 +149,10 @@ class Trip(NamedTuple):
     growth: Array
     triangle: Array
     tally: Array
+
+
+TRIPS = record_type(Trip, 2, WHOLE[2], 3, 4, 3, 2, 3, 3, 2, 2, 2, WHOLE[2], WHOLE[2], WHOLE[2], 2, 3, 2)
+"""The type of a record of many trips in kernels."""
 
 
 @inline_always

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
-from workers.kernel.hybrid.motion import first_event, put_down, take_up
+from workers.kernel.hybrid.motion import pass_leg, put_down, take_up
 from workers.kernel.hybrid.trip import (
     CLOCK,
     PLACE,
@@ -31,7 +31,7 @@ from workers.kernel.lanes.legs import (
     record_size,
     take_round,
 )
-from workers.kernel.lanes.run import keep_section, over
+from workers.kernel.lanes.run import Batch, keep_section, over
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.lend import lend, row_in
 from workers.kernel.motion import MODE_MISSING, RUNNING, STATUS, spend
@@ -66,22 +66,7 @@ class LegSearch(NamedTuple):
     none: Array
 
 
-@inline_always
-def search_for(n, harmonics, signals):
-    """A search of empty lanes."""
-    U, size = len(signals), record_size(n, harmonics)
-    records = room_for_vectors(U * size).reshape((U, size))
-    for i in range(LANES):
-        empty_lane(records, i)
-    return LegSearch(
-        records, room_for_vectors(LEG_SIZE), signals, np.zeros(LANES, dtype=np.int64), np.arange(LANES),
-        np.zeros(LANES), room_for_vectors(GAP_SIZE), np.empty(LANES, dtype=np.uint32), np.empty((n, 2)),
-        np.empty((0, 0)),
-    )  # fmt: skip
-
-
-@kernel
-def run_through_modes(batch, cells, signals, enough, lanes):
+def run_through_modes(batch: Batch, cells: Rows, signals: Rows, enough: int, lanes: int) -> None:
     """Advance these cells of a batch by their periods, or until their motion or their work ends.
 
     Changes the arrays of the batch, see lanes.run.Batch. signals (U,): signals of the machines that end a mode, at
@@ -90,18 +75,30 @@ def run_through_modes(batch, cells, signals, enough, lanes):
     """
     n, m = batch.motions.h.shape[1], batch.motions.V.shape[1]
     framed = batch.motions.growth.shape[1] > 0
-    more = 1 if framed and np.any(batch.oscillators.table.drifts > 0.0) else 0
-    trips = trips_for(row_in(lend(batch).oscillators.table, 0), LANES, n, m + more, framed, False)
-    search = search_for(n, batch.oscillators.gap.waves.shape[1], signals)
+    more = int(framed and batch.oscillators.drifts)
+    trips = trips_for.py_func(row_in(batch.oscillators.table, 0), LANES, n, m + more, framed, False)
+    search = _search_for(n, batch.oscillators.gap.waves.shape[1], signals)
     take_along(batch, cells, trips, search, enough, lanes, more)
+
+
+def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
+    """A search of empty lanes."""
+    U, size = len(signals), record_size.py_func(n, harmonics)
+    return LegSearch(
+        room_for_vectors.py_func(U * size).reshape((U, size)), room_for_vectors.py_func(LEG_SIZE), signals,
+        np.zeros(LANES, dtype=np.int64), np.arange(LANES), np.zeros(LANES), room_for_vectors.py_func(GAP_SIZE),
+        np.empty(LANES, dtype=np.uint32), np.empty((n, 2)), np.empty((0, 0)),
+    )  # fmt: skip
 
 
 @kernel
 def take_along(batch, cells, trips, search, enough, lanes, more):
-    """run_through_modes with work arrays. A separate kernel, since lent arrays live as long as the caller."""
+    """run_through_modes with work arrays."""
     batch, trips, search = lend(batch), lend(trips), lend(search)
     periods, done, tally = batch.periods, batch.done, batch.motions.tally
     legs, held, slots = search.legs, search.held, search.slots
+    for i in range(LANES):
+        empty_lane(search.records, i)
     n, harmonics = batch.motions.h.shape[1], batch.oscillators.gap.waves.shape[1]
     active = queued = np.int64(0)  # typed: a literal would compile the callees once more
     renewing = False
@@ -160,19 +157,11 @@ def begin_period(batch, trips, r, slot, more):
     begin_trip(table, trip, motion.contact[0] - FIRST_NUMBER)
 
 
-@kernel
-def pass_leg(batch, trips, search, r, slot):
+@inline_always
+def pass_alone(batch, trips, search, r, slot):
     """Take cell r through its current leg on its own; returns whether its period is over."""
-    trip, table = row_in(trips, slot), row_in(batch.oscillators.table, r)
-    clock, k = trip.clock, trip.place[PLACE.mode]
-    s, reached, end = first_event(
-        table.pieces, k, trip.h, clock[CLOCK.phase], trip.begun, clock[CLOCK.horizon], search.scratch, trip.tally
-    )
-    if trip.tally[STATUS] != RUNNING:
-        return False
-    return end_leg(
-        table, trip, s, reached, end, 2.0 * np.pi / table.omega, batch.motions.impacts[r], search.none, np.bool_(False)
-    )
+    tables, hits, none = batch.oscillators.table, batch.motions.impacts[r], search.none
+    return pass_leg(tables, r, trips, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
 
 
 @inline_always
@@ -217,7 +206,7 @@ def turn(batch, trips, search, r, i, stage, ending, more):
     if stage == ARRIVES:
         spend(tally, search.records[0, LANE.flight_evaluations + i])
         if search.legs[LEG_FIELD.event + i] == LEFT:
-            through = pass_leg(batch, trips, search, r, slot)
+            through = pass_alone(batch, trips, search, r, slot)
         else:
             through = pass_found(batch, trips, search, r, slot, i)
     while True:
@@ -229,7 +218,7 @@ def turn(batch, trips, search, r, i, stage, ending, more):
             return False
         if not (begins_at_rest(trip) or grows(table.pieces, trip.place[PLACE.mode])):
             break
-        through = pass_leg(batch, trips, search, r, slot)
+        through = pass_alone(batch, trips, search, r, slot)
     phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.place[PLACE.mode]
     smooth = board(
         search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
