@@ -154,7 +154,7 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
     stages: list[Iterable[tuple[str, ...]]] = [[parts]]
     cells = [part for part in parts if part in SPARED]
     if cells and processors() >= AT_A_TIME:
-        stages = [[(APART,)], *([(BATCH, part), (SETTLE, part)] for part in cells), [parts]]
+        stages = [*(pieces for part in cells for pieces in _pieces(part)), [parts]]
     for stage in stages:
         stage_parts = [json.dumps(pieces) for pieces in stage]
 
@@ -165,6 +165,11 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
 
         ended = watched_together("from atlas.task.compile import main; main()", stage_parts, count)
     return ended == [0]
+
+
+def _pieces(part: str) -> list[list[tuple[str, ...]]]:
+    """The stages in which the kernels that solve cells are compiled: pieces of each, for ``part``, in parallel."""
+    return [[(APART, part)], [(BATCH, part), (SETTLE, part)]]
 
 
 def main() -> None:
@@ -206,7 +211,7 @@ def compile_piece(piece: str, part: str = CELLS) -> None:
     from workers.kernel.apart import load
     from workers.orbit.newton import no_orbits, settle_each
 
-    load()
+    load(modes=part == MODES)
     if piece == APART:
         return
     batch, none = _a_batch(System.from_mapping(WITH_MODES) if part == MODES else find_system(DEFAULT))
@@ -282,7 +287,7 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
 def _end_no_cells(record: System) -> None:
     """Call the kernels that the default cell does not reach: those of rest, of flight without a contact, of growth."""
     from workers.kernel.lanes.run import run_alone
-    from workers.orbit.escape import escaping, escaping_in_modes
+    from workers.orbit.escape import escaping
     from workers.orbit.linear import contact_free, linear_orbits
     from workers.orbit.newton import no_orbits
     from workers.orbit.rest import rest_to_rest
@@ -290,13 +295,12 @@ def _end_no_cells(record: System) -> None:
     batch, none = _a_batch(record)
     oscillators, motions = batch.oscillators, batch.motions
     rest_to_rest(oscillators, motions, none, batch.sections, none)
+    escaping(oscillators, motions, none)
     if record.has_modes:
-        escaping_in_modes(oscillators, motions, none)
         contact_free(oscillators, motions, none)
         linear_orbits(oscillators, motions, none, no_orbits(1, oscillators.gap_row.shape[1]), none)
     else:
         run_alone(batch, none)
-        escaping(oscillators, motions, none)
 
 
 def _observe_a_period() -> None:

@@ -25,7 +25,7 @@ from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
-from workers.orbit.escape import escaping, escaping_in_modes
+from workers.orbit.escape import escaping
 from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orbits
 from workers.orbit.newton import Orbits, no_orbits
 
@@ -63,8 +63,7 @@ def end_impact_free(cells: Cells, rows: Rows) -> Rows:
     motions = cells.batch.motions
     growing = rows[cells.oscillators.growth[rows] > 0.0]
     if len(growing):
-        escapes = escaping_in_modes if cells.oscillators.has_modes else escaping
-        gone = growing[escapes(cells.oscillators, motions, growing)]
+        gone = growing[escaping(cells.oscillators, motions, growing)]
         put(cells, gone, regime=results.FAILED, periods_used=cells.used[gone], reason=results.RUNS_AWAY)
         rows = rows[cells.going[rows]]
     if cells.oscillators.has_modes:

@@ -1,9 +1,11 @@
 """Functions compiled once and called by symbol, instead of recompiled into each caller.
 
-A function has one signature and is linked by its name. It must exist before a kernel that calls it: a cached kernel
-looks the name up while it is loaded.
+A function has one signature and is linked by its name: a cached kernel looks the name up while it is loaded. The name
+is that of a pointer to the function. Functions that only machines with modes need are compiled when a kernel first
+sees such a machine; until then their pointers are null.
 """
 
+import ctypes
 import inspect
 import threading
 from collections.abc import Callable
@@ -13,7 +15,6 @@ from typing import Any
 import llvmlite.binding
 from llvmlite import ir
 from numba import cfunc, config, njit, types
-from numba.core.cgutils import get_or_insert_function
 from numba.extending import lower_builtin, type_callable
 
 from workers.kernel.cache import CACHE
@@ -71,6 +72,8 @@ class Apart:
         self.alone = njit(nogil=True, error_model="numpy")(function)
         update_wrapper(self, function)
         self.lent = tuple(map(lent_as, kinds))
+        self.pointer = ctypes.c_void_p()
+        llvmlite.binding.add_symbol(self.name, ctypes.addressof(self.pointer))
         type_callable(self)(self._typed)
         lower_builtin(self, *(types.Any for _ in kinds))(self._code)
         _waiting[modes].append(self)
@@ -81,9 +84,9 @@ class Apart:
         return self.alone(*arguments)
 
     def compile(self) -> None:
-        """Compile the function, or load it, and make it known to the linker."""
+        """Compile the function, or load it, and point to it."""
         self.compiled = cfunc(self.result(*self.lent), cache=CACHE is not None, error_model="numpy")(self.function)
-        llvmlite.binding.add_symbol(self.name, self.compiled.address)
+        self.pointer.value = self.compiled.address
 
     def _typed(self, context: Any) -> Callable[..., Any]:
         def typer(*kinds: types.Type) -> types.Type | None:
@@ -96,5 +99,6 @@ class Apart:
         values = [lend_value(context, builder, *typed) for typed in zip(signature.args, arguments, strict=True)]
         values = [context.get_value_as_argument(builder, *typed) for typed in zip(self.lent, values, strict=True)]
         kind = ir.FunctionType(context.get_argument_type(self.result), [value.type for value in values])
-        result = builder.call(get_or_insert_function(builder.module, kind, self.name), values)
+        function = builder.load(context.get_c_value(builder, kind.as_pointer(), self.name))
+        result = builder.call(function, values)
         return context.get_argument_value(builder, self.result, result)

@@ -4,12 +4,15 @@ A motion carries its contact. A physical state alone gets its contact from ``pla
 """
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
+from workers.kernel.apart import FLOATS, apart
 from workers.kernel.contact import load_on_stop, to_held, wave
 from workers.kernel.hybrid.state import ROUNDING, enter_frame, leave_frame, show, shown_number
-from workers.kernel.jit import for_modes, inline_always, kernel
-from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
+from workers.kernel.jit import inline_always, kernel
+from workers.kernel.lend import whole
+from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, OSCILLATOR, Motion, has_modes, motion_at
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
@@ -27,17 +30,20 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     return motion_at(h, contact, vectors, record)
 
 
-@kernel
+@apart(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
 def start_hybrid(osc, state, h):
     """start_at for a machine with modes: the contact is the number of its mode."""
+    state, h = whole(state), whole(h)
     enter_frame(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
     number = shown_number(osc.table.elements, state)
     return BEYOND if number < 0 else number + FIRST_NUMBER
 
 
-@for_modes(start_hybrid)
+@kernel
 def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), less forced response, of a physical section state; its contact."""
+    if has_modes(osc):
+        return start_hybrid(osc, state, h)
     row, blocks, tau = osc.gap_row, osc.gap.blocks, osc.tau
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
@@ -98,17 +104,21 @@ def put_on_stop(row, stop, x):
     x[k] = (stop - others) / row[k]
 
 
-@kernel
+@apart(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
 def leave_hybrid(osc, h, contact, state):
     """leave_blocks for a machine with modes."""
+    h, state = whole(h), whole(state)
     leave_frame(osc.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
     if contact >= FIRST_NUMBER:  # else the mode is not known
         show(osc.table.elements, contact - FIRST_NUMBER, state)
 
 
-@for_modes(leave_hybrid)
+@kernel
 def leave_blocks(osc, h, contact, state):
     """Add ``blocks_to_physical`` of block coordinates h (n, 2) at a contact to a state (2n,) of zeros."""
+    if has_modes(osc):
+        leave_hybrid(osc, h, contact, state)
+        return
     row, blocks, upper, lower = osc.gap_row, osc.gap.blocks, osc.head[HEAD.upper], osc.head[HEAD.lower]
     n = h.shape[0]
     terms = np.zeros(n)

@@ -17,7 +17,7 @@ __all__ = ["translated"]
 def translated(decorate: Callable[[Any], Any]) -> Callable[[Kernel], Any]:
     """A function that translates a kernel for another device, with all kernels that it calls.
 
-    Kernels that dispatch on argument types, ``for_modes``, cannot be translated.
+    Functions called by symbol, ``apart``, cannot be translated.
     """
 
     @cache

@@ -7,22 +7,20 @@ Loops of unknown length are not unrolled. Most run over a few coordinates, block
 155 s of processor time to compile in place of 109 and made periods of machines with modes 11 to 17 % slower.
 """
 
-import inspect
 from collections.abc import Callable
-from functools import cached_property, partial, update_wrapper, wraps
+from functools import cached_property, partial, update_wrapper
 from types import ModuleType
 from typing import Any
 
 import llvmlite.binding
-from numba import config, njit, types
-from numba.extending import overload, typeof_impl
+from numba import njit, types
+from numba.extending import typeof_impl
 
 from workers.kernel.apart import load
 from workers.kernel.cache import CACHE
-from workers.kernel.lend import Lent
 from workers.model.oscillator import Block, Head, Numbers
 
-__all__ = ["for_modes", "inline_always", "inlined", "kernel", "named_constants"]
+__all__ = ["inline_always", "inlined", "kernel", "named_constants"]
 
 llvmlite.binding.set_option("impact-atlas", "-unroll-runtime=false")
 
@@ -100,30 +98,3 @@ inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 inline_always: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
 """Decorator of kernels that are parts of one or a few others, compiled into their caller: a kernel compiles all its
 callees once more, as would every kernel in between."""
-
-
-def for_modes(act: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator of a kernel that becomes ``act`` if its first argument, the oscillator, has modes.
-
-    The choice is made when another kernel is compiled, by the types of the arguments.
-    """
-
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        own = kernel(function)
-
-        @wraps(function)
-        def chosen(*arguments: Any) -> Any:
-            return (act if arguments[0].has_modes else own)(*arguments)
-
-        def pick(*arguments: types.Type) -> Callable[..., Any]:
-            record: Any = arguments[0].kind if isinstance(arguments[0], Lent) else arguments[0]
-            modes = record[record.fields.index("table")]
-            meant: Callable[..., Any] = (own if isinstance(modes, types.NoneType) else act).py_func
-            return meant
-
-        pick.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
-        if not config.DISABLE_JIT:  # type: ignore[attr-defined]
-            overload(chosen, jit_options=_PART)(pick)
-        return chosen
-
-    return decorate

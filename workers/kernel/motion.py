@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
+from numba import typeof, types
 from numba.extending import register_jitable, typeof_impl
 from numpy.typing import NDArray
 
@@ -11,10 +11,9 @@ from workers.kernel.apart import FLOATS, WHOLE, load
 from workers.kernel.borrow import row_type
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
-from workers.model.hybrid import Elements, Table
+from workers.model.hybrid import no_table
 from workers.model.hybrid_machines import HybridMachines
-from workers.model.hybrid_modes import Pieces
-from workers.model.oscillator import Held, Mode, Oscillator, map_fields
+from workers.model.oscillator import NO_HELD, Mode, Oscillator, empty, map_fields
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 """Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it: no valid
@@ -81,17 +80,10 @@ def record_type(kind: type, *fields: int | types.Type) -> types.NamedTuple:
 
 
 MODE = record_type(Mode, 2, 2, 1, 4)
-HELD_MOTION = record_type(Held, MODE, 2, 2, 1)
-OSCILLATOR = record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, HELD_MOTION, types.none)
 MOTION = record_type(Motion, 2, WHOLE[1], 3, 1, 2, 1, 2, 1, 2)
-TABLES = record_type(
-    Table, WHOLE[2], WHOLE[2], WHOLE[2],
-    record_type(Pieces, 5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2),
-    record_type(Elements, 3, 3, 2, 3, 2, 2, 3, 3, 2, 3, 3, 2, 2, 4, 3),
-    1, 1, 1, types.none,
-)  # fmt: skip
-SWITCHING = record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, types.none, row_type(TABLES))
-"""Types of records in kernels, the oscillator of a machine with modes last; TABLES of many, all others of one."""
+TABLES, _HELD = typeof(no_table(1)), typeof(empty(NO_HELD, 1))
+OSCILLATOR = record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, row_type(_HELD), row_type(TABLES))
+"""Types of records in kernels; TABLES of many, all others of one."""
 
 
 @typeof_impl.register(HybridMachines)
@@ -99,6 +91,12 @@ def _(machines: HybridMachines, context: Any) -> types.Type:
     """Hide from kernels the machines from which Python builds modes, and load their functions called by symbol."""
     load(modes=True)
     return types.none
+
+
+@inline_always
+def has_modes(osc):
+    """Whether a machine has modes: see Oscillator.has_modes."""
+    return osc.table.codes.shape[0] > 0
 
 
 @inline_always

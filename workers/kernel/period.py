@@ -24,8 +24,8 @@ from workers.kernel.contact import (
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
-from workers.kernel.hybrid.motion import propagate_hybrid
-from workers.kernel.jit import for_modes, inline_always, inlined, kernel
+from workers.kernel.hybrid.motion import through_events
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
@@ -43,6 +43,7 @@ from workers.kernel.motion import (
     STATUS,
     STUCK,
     count_contact,
+    has_modes,
     spend,
     write_down_rest,
 )
@@ -217,13 +218,16 @@ def through_impacts(osc, motion, duration):
             reset_frame(blocks, motion)
 
 
-@for_modes(propagate_hybrid)
+@inline_always
 def propagate(osc, motion, duration):
     """Advance a motion from a section by ``duration`` <= one period, in place, through all its impacts.
 
     Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
     """
-    through_impacts(osc, motion, duration)
+    if has_modes(osc):
+        through_events(osc, motion, duration)
+    else:
+        through_impacts(osc, motion, duration)
 
 
 @inline_always

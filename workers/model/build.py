@@ -30,6 +30,7 @@ from workers.model.free import (
     structure_of,
     times,
 )
+from workers.model.hybrid import no_table
 from workers.model.modes import FREE, stacked, symmetric
 from workers.model.oscillator import (
     HEAD,
@@ -114,6 +115,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         head=np.stack(head, axis=-1),
         tau=phase_of(machines.tau),
         held=held,
+        table=no_table(len(machines.omega)),
     )
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # an infinitely distant stop is valid

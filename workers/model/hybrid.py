@@ -16,6 +16,7 @@ from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, stacked, symmetric, undamped_modes
 from workers.model.oscillator import (
     COLUMN,
+    NO_HELD,
     NUMBER,
     Array,
     Head,
@@ -23,6 +24,7 @@ from workers.model.oscillator import (
     Mode,
     Oscillator,
     Rows,
+    empty,
     growth_of,
     make_blocks,
     rates_of,
@@ -109,6 +111,19 @@ class Table(NamedTuple):
         return rows
 
 
+_OF_PIECES = Pieces._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
+_OF_ELEMENTS = Elements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 3, 3, 2, 2, 4, 3])
+_AXES = Table._make([2, 2, 2, _OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
+"""Numbers of axes of the fields of a table for many machines."""
+
+
+def no_table(N: int) -> Table:
+    """The table of N machines with one rigid contact: no mode."""
+    table: Table = empty(_AXES, N)
+    codes = np.zeros((N, 0), dtype=np.int64)
+    return table._replace(codes=codes, wrong=codes.copy(), missing=np.full((N, 1), -1))
+
+
 FIRST_NUMBER = 4
 """Offset of mode numbers in the contacts of motions, above all contacts of motions without modes."""
 
@@ -176,6 +191,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         gap_row=np.ascontiguousarray(row),
         head=np.stack(head, axis=-1),
         tau=table.tau,
+        held=empty(NO_HELD, N),
         table=table,
     )
     reasons = hybrid_faults(machines)

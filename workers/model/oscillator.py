@@ -237,8 +237,8 @@ class Oscillator(NamedTuple):
     gap_row         (n,): y = gap_row . displacements
     head            (HEAD,): numbers, see Head; each is an attribute too
     tau             forcing phase at a section
-    held            of a machine with one rigid contact: see Held
-    table           of a machine with modes: see hybrid.Table; of any other None
+    held            of a machine with one rigid contact: see Held; empty of any other
+    table           of a machine with modes: see hybrid.Table; empty of any other
 
     For a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all
     contacts open, no force and no load, in any mode: gap has these blocks, with the damping of each mode, and no guard.
@@ -255,8 +255,8 @@ class Oscillator(NamedTuple):
     gap_row: Array
     head: Array
     tau: Any
-    held: Any = None
-    table: Any = None
+    held: Held
+    table: Any
 
     def __getattr__(self, name: str) -> Any:
         """A number of ``head``, see Head, by its name."""
@@ -265,17 +265,17 @@ class Oscillator(NamedTuple):
     @property
     def has_modes(self) -> bool:
         """Whether the law changes by more than one rigid contact."""
-        return self.table is not None
+        return bool(self.table.codes.shape[-1] > 0)
 
     @property
     def drifts(self) -> int:
         """1 if a coordinate of these machines may drift, else 0."""
-        return 0 if self.table is None else int(np.max(self.table.drifts, initial=0.0))
+        return int(np.max(self.table.drifts, initial=0.0))
 
     @property
     def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
         """Row (N, n), upper and lower stop (N,) of each rigid contact of many machines."""
-        if self.table is not None:
+        if self.has_modes:
             rigid: list[tuple[Array, Array, Array]] = self.table.machines.rigid_stops
             return rigid
         return [(self.gap_row, self.upper, self.lower)]
@@ -287,7 +287,7 @@ class Oscillator(NamedTuple):
         even without rows, which compiles its kernels.
         """
         result = act(rows)
-        while self.table is not None and len(rows := self.table.build_missing(rows)):
+        while self.has_modes and len(rows := self.table.build_missing(rows)):
             result = act(rows)
         return result
 
@@ -327,6 +327,15 @@ class Machines(NamedTuple):
     def force(self) -> Any:
         """The force (N, H, n) as amplitudes of e^(i k phi), whose imaginary part counts."""
         return self.force_sin + 1j * self.force_cos
+
+
+def empty(axes: Any, N: int) -> Any:
+    """A record of N without numbers, with this many axes in each field; None stays None."""
+    return map_fields(axes, lambda count: np.zeros((N, *(0,) * (count - 1))))
+
+
+NO_HELD = Held._make([Mode._make([3, 3, 2, 5]), 3, 3, 2])
+"""Numbers of axes of Held for many machines."""
 
 
 def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:

@@ -6,9 +6,9 @@ import numpy as np
 
 from workers.kernel.borrow import row_of
 from workers.kernel.hybrid.state import enter_from_section, slot_of
-from workers.kernel.jit import kernel
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
-from workers.kernel.motion import FREE
+from workers.kernel.motion import FREE, has_modes
 from workers.kernel.signal import ROUNDING, block_bounds
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
@@ -79,37 +79,34 @@ def future_of(blocks, numbers, h, offset, low, high):
 
 @kernel
 def escaping(oscillators, motions, cells):
-    """Mask of motions of machines with one rigid contact, at a section, that grow and meet no stop again."""
-    gap, head, motions = lend(oscillators).gap, oscillators.head, lend(motions)
+    """Mask of motions at a section that grow and meet no guard again; of machines with modes, those of one phase."""
+    oscillators, motions = lend(oscillators), lend(motions)
     escapes = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
-        r = cells[e]
-        if head[r, HEAD.growth] > 0.0 and motions.contact[r, 0] == FREE:
-            low, high = head[r, HEAD.bottom], head[r, HEAD.top]
-            escapes[e] = future_of(gap.blocks[r], gap.numbers[r], motions.h[r], 0.0, low, high) == BEHIND
-    return escapes
-
-
-@kernel
-def escaping_in_modes(oscillators, motions, cells):
-    """``escaping`` for machines with modes and one phase: growing motions that meet no guard of their mode again."""
-    oscillators, motions = lend(oscillators), lend(motions)
-    escapes, n = np.zeros(len(cells), dtype=np.bool_), motions.h.shape[1]
-    at = np.zeros((n, 2))
-    for e in range(len(cells)):
-        r = cells[e]
-        osc = row_of(oscillators, r)
-        table, pieces = osc.table, osc.table.pieces
-        k = slot_of(table.codes, motions.contact[r, 0] - FIRST_NUMBER)
-        if osc.head[HEAD.growth] == 0.0 or k < 0 or table.elements.starts.shape[0] > 2:
+        osc, h, contact = row_of(oscillators, cells[e]), motions.h[cells[e]], motions.contact[cells[e], 0]
+        if osc.head[HEAD.growth] == 0.0:
             continue
-        enter_from_section(osc, k, motions.h[r], at)
-        left, met = False, False
-        for g in range(pieces.ends.shape[1]):
-            blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]
-            low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
-            if low > -np.inf or high < np.inf:
-                future = future_of(blocks, numbers, at, offset, low, high)
-                left, met = left or future == BEHIND, met or future == REACHED
-        escapes[e] = left and not met
+        if has_modes(osc):
+            escapes[e] = escapes_in_modes(osc, h, contact)
+        elif contact == FREE:
+            low, high = osc.head[HEAD.bottom], osc.head[HEAD.top]
+            escapes[e] = future_of(osc.gap.blocks, osc.gap.numbers, h, 0.0, low, high) == BEHIND
     return escapes
+
+
+@inline_always
+def escapes_in_modes(osc, h, contact):
+    """Whether a growing motion meets no guard of its mode again; false where phases change the mode."""
+    table, pieces, at = osc.table, osc.table.pieces, np.zeros(h.shape)
+    k = slot_of(table.codes, contact - FIRST_NUMBER)
+    if k < 0 or table.elements.starts.shape[0] > 2:
+        return False
+    enter_from_section(osc, k, h, at)
+    left, met = False, False
+    for g in range(pieces.ends.shape[1]):
+        blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]
+        low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
+        if low > -np.inf or high < np.inf:
+            future = future_of(blocks, numbers, at, offset, low, high)
+            left, met = left or future == BEHIND, met or future == REACHED
+    return left and not met

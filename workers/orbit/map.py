@@ -10,8 +10,8 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.hybrid.neutral import freeze
-from workers.kernel.jit import for_modes, inline_always, kernel
-from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
+from workers.kernel.jit import inline_always, kernel
+from workers.kernel.motion import RUNNING, STATUS, axes, has_modes, motion_with
 from workers.kernel.period import step
 from workers.model.oscillator import COLUMN, Array
 
@@ -26,11 +26,6 @@ class FixedPoint(NamedTuple):
     residual: float
 
 
-@for_modes(freeze)
-def freeze_where_stuck(osc, motion):
-    """kernel.hybrid.neutral.freeze; a machine with one rigid contact has no friction that sticks."""
-
-
 @kernel
 def iterate(osc, h, contact, V, growth, triangle, steps, half):
     """The motion after ``steps`` of the map, half or whole periods, from block state h; see motion_with.
@@ -42,7 +37,8 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
         step(osc, borrowed(motion), half)
         if motion.tally[STATUS] != RUNNING:
             return motion
-    freeze_where_stuck(osc, motion)
+    if has_modes(osc):
+        freeze(osc, motion)
     return motion
 
 

@@ -7,9 +7,9 @@ of an orbit are the same on every section.
 
 import math
 
-from workers.kernel.jit import for_modes, inline_always, kernel
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import with_phase
-from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_alone
+from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, has_modes, motion_alone
 from workers.kernel.period import propagate
 from workers.model.oscillator import HEAD
 
@@ -41,17 +41,13 @@ def motion_after(osc, h, contact, shift):
 
 
 @kernel
-def same_section(osc, h, contact):
-    """quiet_section for a machine with modes."""
-    return 0.0, h.copy(), contact, 0
-
-
-@for_modes(same_section)
 def quiet_section(osc, h, contact):
     """(shift, h (n, 2), contact, periods flown): a section of a motion without events nearby.
 
-    Takes the block state at t = 0 and returns the block state at t = shift T.
+    Takes the block state at t = 0 and returns the block state at t = shift T; with modes that is t = 0.
     """
+    if has_modes(osc):
+        return 0.0, h.copy(), contact, 0
     shift, there, at, tries = 0.0, h.copy(), contact, 0
     for tries in range(1, TRIES + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)

@@ -277,7 +277,7 @@ def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
         signal = -1 if last else int(legs[i + 1, LEG.signal])
         following = end if last else legs[i + 1, LEG_STATE : LEG_STATE + len(end)]
         read_leg(table, meter, reading, before, legs[i], signal, following, begins, marks, flies, tally)
-        before = int(legs[i, LEG.mode])
+        before = np.int64(legs[i, LEG.mode])
 
 
 @kernel

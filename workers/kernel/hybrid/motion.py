@@ -11,7 +11,7 @@ from workers.kernel.hybrid.trip import CLOCK, PLACE, TRIPS, begin_leg, begin_tri
 from workers.kernel.jit import kernel
 from workers.kernel.lend import as_many, lend, row_in, whole
 from workers.kernel.linalg import copy_into, identity
-from workers.kernel.motion import MARCH_GAVE_UP, MOTION, RUNNING, STATUS, SWITCHING, TABLES, spend
+from workers.kernel.motion import MARCH_GAVE_UP, MOTION, OSCILLATOR, RUNNING, STATUS, TABLES, spend
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import HEAD, Mode
 
@@ -164,16 +164,10 @@ def take_on(osc, motion, trips, more, duration):
     put_down(osc.to_blocks, table.omega, motion, trip, more, resets)
 
 
-@apart(SWITCHING, MOTION, types.float64, modes=True)
+@apart(OSCILLATOR, MOTION, types.float64, modes=True)
 def through_events(osc, motion, duration):
-    """The one loop of mode, first guard and reset: see period.propagate."""
+    """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if osc.table.drifts > 0.0 and framed else 0
     n, m = motion.h.shape[0], motion.V.shape[0] + more
     take_on(osc, motion, trips_for(row_in(as_many(osc.table), 0), 1, n, m, framed, square), more, duration)
-
-
-@kernel
-def propagate_hybrid(osc, motion, duration):
-    """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
-    through_events(osc, motion, duration)

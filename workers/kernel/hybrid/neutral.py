@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from workers.kernel.apart import apart
 from workers.kernel.hybrid.state import enter_frame, leave_frame, product, read_number, slot_of
-from workers.kernel.jit import inline_always, kernel
-from workers.kernel.motion import LOST, NEUTRAL, PROGRESS, SLID
+from workers.kernel.jit import inline_always
+from workers.kernel.motion import LOST, MOTION, NEUTRAL, OSCILLATOR, PROGRESS, SLID
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON
 
@@ -37,7 +38,7 @@ def note_slips(slips, tally):
     tally[SLID] = slid
 
 
-@kernel
+@apart(OSCILLATOR, MOTION, modes=True)
 def freeze(osc, motion):
     """Treat friction that has never slid as a parameter of the motion: remove changes of its position from all vectors.
 
