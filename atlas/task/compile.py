@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,20 +23,15 @@ from workers.model.system import DEFAULT, System, find_system
 from workers.settings import Settings
 
 CELLS, ATTRACTORS, ORBITS, PATHS, MEASURES, OBSERVED = "", "attractors", "orbits", "paths", "measures", "observed"
-MODES, MODES_ATTRACTORS, MODES_ORBITS, MODES_PATHS = "modes", "modes-attractors", "modes-orbits", "modes-paths"
-"""Parts: kernels that solve cells, needed by all others; that compare motions with known attractors; of orbits as
-equations of their impacts, for branches, curves and labels; of motion between events, for portraits; that measure
-motions; that observe them; and the first four for machines with modes."""
+MODES = "modes"
+"""Parts: kernels that solve cells of machines with one rigid contact; that compare motions with known attractors; of
+orbits as equations of their impacts, for branches, curves and labels; of motion between events, for portraits; that
+measure motions; that observe them; that solve cells of machines with modes, and draw portraits of them. All others
+need the first or the last one."""
 
-SECONDS = {
-    CELLS: 45, ATTRACTORS: 10, ORBITS: 15, PATHS: 2, MEASURES: 20, OBSERVED: 25,
-    MODES: 80, MODES_ATTRACTORS: 10, MODES_ORBITS: 20, MODES_PATHS: 18,
-}  # fmt: skip
+SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 13, PATHS: 2, MEASURES: 20, OBSERVED: 15, MODES: 70}
 """Approximate seconds of each part: processors differ by a factor of two."""
-FUNCTIONS = {
-    CELLS: 257, ATTRACTORS: 36, ORBITS: 143, PATHS: 15, MEASURES: 116, OBSERVED: 125,
-    MODES: 338, MODES_ATTRACTORS: 40, MODES_ORBITS: 40, MODES_PATHS: 115,
-}  # fmt: skip
+FUNCTIONS = {CELLS: 266, ATTRACTORS: 36, ORBITS: 143, PATHS: 15, MEASURES: 116, OBSERVED: 125, MODES: 338}
 """Functions that each part compiles in a process that has compiled nothing else."""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"
@@ -78,9 +74,6 @@ WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
 }
 """A machine that is measured, with one rigid contact that it never reaches."""
 
-_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS, ORBITS: MODES_ORBITS, PATHS: MODES_PATHS}
-"""The parts of machines with modes, in place of others."""
-
 YOUNG_OBJECTS = 50_000
 """New objects before Python looks for unreachable ones: a compiler's objects live until it ends, and frequent searches
 through them take time."""
@@ -110,7 +103,7 @@ def kernels_for(record: System, *more: str, settings: Settings | None = None) ->
     """
     more = (*more, OBSERVED) if settings is not None and settings.observe else more
     if record.has_modes:
-        return (MODES, *(_OF_MODES.get(part, part) for part in more))
+        return (MODES, *(part for part in more if part != PATHS))
     return (MEASURES, *more) if record.definition.measures else more
 
 
@@ -235,53 +228,41 @@ def _a_batch(record: System) -> tuple[Any, Any]:
 
 
 def warm_up(*parts: str) -> None:
-    """Compile or load the kernels of cells by one period of the default cell: every kernel is called.
+    """Compile or load the kernels of cells by one period of a cell: every kernel is called.
 
-    Kernels of attractors: all attractors of a cell with one orbit, and the scale for comparing twins. Kernels of
-    orbits: a short branch. The compiled types depend neither on the system nor on the settings, which only change the
-    lengths of arrays.
+    Kernels of attractors: all attractors of a cell. Kernels of orbits: a short branch. The compiled types depend
+    neither on the system nor on the settings, which only change the lengths of arrays.
     """
     from workers.tile import solve_tile
 
     if OBSERVED in parts:
         _observe_a_period()
-    if MODES in parts:
-        _warm_up_modes(parts)
-        return
-    solve_tile(DEFAULT, {}, Settings(max_periods=1))
-    _end_no_cells(find_system(DEFAULT))
+    modes = MODES in parts
+    system, an_orbit = (System.from_mapping(WITH_MODES), {}) if modes else (find_system(DEFAULT), AN_ORBIT)
+    solve_tile(system, {}, Settings(max_periods=1))
+    _end_no_cells(system)
+    if modes:
+        _move_within_a_period(system)
     if ATTRACTORS in parts:
-        from workers.attractors.starts import Starts
-        from workers.attractors.waves import solve_attractors
-        from workers.kernel.cells import scale_of
-
-        solve_attractors(DEFAULT, ONE_ORBIT, Settings(exponents="none", survival=0), Starts(4))
-        from workers.model.oscillator import COLUMN
-
-        scale_of(np.zeros((1, len(COLUMN))), np.zeros((1, 2)))
+        _reach_attractors(system, {} if modes else ONE_ORBIT)
     if ORBITS in parts:
-        _follow_an_orbit(find_system(DEFAULT), AN_ORBIT)
+        _follow_an_orbit(system, an_orbit)
+        _note_impacts(find_system(DEFAULT))
     if PATHS in parts:
         _move_within_a_period(find_system(DEFAULT))
     if MEASURES in parts:
         solve_tile(System.from_mapping(WITH_MEASURES), {}, Settings(max_periods=1))
 
 
-def _warm_up_modes(parts: tuple[str, ...]) -> None:
-    """warm_up of machines with modes."""
+def _reach_attractors(record: System, values: dict[str, float]) -> None:
+    """All attractors of a cell with one orbit, and the scale for comparing twins."""
     from workers.attractors.starts import Starts
     from workers.attractors.waves import solve_attractors
-    from workers.tile import solve_tile
+    from workers.kernel.cells import scale_of
+    from workers.model.oscillator import COLUMN
 
-    system = System.from_mapping(WITH_MODES)
-    solve_tile(system, {}, Settings(max_periods=1))
-    _end_no_cells(system)
-    if MODES_ATTRACTORS in parts:
-        solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
-    if MODES_ORBITS in parts:
-        _follow_an_orbit(system, {})
-    if MODES_PATHS in parts:
-        _move_within_a_period(system)
+    solve_attractors(record, values, Settings(exponents="none", survival=0), Starts(4))
+    scale_of(np.zeros((1, len(COLUMN))), np.zeros((1, 2)))
 
 
 def _end_no_cells(record: System) -> None:
@@ -322,6 +303,15 @@ def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
     orbit, omega = orbit_from_state(record, values, cell["state"], int(cell["period"])), values["omega"]
     branch(family_of(record, values, ("omega",)), orbit, omega, (0.999 * omega, 1.001 * omega))
     section_state(record, values, orbit)
+
+
+def _note_impacts(record: System) -> None:
+    """The events of a machine with one rigid contact, which begin its equations; whether it has any does not matter."""
+    from workers.orbit.passed import passed
+
+    oscillators, _ = record.build_many({p.name: np.array([p.default]) for p in record.parameters})
+    with suppress(ValueError):
+        passed(oscillators, np.zeros(2 * oscillators.gap_row.shape[1]), 1)
 
 
 def _move_within_a_period(record: System) -> None:
