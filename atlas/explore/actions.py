@@ -29,7 +29,7 @@ MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, ends: Ends) -> tuple[str, str]:
     """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
     subject = explorer.subject
-    ds = explorer.known.seen(chosen.plane, sight, chosen.names)
+    ds = explorer.known.seen(chosen.plane, sight, chosen.names).ds
     look = replace(chosen, overlays=chosen.drawn(subject)).look(ends)
     name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:

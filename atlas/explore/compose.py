@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.explore.subject import Arrays, Subject, SubjectPlane
-from atlas.explore.view import Sight, TileKey
+from atlas.explore.view import STAGES, Sight, TileKey
 from atlas.query.open import note_store
 from atlas.query.resample import view as read_view
 from atlas.query.window import axis_values, cell_edges
@@ -21,6 +22,20 @@ if TYPE_CHECKING:
 Index = NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class InView:
+    """The cells in view as a dataset, where they are, and how often halved in density each of them (y, x) is known.
+
+    stages   at most STAGES + 1, also of a cell that is not known at all
+    of       names this view, which has the same cells each time
+    """
+
+    ds: "xr.Dataset"
+    sight: Sight
+    stages: NDArray[np.uint8]
+    of: str = ""
+
+
 def composed(
     subject: Subject,
     plane: SubjectPlane,
@@ -28,22 +43,24 @@ def composed(
     tiles: Sequence[tuple[TileKey, Arrays]],
     names: Iterable[str],
     base: "xr.Dataset | None" = None,
-) -> "xr.Dataset":
-    """The cells in view, the named variables and the regime; what is not known is pending.
+) -> InView:
+    """The cells in view, the named variables and the regime; unknown cells are pending.
 
-    ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. It goes
-    over tiles that leave cells of the atlas out, and under those with more.
+    ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. They
+    cover tiles that are no denser than they are.
     """
     canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), sight.shape)
+    stages = np.full(sight.shape, STAGES + 1, np.uint8)
+    own = max(0, sight.x.level, sight.y.level)
     for key, arrays in tiles:
-        if min(key.level_x, key.level_y) < 0:
-            _lay(canvas, sight, key, arrays)
+        if sight.stage(key) >= own:
+            _lay(canvas, stages, sight, key, arrays)
     if base is not None:
-        _lay_base(canvas, subject, sight, base)
+        stages[_lay_base(canvas, subject, sight, base)] = min(own, STAGES + 1)
     for key, arrays in tiles:
-        if min(key.level_x, key.level_y) >= 0:
-            _lay(canvas, sight, key, arrays)
-    return dataset(subject, plane, *subject.points(*sight), canvas)
+        if sight.stage(key) < own:
+            _lay(canvas, stages, sight, key, arrays)
+    return InView(dataset(subject, plane, *subject.points(*sight), canvas), sight, stages)
 
 
 def dataset(
@@ -114,7 +131,7 @@ def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: Subjec
     return bool(inside and done[np.ix_(rows, columns)].all())
 
 
-def _lay(canvas: Arrays, sight: Sight, key: TileKey, arrays: Arrays) -> None:
+def _lay(canvas: Arrays, stages: NDArray[np.uint8], sight: Sight, key: TileKey, arrays: Arrays) -> None:
     if not canvas.keys() <= arrays.keys() or not sight.shows(key):
         return
     rows, columns = sight.place(key)
@@ -122,9 +139,11 @@ def _lay(canvas: Arrays, sight: Sight, key: TileKey, arrays: Arrays) -> None:
     across = key.columns.holding(sight.x.level, sight.x.index[columns])
     for name, values in canvas.items():
         values[rows, columns] = arrays[name][np.ix_(up, across)]
+    stages[rows, columns] = min(sight.stage(key), STAGES + 1)
 
 
-def _lay_base(canvas: Arrays, subject: Subject, sight: Sight, base: "xr.Dataset") -> None:
+def _lay_base(canvas: Arrays, subject: Subject, sight: Sight, base: "xr.Dataset") -> NDArray[np.bool_]:
+    """Lay cells of the atlas, and return which cells in view (y, x) have one."""
     places, inside = [], []
     dims = subject.axes[::-1]
     for name, values in zip(dims, subject.points(*sight)[::-1], strict=True):
@@ -137,3 +156,4 @@ def _lay_base(canvas: Arrays, subject: Subject, sight: Sight, base: "xr.Dataset"
     for name, values in canvas.items():
         if name in base:
             values[known] = base[name].transpose(*dims).values[np.ix_(*places)][known]
+    return np.asarray(known)

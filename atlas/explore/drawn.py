@@ -4,7 +4,6 @@ import json
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,10 +11,11 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, Range
+from atlas.explore.compose import InView
 from atlas.explore.front.numbers import Packed, pack
 from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Subject
-from atlas.explore.view import Sight, Stretch
+from atlas.explore.view import Stretch
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.plane import Plane
 from atlas.render.coded import CodedMap, coded_map, coded_maps
@@ -31,19 +31,6 @@ if TYPE_CHECKING:
 
 BITS = 14
 """Bits of the mantissa that numbers keep on their way to the page: four digits."""
-
-
-@dataclass(frozen=True)
-class InView:
-    """What is in view: cells as a dataset, where they are, and how often halved in density each of them is known.
-
-    of   names this view, which has the same cells each time
-    """
-
-    of: str
-    ds: "xr.Dataset"
-    sight: Sight
-    stages: NDArray[np.uint8]
 
 
 def maps_of(seen: InView, chosen: Chosen, others: bool) -> list[CodedMap]:

@@ -2,22 +2,16 @@
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from atlas.errors import InputError, RunError
-from atlas.explore.compose import composed, seen_atlas
+from atlas.explore.compose import InView, composed, seen_atlas
 from atlas.explore.patch import solve_patch
 from atlas.explore.subject import Arrays, SubjectPlane
 from atlas.explore.tiles import TileStore
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
 from workers.results import PENDING, REASON, REGIME, in_words
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 DEPTH = 12
 """So many coarser levels are looked through for what was kept."""
@@ -46,31 +40,7 @@ class KnownCells:
             shown = hidden | self.tiles.get(plane, [key for key in tiles if key not in hidden], names).keys()
             hidden = {above for above in {key.above for key in tiles} if all(b in shown for b in below(above))}
 
-    def stages(self, plane: SubjectPlane, sight: Sight) -> NDArray[np.uint8]:
-        """How often halved in density each cell in view (y, x) is known, at best; STAGES + 1 where it is coarser."""
-        found = np.full(sight.shape, STAGES + 1, np.uint8)
-        for stage in range(STAGES, -1, -1):
-            if stage >= max(sight.x.level, sight.y.level):
-                found[self._in_atlas(plane, sight)] = stage
-            for key in sight.tiles(stage):
-                if self.tiles.has(plane, key):
-                    found[sight.place(key)] = stage
-        return found
-
-    def _in_atlas(self, plane: SubjectPlane, sight: Sight) -> NDArray[np.bool_]:
-        """Which cells in view lie in a cell of the atlas itself that is solved."""
-        done = self.tiles.atlas_done() if plane == self.subject.plane else None
-        if done is None:
-            return np.zeros(sight.shape, dtype=bool)
-        places, inside = [], []
-        for seen, count in zip((sight.y, sight.x), done.shape, strict=True):
-            level = seen.level
-            place = seen.index << -level if level < 0 else Stretch(0, 0, count).holding(level, seen.index)
-            inside.append((place >= 0) & (place < count))
-            places.append(np.clip(place, 0, count - 1))
-        return np.asarray(done[np.ix_(*places)] & np.outer(*inside))
-
-    def seen(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> "xr.Dataset":
+    def seen(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> InView:
         """The cells in view as far as they are known."""
         wanted = list(names)
         base = seen_atlas(self.subject, sight, wanted) if plane == self.subject.plane else None

@@ -6,7 +6,7 @@ Each step is planned for a time; what is chosen meanwhile replaces the steps tha
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
 from atlas.explore.chosen import Chosen, Ends, Range, beginning
-from atlas.explore.drawn import InView, ends_of, maps_of, message
+from atlas.explore.drawn import ends_of, maps_of, message
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import SubjectPlane
 from atlas.explore.threads import steady
@@ -57,8 +57,7 @@ def warm(explorer: Explorer) -> None:
     """Make a picture once, so that the first page need not wait for all that this loads."""
     chosen = beginning(explorer.subject)
     sight = explorer.subject.sight(chosen.x, chosen.y, WHOLE)
-    plane, known = chosen.plane, explorer.known
-    seen = InView("", known.seen(plane, sight, chosen.names), sight, known.stages(plane, sight))
+    seen = explorer.known.seen(chosen.plane, sight, chosen.names)
     message(seen, explorer.subject, chosen, maps_of(seen, chosen, others=True), {}, WHOLE)
 
 
@@ -186,11 +185,11 @@ class Painter:
             return
         (chosen, size), begin, explorer = asked, time.monotonic(), self._explorer
         of = f"{id(self)}-{self._view}"
-        stages, ds = explorer.known.stages(chosen.plane, sight), explorer.known.seen(chosen.plane, sight, chosen.names)
-        seen = InView(of, ds, sight, stages)
+        seen = replace(explorer.known.seen(chosen.plane, sight, chosen.names), of=of)
+        stages = seen.stages
         maps = maps_of(seen, chosen, others=not stages.any())
         self._hold(chosen, [each.name for each in maps])
-        if np.mean(ds[REGIME.name].values == PENDING) <= SETTLED:
+        if np.mean(seen.ds[REGIME.name].values == PENDING) <= SETTLED:
             self._scales = {each.name: ends for each in maps if (ends := ends_of(each))} | self._scales
         made, note = message(seen, explorer.subject, chosen, maps, self._scales, size)
         shares = tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
@@ -210,8 +209,7 @@ class Painter:
         if subject.ds is None or self._scales.keys() >= set(names):
             return
         sight = subject.sight(subject.x.ends, subject.y.ends, WHOLE)
-        ds = self._explorer.known.seen(subject.plane, sight, chosen.names)
-        if np.mean(ds[REGIME.name].values == PENDING) <= 0.5:
-            whole = InView("", ds, sight, np.zeros(sight.shape, np.uint8))
+        whole = self._explorer.known.seen(subject.plane, sight, chosen.names)
+        if np.mean(whole.ds[REGIME.name].values == PENDING) <= 0.5:
             made = [each for each in maps_of(whole, chosen, others=True) if each.name in names]
             self._scales = {each.name: ends for each in made if (ends := ends_of(each))} | self._scales

@@ -119,6 +119,10 @@ class Sight(NamedTuple):
         keys = [TileKey(*levels, x, y) for y in self.y.tiles(stage) for x in self.x.tiles(stage)]
         return sorted(keys, key=lambda key: self.x.away(key.columns) ** 2 + self.y.away(key.rows) ** 2)[:MOST_TILES]
 
+    def stage(self, key: TileKey) -> int:
+        """How often halved in density a tile is, by the axis along which it is coarser."""
+        return max(self.x.level - key.level_x, self.y.level - key.level_y)
+
     def shows(self, key: TileKey) -> bool:
         """Whether a tile is of this density or a coarser one, and has a cell in view."""
         if key.level_x > self.x.level or key.level_y > self.y.level:

@@ -92,7 +92,7 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
         subject = explorer.subject
         sight = subject.sight((3.9, 4.1), (0.75, 0.8), (16, 16))
         solved(explorer, sight)
-        shown = explorer.known.seen(subject.plane, sight, ["largest"])
+        shown = explorer.known.seen(subject.plane, sight, ["largest"]).ds
     assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
     handle = open_handle(coexistence)
     assert all(open_handle(sheet_place(handle, *each)).spec.attractors is None for each in sheets(handle))

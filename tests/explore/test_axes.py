@@ -67,7 +67,7 @@ def test_cells_over_other_axes_are_those_of_the_point_command_to_the_bit(explore
     sight = subject.sight((0.7, 0.8), (0.45, 0.55), (20, 20))
     turned.want("test", plane, sight, range(3, -1, -1))
     assert waited(lambda: turned.patches.left("test") == 0)
-    assert not np.any(turned.known.seen(plane, sight, [])[REGIME.name].values == PENDING)
+    assert not np.any(turned.known.seen(plane, sight, []).ds[REGIME.name].values == PENDING)
     cell = turned.known.cell(plane, sight, 0.75, 0.5)
     assert cell is not None and cell.parameters["omega"] == 3.9
     alone = atlas.point(cell.parameters, system=subject.system, settings=subject.settings)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from atlas.explore.chosen import Chosen, beginning, look_query, looking
-from atlas.explore.compose import composed
-from atlas.explore.drawn import InView, ends_of, maps_of, message
+from atlas.explore.compose import InView, composed
+from atlas.explore.drawn import ends_of, maps_of, message
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.view import TILE, Sight
 from atlas.orbits.curves.table import write_curves
@@ -58,8 +58,7 @@ def seen_of(subject: Subject, chosen: Chosen) -> InView:
         arrays[REGIME.name][...] = regime
         arrays["largest"] *= np.where(regime == CHAOTIC, 1.0, -1.0)
         tiles.append((key, arrays))
-    ds = composed(subject, chosen.plane, sight, tiles, chosen.names)
-    return InView("one", ds, sight, np.zeros(sight.shape, np.uint8))
+    return replace(composed(subject, chosen.plane, sight, tiles, chosen.names), of="one")
 
 
 def sent(subject: Subject, chosen: Chosen, others: bool = True, scales: Any = None) -> tuple[Any, Any, str, InView]:

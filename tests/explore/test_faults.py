@@ -76,7 +76,7 @@ def begun(explorer: Explorer, pixels: int) -> Sight:
 def all_solved(explorer: Explorer, sight: Sight) -> bool:
     """Whether the view is solved, once nothing of it is left."""
     assert waited(lambda: explorer.patches.left("test") == 0, 240.0), line(explorer)
-    regime = explorer.known.seen(explorer.subject.plane, sight, [])[REGIME.name].values
+    regime = explorer.known.seen(explorer.subject.plane, sight, []).ds[REGIME.name].values
     return not explorer.failures and not np.any(regime == PENDING)
 
 

@@ -104,7 +104,7 @@ def test_the_packaged_plane_is_seen_within_six_seconds_of_two_processors(client:
 
             def seen_whole() -> bool:
                 sight = painter.sight
-                return sight is not None and not np.any(known.seen(plane, sight, [])[REGIME.name].values == PENDING)
+                return sight is not None and not np.any(known.seen(plane, sight, []).ds[REGIME.name].values == PENDING)
 
             tab.until(seen_whole, 300.0)
             whole = time.monotonic() - begin, (time.process_time() - used) / 2

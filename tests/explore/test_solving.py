@@ -87,7 +87,7 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     with exploring(finished, client) as explorer:
         subject, sight = explorer.subject, view_of(explorer.subject)
         solved(explorer, sight)
-        ds = explorer.known.seen(subject.plane, sight, ["largest"])
+        ds = explorer.known.seen(subject.plane, sight, ["largest"]).ds
         assert not np.any(ds[REGIME.name].values == PENDING)
         cell = explorer.known.cell(subject.plane, sight, 2.4012345, 0.21)
     assert cell is not None
@@ -99,7 +99,7 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
 
 def shares(known: KnownCells, plane: SubjectPlane, sight: Sight) -> tuple[float, ...]:
     """The shares of the cells in view that are known at each stage or a finer one, the coarsest stage first."""
-    stages = known.stages(plane, sight)
+    stages = known.seen(plane, sight, []).stages
     return tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
 
 
@@ -180,11 +180,11 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         solved(explorer, sight)
-        first = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"])
+        first = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"]).ds
     with exploring(finished, client) as explorer:
         assert solved(explorer, sight) == []
         explorer.known.look(explorer.subject.plane, sight, ["largest", "period"])
-        second = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"])
+        second = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"]).ds
     assert first.identical(second)
 
 
@@ -235,7 +235,7 @@ def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explore
     assert not report.fine and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
     with exploring(finished, client) as explorer:
         assert len(solved(explorer, sight)) > 0
-        seen = explorer.known.seen(explorer.subject.plane, sight, ["largest"])
+        seen = explorer.known.seen(explorer.subject.plane, sight, ["largest"]).ds
         assert not np.any(seen[REGIME.name].values == PENDING)
 
 
@@ -460,7 +460,7 @@ def test_a_tile_that_was_given_up_is_tried_again_by_who_looks_later(
         assert len(explorer.failures) == tiles and count() == 0
         monkeypatch.setattr("atlas.explore.explorer.AGAIN", 0.0)
         assert solved(explorer, sight) and not explorer.failures
-        assert not np.any(explorer.known.seen(plane, sight, [])[REGIME.name].values == PENDING)
+        assert not np.any(explorer.known.seen(plane, sight, []).ds[REGIME.name].values == PENDING)
 
 
 def _refused(patch: object) -> object:
@@ -489,7 +489,7 @@ def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished:
             )
         sight = subject.sight((2.0, 3.0), (-20.0, -19.0), (30, 30))
         assert solved(explorer, sight) == []
-        assert (explorer.known.seen(subject.plane, sight, []).regime == INVALID).all()
+        assert (explorer.known.seen(subject.plane, sight, []).ds.regime == INVALID).all()
 
 
 @pytest.mark.slow
@@ -498,7 +498,7 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
         subject = explorer.subject
         sight = subject.sight((2.0, 3.0), (-0.1, 0.1), (30, 30))
         solved(explorer, sight)
-        ds = explorer.known.seen(subject.plane, sight, [])
+        ds = explorer.known.seen(subject.plane, sight, []).ds
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
     assert atlas.verify(finished).fine
 

@@ -129,7 +129,7 @@ def test_the_browser_has_the_colours_of_paint(running: Exploration, tab: Tab) ->
         painter, shown = painter_of(running, tab), pixels(tab)
         chosen = from_address(running.explorer.subject, arguments(tab))
         assert painter.sight is not None
-        ds = running.explorer.known.seen(chosen.plane, painter.sight, chosen.names)
+        ds = running.explorer.known.seen(chosen.plane, painter.sight, chosen.names).ds
         ds = ds.assign(peak_to_peak=(ds.peak_to_peak.dims, rounded(ds.peak_to_peak.values, BITS)))
         own = painter.ends(chosen)
         asked = Wanted(STANDARD.__class__(vmin=own[0], vmax=own[1]), "scalar", variable="peak_to_peak")

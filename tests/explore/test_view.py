@@ -10,7 +10,7 @@ import atlas
 from atlas.errors import InputError
 from atlas.explore.chosen import beginning, from_address, kinds, overlays
 from atlas.explore.compose import composed
-from atlas.explore.drawn import InView, maps_of
+from atlas.explore.drawn import maps_of
 from atlas.explore.kept import Keeper
 from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
@@ -133,7 +133,7 @@ def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Sub
     tiles = memory_alone(subject)
     for key, value in ((fine, 1.0), (coarse, 4.0)):
         tiles.put(subject.plane, key, filled(subject, key, value))
-    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
+    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
     expected = np.full(sight.shape, np.nan)
     expected[sight.place(coarse)] = 4.0
     expected[sight.place(fine)] = 1.0
@@ -148,7 +148,7 @@ def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Su
     arrays["largest"] += subject.x.values(key.level_x, key.columns.index)
     tiles = memory_alone(subject)
     tiles.put(subject.plane, key, arrays)
-    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
+    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
     off = np.abs(ds.largest.values - ds.omega.values)[sight.place(key)] / np.diff(ds.omega.values).mean()
     assert off.max() <= 1.0 + 1e-6
 
@@ -179,7 +179,7 @@ def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> N
     write_curves(open_handle(finished), curves())
     stored = subject_of(str(finished))
     sight = stored.sight((2.3, 2.9), (0.2, 0.3), (30, 20))
-    assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"])).curves) == len(curves().curves)
+    assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"]).ds).curves) == len(curves().curves)
     chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
     assert chosen.drawn(stored) == ("grazing", "curves")
     assert replace(chosen, plane=stored.plane.moved("R", 0.7)).drawn(stored) == ("grazing",)
@@ -192,8 +192,7 @@ def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(fi
     tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
     for kind in kinds(stored):
         chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
-        ds = composed(stored, stored.plane, sight, tiles, chosen.names)
-        (made,) = maps_of(InView("", ds, sight, np.zeros(sight.shape, np.uint8)), chosen, others=False)
+        (made,) = maps_of(composed(stored, stored.plane, sight, tiles, chosen.names), chosen, others=False)
         assert made.codes.shape == sight.shape and {*made.needs} <= {*chosen.names}, kind
 
 
