@@ -27,7 +27,7 @@ from atlas.explore.state import Store
 from atlas.explore.style import POINTER, TEXT
 from atlas.explore.subject import SubjectPlane
 from atlas.explore.view import Sight
-from atlas.explore.words import cell_line, cell_table, cell_text, point_line
+from atlas.explore.words import cell_given, cell_line, cell_text, point_line
 
 CLICKED = "<h4>cell clicked</h4>"
 PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
@@ -137,7 +137,7 @@ class Details(Panel[Point]):
 
     def _show(self, cell: Cell, drawn: str) -> None:
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
-        self._numbers.text = cell_table(cell, self._subject)
+        self._numbers.text = part("cell", cell_given(cell, self._subject))
         self._point.update(value=point_line(cell, self._subject), visible=True)
         self._copy.visible = self._copy_all.visible = True
         self._copy_all.tags = [cell_text(cell)]

@@ -18,7 +18,7 @@ from atlas.spec.system import impacts_of
 from atlas.task.compile import kernels_for, warming
 from atlas.text import plain, plural
 from workers.model.system import System
-from workers.results import ERROR, LARGEST, REASON, REGIME, result_named
+from workers.results import LARGEST, REASON, REASONS, REGIME, result_named
 
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 HELP = """point at the plane: the numbers of a cell
@@ -94,47 +94,40 @@ def cell_line(cell: Cell, subject: Subject) -> str:
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
-def cell_table(cell: Cell, subject: Subject) -> str:
-    """What is a result in a cell, as an HTML table; the pointer over a number shows all its digits."""
-    names, words = subject.axes, {REGIME.name, REASON.name}
-    rows = [(symbol_of(subject.system, name), number(cell.results[name]), repr(cell.results[name])) for name in names]
-    rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " "), ""))
-    if REASON.name in cell.results:
-        rows.append((REASON.name, str(cell.results[REASON.name]), ""))
-    if not math.isnan(cell.results.get(LARGEST.name, math.nan)):
-        value, error = cell.results[LARGEST.name], cell.results[ERROR.name]
-        rows.append((LARGEST.words, with_error(value, error), f"{value!r} ± {error!r}"))
-    shown = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
-    regime = REGIME.code_of(cell.results[REGIME.name])
-    own = {each.name: each for each in subject.system.own_variables}
-    for name, value in cell.results.items():
-        meant = own.get(name) or result_named(name)
-        if name in shown or regime not in meant.regimes or (isinstance(value, float) and math.isnan(value)):
-            continue
-        text = "without end: at rest on a stop" if meant.endless and value < 0 else _value(value)
-        rows.append((meant.words, text, repr(value)))
-    of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
-    body = "".join(
-        f"<tr><td>{html.escape(left)}</td><td{' class=number' if left not in words else ''} "
-        f'title="{html.escape(full)}">{html.escape(right)}</td></tr>'
-        for left, right, full in rows
-    )
-    return f"<table><caption>{of}</caption>{body}</table>"
+def cell_given(cell: Cell, subject: Subject) -> dict[str, Any]:
+    """The numbers of a cell and what they mean, as JSON: the page shows those that are results of its regime."""
+    own = {variable.name: variable for variable in subject.system.own_variables}
+    numbers = {name: value for name, value in cell.results.items() if isinstance(value, bool | int | float)}
+    values = {name: value for name, value in numbers.items() if name not in subject.axes}
+    reasons = [reason.text for reason in REASONS]
+    values[REGIME.name] = REGIME.code_of(cell.results[REGIME.name])
+    values[REASON.name] = reasons.index(cell.results[REASON.name]) if REASON.name in cell.results else 0
+    meant = {name: own.get(name) or result_named(name) for name in (REGIME.name, REASON.name, *values)}
+    return {
+        "caption": "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}",
+        "places": [(symbol_of(subject.system, name), cell.results[name]) for name in subject.axes],
+        "variables": {
+            name: {
+                "label": name if name in (REGIME.name, REASON.name) else each.words,
+                "flag": isinstance(values[name], bool),
+                "endless": each.endless,
+                "regimes": sorted(each.regimes),
+            }
+            for name, each in meant.items()
+        },
+        "values": _plain(values),
+    }
 
 
 def cell_text(cell: Cell) -> str:
     """All that is known of a cell as JSON, in full precision; what is no number is null."""
     values = cell.parameters | cell.results
-    return json.dumps({name: None if value != value else value for name, value in values.items()}, indent=1)
+    return json.dumps(_plain(values), indent=1)
 
 
-def with_error(value: float, error: float) -> str:
-    """A number and its error: two digits of the error, and of the number as many as that leaves, 4 to 6."""
-    if not (math.isfinite(value) and math.isfinite(error)):
-        return f"{number(value)} ± {number(error)}"
-    size = math.floor(math.log10(abs(value))) if value else 0
-    digits = size - math.floor(math.log10(error)) + 2 if error > 0 else 6
-    return f"{number(value, min(max(digits, 4), 6))} ± {number(error, 2)}"
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values as JSON has them: None for those that are no numbers."""
+    return {name: None if value != value else value for name, value in values.items()}
 
 
 def attractors_table(found: KeptAttractors, subject: Subject) -> str:
@@ -174,12 +167,6 @@ def _attractor(each: Mapping[str, Any], own: bool, exponents: bool, system: Syst
 
 def _cells(tag: str, texts: Iterable[str]) -> str:
     return f"<tr>{''.join(f'<{tag}>{html.escape(text)}</{tag}>' for text in texts)}</tr>"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return number(float(value), 5) if isinstance(value, float) else str(value)
 
 
 def compiled_first(system: System, *more: str) -> str:

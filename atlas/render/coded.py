@@ -18,13 +18,13 @@ from atlas.errors import InputError
 from atlas.orbits.curves.table import Curve
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.plane import Plane
-from atlas.query.window import axis_names
 from atlas.render import style, words
 from atlas.render.kinds import BASINS, LABELS, LOGARITHM, MAPS, NUMBER, SCALAR, TABLE
 from atlas.render.layers import CellLook, Colors, Entry, Field, Layers, View
 from atlas.render.maps import explained
 from atlas.render.page import STANDARD
 from atlas.render.painters import PAINTERS
+from atlas.render.raster import MARKED
 from atlas.render.wanted import Wanted
 from atlas.text import plain
 from workers.results import NO_IMPACT
@@ -77,17 +77,6 @@ def text_of(label: str) -> str:
     return " ".join(shown.split())
 
 
-def curves_over(ds: xr.Dataset) -> dict[str, Any]:
-    """The curves of this plane in the store of an atlas, with the looks of their kinds; empty without any."""
-    from atlas.orbits.curves import asking
-
-    with suppress(InputError):
-        found = asking.curves_of(ds)
-        if found.axes == axis_names(ds):
-            return described_curves([*found])
-    return {}
-
-
 def described_curves(curves: Sequence[Curve]) -> dict[str, Any]:
     """Curves where their orbit is otherwise stable, as plain JSON."""
     corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
@@ -120,11 +109,20 @@ def _mark_look(kind: str) -> dict[str, Any]:
 def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> CodedMap:
     layers = explained(PAINTERS[view.kind.name](view), view.ds)
     textures, patterns = _textures(layers)
-    keys, codes = np.unique(layers.codes * (len(patterns) + 1) + textures, return_inverse=True)
-    entries = []
+    outlined = np.zeros(layers.codes.shape, np.int64)
+    for each in layers.textures:
+        outlined |= 0 if each.outlined is None else each.outlined
+    base = 2 * (len(patterns) + 1)
+    keys, codes = np.unique(layers.codes * base + 2 * textures + outlined, return_inverse=True)
+    entries, own = [], words.regime(view.ds)
     for key in keys.tolist():
-        code, texture = divmod(key, len(patterns) + 1)
-        entries.append(_shown(layers, layers.looks[code]) | (patterns[texture - 1] if texture else {}))
+        rest, look = key % base, layers.looks[key // base]
+        entry = _shown(layers, look) | (patterns[rest // 2 - 1] if rest > 1 else {})
+        if rest % 2:
+            entry["outlined"] = True
+        if look.regime in MARKED:
+            entry["enlarged"] = text_of(own.meaning(look.regime).text)  # as its entry in the legend
+        entries.append(entry)
     described = {
         "name": name,
         "needs": list(needs),

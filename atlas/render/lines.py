@@ -26,7 +26,7 @@ NAME_SIZE = 11.5
 """Pixels of the type of names."""
 _NAMED = 150.0
 """Least length in pixels of an isoline with its number."""
-_FINE = 1e-5
+_FINE = 1e-7
 """Precision of the points of lines, as a share of the plane's width."""
 
 

@@ -19,12 +19,12 @@ from atlas.render.layers import Layers, paint
 from atlas.render.page import DrawnPage
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIME, UNDETERMINED
 
-_VISIBLE = 2.0
+VISIBLE = 2.0
 """Points below which a single cell is invisible."""
-_MOST_MARKS = 300
+MOST_MARKS = 300
 """Most marks of such cells: more are visible as a cloud anyway."""
 _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
-_MARKED = (UNDETERMINED, INVALID, FAILED)
+MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
 def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[str]:
@@ -47,7 +47,7 @@ def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[s
         shown = layers.as_regime(code)
         if code in _WITH_TEXTURE:
             hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
-        if code in _MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):
+        if code in MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):
             enlarged.add(REGIME.meaning(code).text)
     return enlarged
 
@@ -55,12 +55,12 @@ def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[s
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
     """Mark the small ones of these cells unless visible anyway, or too many; returns whether there are marks."""
     step = np.array(size[::-1]) / plane.regime.shape
-    if step.max() >= _VISIBLE:
+    if step.max() >= VISIBLE:
         return False
-    small = specks(cells, plane.x.edges, plane.y.edges, step, _VISIBLE)
-    if not 0 < len(small) <= _MOST_MARKS:
+    small = specks(cells, plane.x.edges, plane.y.edges, step, VISIBLE)
+    if not 0 < len(small) <= MOST_MARKS:
         return False
-    ax.plot(*small.T, zorder=2.2, **style.mark("s", 0.9 * _VISIBLE, color, "black", 0.2))
+    ax.plot(*small.T, zorder=2.2, **style.mark("s", 0.9 * VISIBLE, color, "black", 0.2))
     return True
 
 

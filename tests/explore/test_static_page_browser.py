@@ -49,12 +49,12 @@ def tab(browser: Any, page: Path) -> Iterator[Tab]:
 
 
 def ready(tab: Tab) -> None:
-    tab.until(lambda: tab.page.evaluate("() => shown !== null && !asked"))
+    tab.until(lambda: tab.page.evaluate("() => shown !== null && !draw.due"))
 
 
 def state(tab: Tab) -> dict[str, Any]:
     found: dict[str, Any] = tab.page.evaluate(
-        "() => ({map: state.map.name, window: state.window, cell: state.cell, ends: state.ends})"
+        "() => ({map: state.map, window: state.window, cell: state.cell, ends: state.ends})"
     )
     return found
 
@@ -86,7 +86,7 @@ def test_the_map_has_the_colours_that_a_file_has(browser: Any, page: Path, ds: A
     expected = period_colors(ds)
     with look_at(browser, page, f"#kind=period&{ALL_LINES}") as tab:
         ready(tab)
-        tab.page.evaluate("() => { atlas.curves.ends.length = 0; draw(); }")
+        tab.page.evaluate("() => { atlas.lines.curves.ends.length = 0; draw(); }")
         ready(tab)
         places = [[at_cell(tab, column, row) for column in range(45)] for row in range(38)]
         image = np.asarray(Image.open(BytesIO(tab.page.screenshot())).convert("RGB"))
@@ -198,7 +198,7 @@ def test_the_cell_chosen_by_keys_stays_in_view(tab: Tab) -> None:
 
 
 def test_a_link_gives_the_same_view_and_back_goes_to_the_one_before(browser: Any, page: Path, tab: Tab) -> None:
-    tab.page.locator("#kind").select_option("combined")
+    tab.page.locator("#look select").select_option("combined")
     tab.until(lambda: state(tab)["map"] == "combined")
     tab.page.locator("#closer").click()
     tab.page.mouse.click(*at_cell(tab, 20, 20))
@@ -312,7 +312,7 @@ def test_a_page_inside_another_page_works_without_an_address(browser: Any, page:
     (tmp_path / "outer.html").write_text(f'<iframe width="900" height="700" srcdoc="{inside}"></iframe>', "utf-8")
     with look_at(browser, tmp_path / "outer.html") as tab:
         frame = tab.page.frames[1]
-        tab.until(lambda: frame.evaluate("() => shown !== null && !asked"))
+        tab.until(lambda: frame.evaluate("() => shown !== null && !draw.due"))
         frame.locator("#map").click()
         tab.until(lambda: frame.locator("#cell table").count() == 1)
         frame.locator("#closer").click()

@@ -1,25 +1,9 @@
 // The key of a map: the bars of its scales with their ends, its legend, and the curves over it, which are switched here.
 
 import { endsOf, fits, inkedBy, rgb, shareOf, tableOf } from "./colors.mjs";
+import { fitted, make } from "./elements.mjs";
 import { dot, outlined, ticks } from "./plane.mjs";
 import { number } from "./words.mjs";
-
-/** An element with these properties and children. */
-export function make(tag, given, ...inside) {
-  const made = Object.assign(document.createElement(tag), given);
-  made.append(...inside);
-  return made;
-}
-
-/** The context of a canvas that has its size in pixels of the screen. */
-export function fitted(canvas) {
-  const ratio = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();
-  canvas.width = Math.round(box.width * ratio);
-  canvas.height = Math.round(box.height * ratio);
-  const context = canvas.getContext("2d");
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  return { context, ratio, width: box.width, height: box.height };
-}
 
 function swatch(paint) {
   const canvas = make("canvas", {});
@@ -47,7 +31,7 @@ const isTwoSided = (bar) => bar.scale === "two-sided";
 
 function barOf(bar, look) {
   const canvas = swatch(({ context, width, height }) => {
-    const table = tableOf(bar, endsOf(bar, look.ends));
+    const table = tableOf(bar, endsOf(bar, look().ends));
     for (let x = 0; x < width; x += 0.5) {
       const color = table[Math.floor((x / width) * table.length)];
       context.fillStyle = `rgb(${color & 255} ${(color >> 8) & 255} ${(color >> 16) & 255})`;
@@ -56,7 +40,7 @@ function barOf(bar, look) {
   });
   const marks = make("div", { className: "ticks" });
   marks.update = () => {
-    const [low, high] = endsOf(bar, look.ends);
+    const [low, high] = endsOf(bar, look().ends);
     const values = isTwoSided(bar) ? [...ticks(low, 0, 2), ...ticks(0, high, 2).slice(1)] : ticks(low, high, 4, bar.scale === "log");
     marks.replaceChildren(...values.map((value) => make("span", { textContent: number(value), style: `left: ${100 * shareOf(bar, [low, high], value)}%` })));
     canvas.ariaLabel = `colours from ${number(low)} to ${number(high)}`;
@@ -68,7 +52,7 @@ function barOf(bar, look) {
 
 function endsInputs(bar, look, change) {
   const inputs = ["lower", "upper"].map((end) => make("input", { type: "number", step: "any", ariaLabel: `${end} end of the scale` }));
-  const update = () => inputs.forEach((input, end) => { input.value = Number(endsOf(bar, look.ends)[end].toPrecision(6)); });
+  const update = () => inputs.forEach((input, end) => { input.value = Number(endsOf(bar, look().ends)[end].toPrecision(6)); });
   const set = () => {
     const ends = inputs.map((input) => input.valueAsNumber);
     if (fits(bar, ends)) change({ ends });
@@ -84,11 +68,11 @@ function lineEntry(kind, label, look, change, paint) {
   if (!kind) return make("li", {}, swatch(paint), label); // switched elsewhere
   const box = make("input", { type: "checkbox" });
   box.onchange = () => {
-    const hidden = new Set(look.hidden);
+    const hidden = new Set(look().hidden);
     hidden[box.checked ? "delete" : "add"](kind);
     change({ hidden });
   };
-  box.update = () => { box.checked = !look.hidden.has(kind); };
+  box.update = () => { box.checked = !look().hidden.has(kind); };
   return make("li", {}, make("label", {}, box, swatch(paint), label));
 }
 
@@ -110,13 +94,20 @@ function curveEntries({ looks, marks, ends }, look, change) {
   return [make("h2", { textContent: title }), make("ul", {}, ...lines)];
 }
 
-/** Fill an element with the key of a map; `look` has the ends asked for and the kinds of curves that are hidden. */
-export function fillKey(key, map, lines, look, change) {
+function labelOf({ label }, enlarged) {
+  const text = make("span", {});
+  text.update = () => { text.textContent = enlarged().has(label) ? `${label}, single cells enlarged` : label; };
+  return text;
+}
+
+/** Fill an element with the key of a map; `look` gives the look, `change` changes it, and `enlarged` gives the
+ * labels of classes whose single cells are drawn larger. */
+export function fillKey(key, map, lines, look, change, enlarged) {
   const { meaning, title, bars, legend } = map, main = bars.find((bar) => bar.main);
   key.replaceChildren(make("h2", { textContent: meaning }), ...bars.map((bar) => barOf(bar, look)));
   if (main) key.append(endsInputs(main, look, change));
   if (title) key.append(make("p", { className: "note", textContent: title }));
-  key.append(make("ul", {}, ...legend.map((entry) => make("li", {}, boxOf(entry), entry.label))));
+  key.append(make("ul", {}, ...legend.map((entry) => make("li", {}, boxOf(entry), labelOf(entry, enlarged)))));
   if (lines.lines) key.append(...curveEntries(lines, look, change));
   updateKey(key);
 }

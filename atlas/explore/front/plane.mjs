@@ -1,14 +1,38 @@
 // Draws a plane with a 2D context: its cells, its curves and marks, its axes.
 //
-// A scene is { axes: [x, y], window, plot, shown, lines, names, hidden, mark }. An axis has cuts between its cells, in
-// the coordinate in which they are drawn, `to` and `from` that coordinate, and a label; the window is in the same
-// coordinate; the plot is the area in CSS pixels; shown is { map, codes, colors, regions }; lines are as curves_over of
-// atlas.render.coded has them.
+// A scene is { axes: [x, y], window, plot, shown, lines, names, hidden, mark }. An axis is as `drawnAxis` makes it; the
+// window is in the coordinate in which it is drawn; the plot is the area in CSS pixels; shown is { map, codes, colors,
+// regions }; lines are as atlas.render.lines has them.
 
 import { pixel, rgb, texturesOf } from "./colors.mjs";
 import { number } from "./words.mjs";
 
-const BORDER = "#101418";
+const BORDER = "#101418", OUTLINE = "#1a2433";
+const POINT = 96 / 72; // CSS pixels
+const VISIBLE = 2 * POINT, MOST_MARKS = 300; // as in atlas.render.raster
+
+/** An axis of `count` cells between its `edges`, all or the outer ones, with `to` and `from` the coordinate in which it
+ * is drawn, and the `cuts` between cells in that.
+ */
+export function drawnAxis(axis) {
+  const { edges, log, count = edges.length - 1 } = axis, to = log ? Math.log : (value) => value, from = log ? Math.exp : to;
+  const [low, high] = [edges[0], edges.at(-1)].map(to);
+  const cuts = edges.length > count ? edges.map(to) : Array.from({ length: count + 1 }, (_, k) => low + ((high - low) * k) / count);
+  return { ...axis, to, from, cuts };
+}
+
+/** The cell of an axis that has a value; -1 for none. */
+export function cellWith({ cuts, to }, value) {
+  const place = to(value);
+  let [low, high] = [0, cuts.length - 1];
+  if (!(place >= cuts[0] && place < cuts[high])) return -1;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (cuts[middle] <= place) low = middle;
+    else high = middle;
+  }
+  return low;
+}
 
 function cellsAlong(cuts, [low, high], count, falling) {
   const found = new Int32Array(count).fill(-1);
@@ -27,13 +51,20 @@ export function pixelsOf({ axes: [x, y], window, plot, shown }, ratio) {
   const across = cellsAlong(x.cuts, window[0], columns, false), up = cellsAlong(y.cuts, window[1], rows, true);
   const { size, masks, inks } = texturesOf(shown.map.entries, ratio), { regions } = shown;
   const border = pixel(rgb(BORDER)), wide = Math.max(1, Math.round(ratio));
+  const line = pixel(rgb(OUTLINE)), inside = shown.map.entries.map(({ outlined }) => Boolean(outlined));
+  const hasOutline = inside.includes(true) && inside.includes(false), isInside = (cell) => inside[shown.codes[cell]];
   for (let row = 0, at = 0; row < rows; row++) {
-    const first = up[row] * count, line = (row % size) * size, below = up[Math.min(rows - 1, row + wide)] * count;
+    const first = up[row] * count, texture = (row % size) * size, below = up[Math.min(rows - 1, row + wide)] * count;
     if (first < 0) at += columns;
     else for (let column = 0; column < columns; column++, at++) {
       const cell = first + across[column], code = shown.codes[cell];
       if (across[column] < 0) continue;
-      pixels[at] = masks[code] && masks[code][line + (column % size)] ? inks[code] : shown.colors[cell];
+      pixels[at] = masks[code] && masks[code][texture + (column % size)] ? inks[code] : shown.colors[cell];
+      if (hasOutline) {
+        const beside = across[Math.min(columns - 1, column + 1)], under = up[Math.min(rows - 1, row + 1)];
+        if ((beside >= 0 && isInside(first + beside) !== inside[code])
+          || (under >= 0 && isInside(under * count + across[column]) !== inside[code])) pixels[at] = line;
+      }
       if (!regions) continue;
       const right = across[Math.min(columns - 1, column + wide)];
       if ((right >= 0 && regions[first + right] !== regions[cell])
@@ -43,13 +74,67 @@ export function pixelsOf({ axes: [x, y], window, plot, shown }, ratio) {
   return image;
 }
 
-/** Where a value of an axis, the first or the second, lies on the page. */
-export function place({ axes, window, plot }, value, along) {
-  const [low, high] = window[along], share = (axes[along].to(value) - low) / (high - low);
+function position({ window, plot }, at, along) {
+  const [low, high] = window[along], share = (at - low) / (high - low);
   return along ? plot.top + (1 - share) * plot.height : plot.left + share * plot.width;
 }
 
-/** Draw the cells of a scene and what lies on them. */
+/** Where a value of an axis, the first or the second, lies on the page. */
+export const place = (scene, value, along) => position(scene, scene.axes[along].to(value), along);
+
+/** Connected regions of cells of a class whose single cells are drawn larger, by its label: [first and last column,
+ * first and last row, colour] of each.
+ */
+export function specksOf({ map: { entries }, codes }, width) {
+  const found = {}, seen = new Uint8Array(codes.length), label = (cell) => entries[codes[cell]].enlarged;
+  if (!entries.some(({ enlarged }) => enlarged)) return found;
+  for (let cell = 0; cell < codes.length; cell++) {
+    const own = label(cell);
+    if (!own || seen[cell]) continue;
+    const box = [width, -1, codes.length, -1, entries[codes[cell]].color], stack = [cell];
+    seen[cell] = 1;
+    while (stack.length) {
+      const at = stack.pop(), column = at % width, row = (at - column) / width;
+      [box[0], box[1], box[2], box[3]] = [Math.min(box[0], column), Math.max(box[1], column), Math.min(box[2], row), Math.max(box[3], row)];
+      for (const next of [column ? at - 1 : -1, column < width - 1 ? at + 1 : -1, at - width, at + width])
+        if (next >= 0 && next < codes.length && !seen[next] && label(next) === own) {
+          seen[next] = 1;
+          stack.push(next);
+        }
+    }
+    (found[own] ??= []).push(box);
+  }
+  return found;
+}
+
+/** Draw the regions larger that would be invisible, unless they are too many, and return the labels of their classes. */
+function drawSpecks(pen, scene) {
+  const { axes, plot, shown } = scene, drawn = new Set();
+  shown.specks ??= specksOf(shown, axes[0].cuts.length - 1);
+  for (const [label, boxes] of Object.entries(shown.specks)) {
+    const small = [];
+    for (const [left, right, low, high, color] of boxes) {
+      const [[x0, x1], [y0, y1]] = [[left, right], [low, high]].map(([first, last], along) =>
+        [first, last + 1].map((cut) => position(scene, axes[along].cuts[cut], along)));
+      const x = (x0 + x1) / 2, y = (y0 + y1) / 2;
+      if (Math.max(x1 - x0, y0 - y1) < VISIBLE && x > plot.left && x < plot.left + plot.width && y > plot.top && y < plot.top + plot.height)
+        small.push([x, y, color]);
+    }
+    if (!small.length || small.length > MOST_MARKS) continue;
+    drawn.add(label);
+    const half = 0.45 * VISIBLE;
+    for (const [x, y, color] of small) {
+      pen.fillStyle = color;
+      pen.strokeStyle = "#000000";
+      pen.lineWidth = 0.2 * POINT;
+      pen.fillRect(x - half, y - half, 2 * half, 2 * half);
+      pen.strokeRect(x - half, y - half, 2 * half, 2 * half);
+    }
+  }
+  return drawn;
+}
+
+/** Draw the cells of a scene and what lies on them; returns the labels of the classes with single cells drawn larger. */
 export function drawPlane(pen, scene, ratio) {
   const { left, top, width, height } = scene.plot;
   pen.putImageData(pixelsOf(scene, ratio), Math.round(left * ratio), Math.round(top * ratio));
@@ -57,10 +142,12 @@ export function drawPlane(pen, scene, ratio) {
   pen.beginPath();
   pen.rect(left, top, width, height);
   pen.clip();
+  const enlarged = drawSpecks(pen, scene);
   drawCurves(pen, scene);
   drawNames(pen, scene);
   if (scene.mark) drawMark(pen, scene);
   pen.restore();
+  return enlarged;
 }
 
 /** Round numbers between two ends, so many at most. */

@@ -1,11 +1,13 @@
 """The modules that both pages run, joined into one script, and the style sheet of their keys."""
 
+import html
+import json
 import re
 from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from typing import Any
 
-SHARED = ("numbers.mjs", "colors.mjs", "plane.mjs", "words.mjs", "key.mjs")
+SHARED = ("numbers.mjs", "colors.mjs", "words.mjs", "elements.mjs", "plane.mjs", "key.mjs", "look.mjs")
 """The modules of both pages, each after those that it takes something from."""
 
 
@@ -36,9 +38,9 @@ def call(function: str, **given: Any) -> Any:
     return CustomJS(args={"given": given}, code=f"atlasPage.{function}(given, cb_obj)")
 
 
-def part(name: str) -> str:
-    """The HTML of a part of the page that a module fills."""
-    return f'<atlas-part class="{name}" data-of="{name}"></atlas-part>'
+def part(name: str, given: Any = None) -> str:
+    """The HTML of a part of the page that a module fills, by the JSON that it is given."""
+    return f'<atlas-part class="{name}" data-of="{name}" data-given="{html.escape(json.dumps(given))}"></atlas-part>'
 
 
 def looks() -> str:

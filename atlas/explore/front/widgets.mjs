@@ -1,5 +1,7 @@
 // What the widgets of the explorer's page do in the browser. Each gets its models, and the one that has changed.
 
+import { copied } from "./elements.mjs";
+
 const find = (node) => [...node.querySelectorAll("*")].flatMap(
   (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])]);
 
@@ -69,16 +71,8 @@ export function play({ path, here, machine, pace, seconds }, cb_obj) {
   requestAnimationFrame(step)
 }
 
-/** Copy the value of a model; a page that another machine serves by plain HTTP has no clipboard. */
-export function copy({ source }) {
-  const text = source.value ?? source.tags[0]
-  if (navigator.clipboard) return navigator.clipboard.writeText(text)
-  const box = document.body.appendChild(document.createElement("textarea"))
-  box.value = text
-  box.select()
-  document.execCommand("copy")
-  box.remove()
-}
+/** Copy the value of a model. */
+export const copy = ({ source }) => copied(source.value ?? source.tags[0]);
 
 /** Save a file. */
 export function download(_, { data }) {

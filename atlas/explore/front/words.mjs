@@ -11,16 +11,17 @@ export function number(value, digits = 6) {
   return `${mantissa === "1" ? "" : `${mantissa.replace("-", "−")}·`}10${raised(power)}`;
 }
 
+/** A number and its error: two digits of the error, and of the number as many as that leaves, 4 to `most`. */
 function withError(value, error, most) {
-  if (!(error > 0) || !Number.isFinite(value) || value === 0) return number(value, most);
-  const certain = Math.floor(Math.log10(Math.abs(value))) - Math.floor(Math.log10(error)) + 2;
-  return `${number(value, Math.min(most, Math.max(1, certain)))} ± ${number(error, 2)}`;
+  if (!(error > 0) || !Number.isFinite(value)) return number(value, most);
+  const size = value ? Math.floor(Math.log10(Math.abs(value))) : 0, certain = size - Math.floor(Math.log10(error)) + 2;
+  return `${number(value, Math.min(most, Math.max(4, certain)))} ± ${number(error, 2)}`;
 }
 
 /** The value of a variable in cell k, where `told.arrays` says how many digits it has. */
-export function inWords(told, name, k, values) {
+function inWords(told, name, k, values) {
   const value = values[name][k], { special, variables, arrays } = told, { flag, endless } = variables[name];
-  const digits = Math.min(6, arrays[name].digits || 6);
+  const digits = Math.min(6, arrays[name]?.digits || 6);
   if (name === special.regime) return told.regimes[value];
   if (name === special.reason) return told.reasons[value];
   if (name === special.largest && values[special.error]) return withError(value, values[special.error][k], digits);
@@ -29,16 +30,23 @@ export function inWords(told, name, k, values) {
 }
 
 /** Whether a variable is a result in cell k. */
-export function isResult(told, name, k, values) {
+function isResult(told, name, k, values) {
   const value = values[name][k], { regime, reason } = told.special;
   if (name === reason) return value !== 0;
   return name === regime || (told.variables[name].regimes.includes(values[regime][k]) && !Number.isNaN(value));
 }
 
+/** The results in cell k of these variables, each with its label, its value in words and its name; none of an error
+ * beside its exponent, which has it.
+ */
+export function resultsOf(told, names, k, values) {
+  const { largest, error } = told.special;
+  return names.filter((name) => !(name === error && largest in values) && isResult(told, name, k, values))
+    .map((name) => [told.variables[name].label, inWords(told, name, k, values), name]);
+}
+
 /** The regime of cell k and the results that a map shows of it. */
 export function sentence(told, map, k, values) {
-  const { regime } = told.special;
-  const rest = map.needs.filter((name) => name !== regime && isResult(told, name, k, values));
-  const parts = rest.map((name) => `${told.variables[name].label} ${inWords(told, name, k, values)}`);
-  return [told.regimes[values[regime][k]], ...parts].join("; ");
+  const { regime } = told.special, rest = map.needs.filter((name) => name !== regime);
+  return [told.regimes[values[regime][k]], ...resultsOf(told, rest, k, values).map(([label, text]) => `${label} ${text}`)].join("; ");
 }

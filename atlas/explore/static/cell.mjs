@@ -1,8 +1,8 @@
 // The cell that is chosen, with all its numbers, and what the page says about its numbers.
 
-import { make } from "../front/key.mjs";
-import { inWords, isResult, number } from "../front/words.mjs";
-import { ERROR, LARGEST, NX, PENDING, REGIME, atlas, axes, by, numbers } from "./atlas.mjs";
+import { copied, make } from "../front/elements.mjs";
+import { number, resultsOf } from "../front/words.mjs";
+import { LARGEST, NX, PENDING, REGIME, atlas, axes, by, numbers } from "./atlas.mjs";
 
 const isCoarse = () => Math.max(...atlas.block) > 1;
 
@@ -43,10 +43,9 @@ export async function drawCell(cell, stays) {
   if (!cell) return panel.replaceChildren(make("p", { className: "note", textContent: hint }));
   const arrays = await allNumbers(), k = cell[1] * NX + cell[0];
   if (!stays(cell)) return;
-  const names = Object.keys(atlas.variables).filter((name) => name in arrays && name !== REGIME && name !== ERROR);
-  const rows = [REGIME, ...names].filter((name) => isResult(atlas, name, k, arrays)).map((name) => make("tr", {},
-    make("th", { scope: "row", textContent: atlas.variables[name].label }),
-    make("td", { textContent: inWords(atlas, name, k, arrays) })));
+  const names = Object.keys(atlas.variables).filter((name) => name in arrays && name !== REGIME);
+  const rows = resultsOf(atlas, [REGIME, ...names], k, arrays).map(([label, text]) => make("tr", {},
+    make("th", { scope: "row", textContent: label }), make("td", { textContent: text })));
   const where = placeOf(cell), title = isCoarse() ? `block of up to ${atlas.block.join(" × ")} cells around ${where}` : `cell at ${where}`;
   panel.replaceChildren(make("h2", { textContent: title }), ...coexisting(k, arrays), make("table", {}, ...rows),
     copying("copy all numbers", async () => JSON.stringify(await fullNumbers(cell))));
@@ -56,15 +55,6 @@ export async function drawCell(cell, stays) {
     ...retried.map((name) => `${atlas.allowances[name]} ${arrays[name][k]}`)].join(" ");
   panel.append(make("p", { className: "note", textContent: "This command solves the cell again:" }),
     make("code", { textContent: line }), copying("copy command", () => line));
-}
-
-async function copied(text) {
-  if (navigator.clipboard) return navigator.clipboard.writeText(text).then(() => true, () => false);
-  const box = document.body.appendChild(make("textarea", { value: text })); // by plain HTTP there is no clipboard
-  box.select();
-  const done = document.execCommand("copy");
-  box.remove();
-  return done;
 }
 
 /** A button that copies a text. */

@@ -1,57 +1,59 @@
 // The page of an atlas: it draws the map of the cells in any window, reads cells out and keeps the view in the address.
 
-import { colorsOf } from "../front/colors.mjs";
-import { fillKey, fitted, make, updateKey } from "../front/key.mjs";
-import { drawAxes, drawPlane } from "../front/plane.mjs";
+import { fitted, oncePerFrame } from "../front/elements.mjs";
+import { fillKey, updateKey } from "../front/key.mjs";
+import { changed, fillLook, linesOf, lookOf, queryOf, shownAs } from "../front/look.mjs";
+import { cellWith, drawAxes, drawPlane } from "../front/plane.mjs";
 import { sentence } from "../front/words.mjs";
 import { NX, REGIME, X, Y, atlas, axes, by, numbers } from "./atlas.mjs";
 import { copying, describe, drawCell, placeOf } from "./cell.mjs";
 
 const map = by("map");
+const mapOf = (name) => atlas.maps.find((map) => map.name === name);
 const whole = () => axes.map(({ cuts }) => [cuts[0], cuts[cuts.length - 1]]);
 
 // What is shown: all that the address holds. Everything on the page follows from it.
-let state = { map: atlas.maps[0], window: whole(), cell: null, ends: null, hidden: new Set() };
-let shown = null; // a map, the arrays and the colours of its cells: state.map once these are read
+const FIRST = { map: atlas.maps[0].name, log: false, overlays: atlas.lines.curves ? ["curves"] : [], hidden: new Set(), ends: null };
+let state = { ...FIRST, window: whole(), cell: null };
+let shown = null; // a map, the arrays and the colours of its cells: that of the state once these are read
+let enlarged = new Set(); // labels of classes whose single cells are drawn larger
 let plot = { left: 0, top: 8, width: 1, height: 1 };
-const chosen = { get ends() { return state.ends; }, get hidden() { return state.hidden; } };
 
 // The picture
 
 const themed = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-let asked = false;
-function draw() {
-  if (!asked) requestAnimationFrame(() => { asked = false; drawNow(); });
-  asked = true;
-}
-
-const scene = () => ({ axes, window: state.window, plot, shown, lines: atlas.curves, hidden: state.hidden,
-  mark: state.cell && state.cell.map((at, along) => axes[along].edges.slice(at, at + 2)) });
+const draw = oncePerFrame(drawNow);
+const scene = () => {
+  const lines = linesOf(state, atlas.lines);
+  return { axes, window: state.window, plot, shown, lines, hidden: state.hidden, names: [...(atlas.names[state.map] || []), ...lines.names],
+    mark: state.cell && state.cell.map((at, along) => axes[along].edges.slice(at, at + 2)) };
+};
 
 function drawNow() {
   const { context, ratio, width, height } = fitted(map);
   plot = { left: 58, top: 8, width: width - 70, height: height - 50 };
   drawAxes(context, scene(), themed("--ink"), themed("--faint"));
-  if (shown) drawPlane(context, scene(), ratio);
+  if (!shown) return;
+  const larger = drawPlane(context, scene(), ratio);
+  if ([...larger].join() === [...enlarged].join()) return;
+  enlarged = larger;
+  updateKey(by("key"));
 }
 
 // The gestures, and the address.
 
 async function change(given, remembered = false) {
   const before = state;
-  state = { ...state, ...given };
-  if (state.map !== before.map) state.ends = "ends" in given ? given.ends : null;
-  if (!shown || state.map !== before.map || state.ends !== before.ends) {
-    const one = state.map, names = [...new Set([REGIME, ...one.needs])];
-    const [codes, ...several] = await Promise.all([one.codes, ...names].map(numbers));
-    if (state.map !== one) return;
-    const values = Object.fromEntries(names.map((name, k) => [name, several[k]]));
-    shown = { map: one, codes, values, colors: colorsOf(one, codes, values, state.ends) };
+  state = changed(state, given);
+  if (!shown || ["map", "ends", "overlays"].some((name) => state[name] !== before[name])) {
+    const { map } = state, made = await shownAs(mapOf(map), state, numbers, [REGIME], "regions" in atlas.arrays);
+    if (state.map !== map) return;
+    shown = made;
   }
-  by("kind").value = state.map.name;
-  map.ariaLabel = `${state.map.meaning}, over ${X.label} and ${Y.label}`;
-  if (!by("key").firstChild || state.map !== before.map) makeKey();
+  fillLook(by("look"), { maps: atlas.maps.map(({ name, numbers, meaning }) => [name, numbers ? meaning : name]), overlays: Object.keys(atlas.lines), logs: false }, () => state, (given) => change(given, true));
+  map.ariaLabel = `${shown.map.meaning}, over ${X.label} and ${Y.label}`;
+  if (!by("key").firstChild || state.map !== before.map || state.overlays !== before.overlays) makeKey();
   else if (state.ends !== before.ends || state.hidden !== before.hidden) updateKey(by("key"));
   draw();
   if (state.cell !== before.cell) showCell();
@@ -60,7 +62,7 @@ async function change(given, remembered = false) {
 }
 
 function makeKey() {
-  fillKey(by("key"), state.map, atlas.curves, chosen, change);
+  fillKey(by("key"), shown.map, linesOf(state, atlas.lines), () => state, change, () => enlarged);
 }
 
 const showCell = () => drawCell(state.cell, (cell) => state.cell === cell);
@@ -69,16 +71,13 @@ const said = (cell) => `${placeOf(cell)}: ${sentence(atlas, shown.map, cell[1] *
 const say = (text) => { by("readout").textContent = text || "\u00a0"; };
 
 function remember(asNew) {
-  const parts = [];
-  if (state.map !== atlas.maps[0]) parts.push(`kind=${state.map.name}`);
+  const parts = queryOf(state) === queryOf(FIRST) ? [] : [queryOf(state)];
   whole().forEach((full, along) => {
     const [low, high] = state.window[along];
     if (low !== full[0] || high !== full[1])
       parts.push(`${axes[along].name}=${[low, high].map((end) => Number(axes[along].from(end).toPrecision(12))).join(":")}`);
   });
   if (state.cell) parts.push(`cell=${axes.map(({ values }, along) => values[state.cell[along]]).join(":")}`);
-  if (state.ends) parts.push(`vmin=${state.ends[0]}`, `vmax=${state.ends[1]}`);
-  if (state.hidden.size) parts.push(`without=${[...state.hidden].join(",")}`);
   const address = `#${parts.join("&")}`;
   if (address === (location.hash || "#")) return;
   try {
@@ -94,24 +93,22 @@ function recall() {
     const found = (given.get(name) || "").split(":").map(Number);
     return found.length === 2 && found.every(Number.isFinite) ? found : null;
   };
-  const cell = pair("cell"), ends = ["vmin", "vmax"].map((name) => given.get(name) ? Number(given.get(name)) : NaN);
+  const cell = pair("cell"), look = lookOf(given), known = mapOf(look.map) ? look : FIRST;
   const window = whole().map((full, along) => {
     const found = pair(axes[along].name);
     return found && found[0] < found[1] ? inside(along, found.map(axes[along].to)) : full;
   });
   change({
-    map: atlas.maps.find(({ name }) => name === given.get("kind")) || atlas.maps[0],
+    ...known,
+    overlays: known.overlays.filter((name) => name in atlas.lines),
     window,
     cell: cell && cell.map((value, along) => nearest(along, value)),
-    ends: ends.every(Number.isFinite) && ends[0] < ends[1] ? ends : null,
-    hidden: new Set((given.get("without") || "").split(",").filter(Boolean)),
   }, null);
 }
 
 function nearest(along, value) {
-  const { edges, values } = axes[along];
-  const at = edges.findIndex((edge) => edge > value) - 1;
-  return at === -2 ? values.length - 1 : Math.max(0, at);
+  const { cuts, to } = axes[along], cell = cellWith(axes[along], value);
+  return cell >= 0 ? cell : to(value) < cuts[0] ? 0 : cuts.length - 2;
 }
 
 function inside(along, [low, high]) {
@@ -213,13 +210,6 @@ function stepTo(step) {
   change({ cell, window });
 }
 
-for (const one of atlas.maps) {
-  const option = make("option", { value: one.name, textContent: one.numbers ? one.meaning : one.name });
-  const label = one.numbers ? "numbers of each cell" : "kinds";
-  const group = by("kind").querySelector(`[label="${label}"]`) || by("kind").appendChild(make("optgroup", { label }));
-  group.append(option);
-}
-by("kind").onchange = (event) => change({ map: atlas.maps.find(({ name }) => name === event.target.value) }, true);
 by("closer").onclick = () => zoom(0.7);
 by("farther").onclick = () => zoom(1 / 0.7);
 by("whole").onclick = () => change({ window: whole() });

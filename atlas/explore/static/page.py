@@ -4,6 +4,7 @@ import html
 import json
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -18,13 +19,18 @@ from atlas.explore.static import about
 from atlas.query.attractors import leading, of_all, one
 from atlas.query.export import check_writable, written_whole
 from atlas.query.open import handle_of
-from atlas.query.plane import rising
+from atlas.query.plane import Plane, rising
 from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.query.source import find_part
 from atlas.query.window import axis_names, refuse_table
-from atlas.render.coded import CodedMap, coded_maps, curves_over
+from atlas.render.coded import CodedMap, coded_maps
 from atlas.render.drawing import check_units
+from atlas.render.kinds import MAP_OVERLAYS, TABLE, OverlayError
+from atlas.render.layers import View
+from atlas.render.lines import lines_over, names_on
+from atlas.render.page import STANDARD
+from atlas.render.wanted import Wanted
 from atlas.spec.toml_text import spec_toml
 from atlas.text import byte_size
 from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
@@ -34,6 +40,8 @@ if TYPE_CHECKING:
 
 LIMIT = 20_000_000
 """Bytes that a page may have."""
+SIZE = 1000.0, 800.0
+"""Pixels of a plane for which names and lines are placed."""
 MOST_CELLS = 1 << 20
 """Cells of a page; a larger atlas is shown by an overview."""
 COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
@@ -78,11 +86,13 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     seen, axes = rising(seen)
     order = [variable.name for variable in handle.spec.variables]
     names = sorted(map(str, seen.data_vars), key=lambda name: order.index(name) if name in order else len(order))
-    maps = list(coded_maps(ds, seen[names]))
+    maps, plane = list(coded_maps(ds, seen[names])), Plane.of(seen, ())
+    lines, regions = lines_of(ds, seen)
     described = about.described(ds, handle, (axes[0], axes[1])) | {
         "block": list(block),
         "command": about.command(ds, handle) if max(block) == 1 else "",
-        "curves": curves_over(ds),
+        "lines": lines,
+        "names": {each.name: names_on(each.layers, plane, SIZE) for each in maps},
         "leftOut": [],
         "variables": {name: about.variable(seen, name) for name in names},
     }
@@ -95,17 +105,29 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     others = _others(every) if of_all(every) and max(block) == 1 else {}
     described["others"] = {name: _label_of_other(name, described["variables"]) for name in others}
     arrays = {name: partial(_values, seen, name) for name in names} | others
-    codes = _codes(maps)
+    codes = _codes(maps) | {name: pack(values) for name, values in regions.items()}
     bare = _filled(described, words, maps, codes)
     room = limit - len(bare.encode()) - _EACH * len(arrays)
     found, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
     kept = [each for each in maps if found.keys() >= {*each.needs}]
-    arrays_kept = {each.described["codes"]: codes[each.described["codes"]] for each in kept} | found
+    arrays_kept = {name: codes[name] for name in (*(each.described["codes"] for each in kept), *regions)} | found
     text = _filled(described | {"leftOut": left_out}, words, kept, arrays_kept)
     if len(text.encode()) > limit:
         size = f"{byte_size(len(text.encode()))}, at most {byte_size(limit)}"
         raise InputError(f"the page of this atlas would take {size}; select a part of it")
     return text
+
+
+def lines_of(ds: "xr.Dataset", seen: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Any]]:
+    """The lines that can be drawn over the maps of these cells, by their names, and the arrays that they need."""
+    view = View(TABLE["period"], ds, Plane.of(seen, [LARGEST.name] if LARGEST.name in seen else []), Wanted(STANDARD))
+    lines, arrays = dict[str, Any](), dict[str, Any]()
+    for name in MAP_OVERLAYS:
+        with suppress(OverlayError):  # this atlas has none
+            found = lines_over(view, name, SIZE)
+            lines[name] = found.described
+            arrays |= {} if found.regions is None else {"regions": found.regions}
+    return lines, arrays
 
 
 def _check_plane(ds: "xr.Dataset") -> None:

@@ -1,0 +1,89 @@
+// How a plane looks: its map, the lines over it, the ends of its scale, the kinds of curves that are hidden.
+
+import { colorsOf } from "./colors.mjs";
+import { make } from "./elements.mjs";
+import { updateKey } from "./key.mjs";
+import { unpacked } from "./numbers.mjs";
+
+const NUMBER = "number-", LOGARITHM = "-log";
+const isNumber = (look) => look.map.startsWith(NUMBER);
+
+/** The name of the map that a look asks for. */
+export const mapName = (look) => look.map + (look.log && isNumber(look) ? LOGARITHM : "");
+
+/** The look that the parameters of an address ask for. */
+export function lookOf(given) {
+  const list = (name) => (given.get(name) || "").split(",").filter(Boolean);
+  const end = (name) => (Number.isFinite(parseFloat(given.get(name))) ? Number(given.get(name)) : null), ends = [end("vmin"), end("vmax")];
+  return { map: given.get("kind") === "scalar" ? NUMBER + given.get("variable") : given.get("kind"), log: given.get("log") === "1",
+    overlays: list("overlay"), hidden: new Set(list("without")), ends: ends.some((each) => each !== null) ? ends : null };
+}
+
+/** The query of an address that asks for a look. */
+export function queryOf(look) {
+  const pairs = isNumber(look) ? [["kind", "scalar"], ["variable", look.map.slice(NUMBER.length)], ...(look.log ? [["log", "1"]] : [])] : [["kind", look.map]];
+  for (const [name, list] of [["overlay", look.overlays], ["without", [...look.hidden]]])
+    if (list.length) pairs.push([name, list.join(",")]);
+  (look.ends || []).forEach((end, k) => { if (end !== null) pairs.push([["vmin", "vmax"][k], end]); });
+  return pairs.map(([name, value]) => `${name}=${encodeURIComponent(value).replaceAll("%2C", ",")}`).join("&");
+}
+
+/** The look once it is changed: another map has ends of its own. */
+export function changed(look, given) {
+  const made = { ...look, ...given };
+  return mapName(made) !== mapName(look) && !("ends" in given) ? { ...made, ends: null } : made;
+}
+
+/** Fill an element with what changes a look: one of `maps` (name, label), whether it is logarithmic, `overlays`. */
+export function fillLook(element, { maps, overlays, logs }, look, change) {
+  if (!element.firstChild) {
+    const select = make("select", { ariaLabel: "map" });
+    for (const label of ["kinds", "numbers of each cell"]) {
+      const these = maps.filter(([name]) => name.startsWith(NUMBER) === (label !== "kinds"));
+      if (these.length) select.append(make("optgroup", { label }, ...these.map(([value, textContent]) => make("option", { value, textContent }))));
+    }
+    select.onchange = () => change({ map: select.value });
+    select.update = () => { select.value = look().map; };
+    element.append(make("label", { className: "map" }, "map", select));
+    if (logs) {
+      const log = make("input", { type: "checkbox", onchange: () => change({ log: log.checked }) });
+      log.update = () => { Object.assign(log, { checked: look().log, disabled: !isNumber(look()) }); };
+      element.append(make("label", {}, log, "logarithmic"));
+    }
+    const over = overlays.map((name) => {
+      const box = make("input", { type: "checkbox" });
+      box.onchange = () => change({ overlays: overlays.filter((each) => (each === name ? box.checked : look().overlays.includes(each))) });
+      box.update = () => { box.checked = look().overlays.includes(name); };
+      return make("label", {}, box, name);
+    });
+    if (over.length) element.append(make("h4", { textContent: "lines over it" }), ...over);
+  }
+  updateKey(element);
+}
+
+/** The lines that a look asks for, of those that a page has by the name of their overlay, as one. */
+export function linesOf(look, lines) {
+  const on = look.overlays.map((name) => lines[name]).filter(Boolean), all = (name) => on.flatMap((each) => each[name] || []);
+  return { looks: Object.assign({}, ...on.map(({ looks }) => looks)), marks: Object.assign({}, ...on.map(({ marks }) => marks)),
+    lines: all("lines"), corners: all("corners"), ends: all("ends"), names: all("names") };
+}
+
+/** A function that unpacks an array of rows of this width by its name, once. */
+export function reader(packed, width) {
+  const read = new Map();
+  return (name) => {
+    if (!read.has(name)) {
+      const { bytes, type } = packed(name);
+      read.set(name, unpacked(bytes, type, width));
+    }
+    return read.get(name);
+  };
+}
+
+/** A map with the arrays of its cells, these further ones among them, and with their colours. */
+export async function shownAs(map, look, numbers, more, hasRegions) {
+  const names = [...new Set([...map.needs, ...more])], borders = hasRegions && look.overlays.includes("boundaries");
+  const [codes, regions, ...several] = await Promise.all([map.codes, borders ? "regions" : map.codes, ...names].map(numbers));
+  const values = Object.fromEntries(names.map((name, k) => [name, several[k]]));
+  return { map, codes, values, regions: borders ? regions : null, colors: colorsOf(map, codes, values, look.ends) };
+}
