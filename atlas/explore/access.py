@@ -1,9 +1,16 @@
-"""The page for keyboards, fingers and screen readers: where the focus is, how large things are, and their names."""
+"""The page for keyboards, fingers and screen readers: where the focus is, how large things are, their names, the keys.
 
+Arrows move the view, + and - zoom it, Enter on the plane chooses the cell in its middle, Esc ends a followed orbit, the
+cut or an enlarged picture; two fingers zoom.
+"""
+
+from collections.abc import Callable
 from typing import Any
 
 from bokeh.document import Document
 from bokeh.events import DocumentReady
+from bokeh.models import ColumnDataSource
+from bokeh.plotting import figure
 from bokeh.themes import Theme
 
 from atlas.explore.front.script import call, page_script
@@ -14,6 +21,10 @@ HEAD = """
 <script>{{ page_script }}</script>{% endblock %}
 """
 """Without the first a phone lays the page out as wide as a desk's."""
+SHARE = 0.1
+"""How far an arrow moves the view, as a share of it."""
+FACTOR = 1.25
+"""How far + and - zoom."""
 
 
 def named(text: str) -> dict[str, Any]:
@@ -27,3 +38,29 @@ def make_accessible(document: Document) -> None:
     document.template_variables["page_script"] = page_script()
     document.theme = Theme(json={"attrs": {"Widget": {"stylesheets": [FOCUS]}, "Toolbar": {"stylesheets": [FOCUS]}}})
     document.js_on_event(DocumentReady, call("nameAll"))
+
+
+def hear_keys(
+    document: Document,
+    plot: figure,
+    logs: list[bool],
+    moved: Callable[[tuple[float, float], tuple[float, float]], None],
+    escaped: Callable[[], None],
+    chose: Callable[[float, float], None],
+) -> ColumnDataSource:
+    """Have the keys of a page heard; the source returned has to be sent along with the page."""
+    heard = ColumnDataSource({"x": [], "y": []})
+
+    def hear(attribute: str, old: object, new: dict[str, list[float]]) -> None:
+        if "escape" in new:
+            escaped()
+        elif "cell" in new:
+            chose(*new["cell"][:2])
+        else:
+            (left, right), (low, high) = new["x"], new["y"]
+            moved((float(left), float(right)), (float(low), float(high)))
+
+    heard.on_change("data", hear)
+    args = {"heard": heard, "plot": plot, "logs": logs, "share": SHARE, "factor": FACTOR}
+    document.js_on_event(DocumentReady, call("hearKeys", **args))
+    return heard

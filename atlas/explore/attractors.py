@@ -1,32 +1,52 @@
-"""All attractors of a cell that was clicked: those that the store has, else found on the cluster from many starts."""
+"""All attractors of a cell that was clicked: those of the store, or else found on the cluster; their panel."""
 
+import html
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from bokeh.models import Div
+
+from atlas.explore.background import Background, Show
+from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
+from atlas.explore.motion import motions
+from atlas.explore.motionpanel import MotionPanel
+from atlas.explore.panel import Panel
 from atlas.explore.patch import solve_patch
 from atlas.explore.patches import Question
+from atlas.explore.style import TEXT
 from atlas.explore.subject import Arrays, Subject
+from atlas.explore.words import compiled_first
 from atlas.query.attractors import attractors_listed
 from atlas.query.queries import at
-from workers.results import ATTRACTOR
+from atlas.render.classes import PALETTE
+from atlas.spec.system import impacts_of
+from atlas.task.compile import ATTRACTORS
+from atlas.text import plural
+from workers.model.system import System
+from workers.results import ATTRACTOR, LARGEST, REGIME
+
+ALL = "<h4>all attractors of this cell</h4>"
 
 
 @dataclass(frozen=True)
 class KeptAttractors:
     """The attractors of a cell that are kept, the largest share first, each by its numbers in words.
 
-    found       how many there are, also beyond those kept
-    starts      initial states solved; undecided: those of them whose attractor is not known
+    listed      the attractors
+    count       how many there are, also beyond those kept
+    starts      initial states solved; undecided: the initial states among them whose attractor is not known
     unseen      an attractor of that share is missed in one cell of twenty
     own         place of the one that the cell's own initial state reaches; -1 for none of them
     stored      whether the atlas has them; else they were found now
     trouble     why there are none
     """
 
-    each: tuple[dict[str, Any], ...] = ()
-    found: int = 0
+    listed: tuple[dict[str, Any], ...] = ()
+    count: int = 0
     starts: int = 0
     undecided: int = 0
     unseen: float = 1.0
@@ -41,18 +61,18 @@ def known_attractors(subject: Subject, cell: Cell) -> KeptAttractors | None:
         return KeptAttractors(trouble='all attractors are found by the method "adaptive" only')
     if subject.every is None or not cell.of_atlas:
         return None
-    found = at(subject.every, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
-    return _answer(found["coexisting"], found, stored=True)
+    results = at(subject.every, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
+    return _answer(results["coexisting"], results, stored=True)
 
 
 def attractors_asked(subject: Subject, cell: Cell) -> Question[KeptAttractors]:
     """All attractors of a cell to be found."""
     plane, x, y = subject.point(cell.parameters)
     patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
-    return Question(solve_patch, patch, partial(_found, subject), cells=1)
+    return Question(solve_patch, patch, partial(_solved, subject), cells=1)
 
 
-def _found(subject: Subject, arrays: Arrays) -> KeptAttractors:
+def _solved(subject: Subject, arrays: Arrays) -> KeptAttractors:
     """The attractors of the one cell of these results."""
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
@@ -60,8 +80,93 @@ def _found(subject: Subject, arrays: Arrays) -> KeptAttractors:
     return _answer(attractors_listed(cell, many), cell, stored=False)
 
 
-def _answer(each: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> KeptAttractors:
+def _answer(listed: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> KeptAttractors:
     return KeptAttractors(
-        tuple(each), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
+        tuple(listed), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
         float(numbers["unseen_share"]), int(numbers["own"]), stored,
     )  # fmt: skip
+
+
+class AttractorsPanel(Panel[Cell]):
+    """Their table; ``motion`` gets their portraits."""
+
+    def __init__(self, explorer: Explorer, background: Background, motion: MotionPanel) -> None:
+        super().__init__(explorer, background)
+        self._motion = motion
+        self.panel = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
+
+    def begin(self, cell: Cell) -> None:
+        """Look for the attractors of a cell in the store, and have them sought otherwise."""
+        self.panel.text = ALL
+        self.work(lambda: partial(self._known, cell, known_attractors(self._subject, cell)))
+
+    def clear(self) -> None:
+        """Show none."""
+        self.panel.text = ""
+
+    def refuse(self, why: str) -> None:
+        """Say why there are none."""
+        self._show(KeptAttractors(trouble=why))
+
+    def _known(self, cell: Cell, kept: KeptAttractors | None) -> None:
+        if kept is None:
+            first = compiled_first(self._subject.system, ATTRACTORS)
+            sought = f"being sought from {self._subject.starts.count} initial states{first}"
+            self.panel.text = f'{ALL}<span class="waiting">{sought}</span>'
+            self.ask([attractors_asked(self._subject, cell)], partial(self._take, cell))
+        else:
+            self._take(cell, kept)
+
+    def _take(self, cell: Cell, kept: KeptAttractors) -> None:
+        """Show attractors, and draw the portraits of more than one."""
+        self._show(kept)
+        states = [attractor["state"] for attractor in kept.listed if "state" in attractor]
+
+        def portraits() -> Show:
+            drawn = motions(self._subject, cell.parameters, states)
+            return lambda: self._motion.portray(drawn) if drawn else None
+
+        if len(kept.listed) > 1:
+            self.work(portraits)
+
+    def _show(self, kept: KeptAttractors) -> None:
+        self.panel.text = ALL + attractors_table(kept, self._subject)
+
+
+def attractors_table(kept: KeptAttractors, subject: Subject) -> str:
+    """The attractors of a cell as an HTML table, and how sure it is that these are all."""
+    if kept.trouble:
+        return f'<span class="trouble">{html.escape(kept.trouble)}</span>'
+    if not kept.listed:
+        return f"none of {plural(kept.starts, 'initial state')} is decided"
+    exponents = subject.settings.exponents != "none"
+    heads = ["", "", "regime", "n-p-q", *([LARGEST.words] if exponents else []), "share, 95 %"]
+    rows = [
+        f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
+        + _cells("td", _attractor(attractor, k == kept.own, exponents, subject.system)).removeprefix("<tr>")
+        for k, attractor in enumerate(kept.listed)
+    ]
+    notes = [
+        f"of {plural(kept.starts, 'initial state')}",
+        "► reached from the cell's own" if kept.own >= 0 else "",
+        f"{kept.count - len(kept.listed)} more, of smaller shares" if len(kept.listed) < kept.count else "",
+        f"{kept.undecided} undecided" if kept.undecided else "",
+        f"a search like this misses an attractor of more than {math.ceil(1000 * kept.unseen) / 10:g} %"
+        " in under 5 % of cases",
+        "stored" if kept.stored else f"found now, tolerance {subject.settings.tolerance:g}",
+    ]
+    table = f'<table class="list">{_cells("th", heads)}{"".join(rows)}</table>'
+    return f'{table}<span class="waiting">{html.escape("; ".join(filter(None, notes)))}</span>'
+
+
+def _attractor(attractor: Mapping[str, Any], own: bool, exponents: bool, system: System) -> list[str]:
+    """The row of an attractor: its class, its orbit, its exponent, its share and the ends of the share's interval."""
+    orbit = f"{attractor['period']}-{impacts_of(system, attractor)}" if attractor["period"] else ""
+    largest = [f"{attractor[LARGEST.name]:.3g}".replace("-", "−")] if exponents else []
+    share, low, high = (100 * attractor[name] for name in ("share", "share_low", "share_high"))
+    regime = attractor[REGIME.name].replace("_", " ")
+    return ["►" if own else "", regime, orbit, *largest, f"{share:.0f} % ({low:.0f}–{high:.0f})"]
+
+
+def _cells(tag: str, texts: Iterable[str]) -> str:
+    return f"<tr>{''.join(f'<{tag}>{html.escape(text)}</{tag}>' for text in texts)}</tr>"

@@ -12,7 +12,7 @@ from bokeh.plotting import figure
 
 from atlas.errors import InputError
 from atlas.explore.actions import orbit_of, portrait_image
-from atlas.explore.attractorspanel import AttractorsPanel
+from atlas.explore.attractors import AttractorsPanel
 from atlas.explore.background import Background, Show
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import Chosen, Point

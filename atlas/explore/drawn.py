@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.explore.chosen import Chosen, Range
 from atlas.explore.compose import InView
-from atlas.explore.front.numbers import Packed, pack
+from atlas.explore.front.numbers import Packed, add_codes, pack
 from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Subject
 from atlas.explore.view import Stretch
@@ -69,9 +69,7 @@ def message(
     packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(seen.stages)}
     described, names = [], dict[str, Any]()
     for made in maps:
-        codes = pack(made.codes)
-        place = next((name for name, each in packed.items() if each.data == codes.data), f"map-{made.name}")
-        packed.setdefault(place, codes)
+        place = add_codes(packed, made)
         for name in made.needs:
             if name not in packed:
                 packed[name] = pack(seen.ds[name].values, BITS)

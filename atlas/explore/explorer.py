@@ -6,15 +6,14 @@ import time
 from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.known import KnownCells
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Patches, PatchJob, Task
+from atlas.explore.patches import Patches, PatchJob, Take, Task
 from atlas.explore.subject import Arrays, Subject, SubjectPlane
 from atlas.explore.tiles import Memory, TileStore
 from atlas.explore.view import TILE, Sight, TileKey
@@ -151,26 +150,25 @@ class TileJob(PatchJob):
         tiles = self.explorer.tiles
         return not (tiles.keeper.full and tiles.keeps(self.plane))
 
-    def make(self) -> tuple[Task, Any] | None:
-        """The patch of the tile less the cells that the tile above has, and which cells it has, and those others."""
-        tiles = self.explorer.tiles
+    def make(self) -> tuple[Task, Take] | None:
+        """The patch of the tile less the cells that the tile above has; its results and those cells make the tile."""
+        tiles, subject = self.explorer.tiles, self.explorer.subject
         if tiles.whole(self.plane, self.key) is not None:
             return None
         parent = tiles.parent(self.plane, self.key)
-        solved = np.zeros((TILE, TILE), dtype=bool)
-        solved[::2, ::2] = parent is not None
-        return (solve_patch, self.explorer.subject.patch(self.plane, self.key, solved)), (~solved, parent)
+        missing = np.ones((TILE, TILE), dtype=bool)
+        missing[::2, ::2] = parent is None
 
-    def solved(self, held: tuple[NDArray[np.bool_], Arrays | None], found: Arrays) -> int:
-        """Put the tile together."""
-        (mask, parent), subject = held, self.explorer.subject
-        arrays = subject.without_results(subject.variables, (TILE, TILE))
-        for name, array in arrays.items():
-            array[mask] = found[name]
-            if parent is not None:
-                array[::2, ::2] = parent[name]
-        self.explorer.take(self.plane, self.key, arrays)
-        return int(mask.sum())
+        def take(results: Arrays) -> int:
+            arrays = subject.without_results(subject.variables, (TILE, TILE))
+            for name, array in arrays.items():
+                array[missing] = results[name]
+                if parent is not None:
+                    array[::2, ::2] = parent[name]
+            self.explorer.take(self.plane, self.key, arrays)
+            return int(missing.sum())
+
+        return (solve_patch, subject.patch(self.plane, self.key, missing)), take
 
     def failed(self, why: str) -> None:
         """See ``PatchJob``."""

@@ -19,7 +19,7 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
 
 from atlas.errors import InputError
-from atlas.explore.access import make_accessible
+from atlas.explore.access import hear_keys, make_accessible
 from atlas.explore.actions import new_atlas, picture_file
 from atlas.explore.background import Background
 from atlas.explore.chosen import LOOK, Range, carried, from_address, looking, overlays, place_query, turned_to
@@ -28,7 +28,6 @@ from atlas.explore.cutpanel import CutPanel
 from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.front.script import call
-from atlas.explore.keys import hear_keys
 from atlas.explore.painter import Painted
 from atlas.explore.pane import LINE_HEIGHT, Pane
 from atlas.explore.state import State, Store

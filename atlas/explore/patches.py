@@ -33,6 +33,8 @@ RATE_SECONDS = 10.0
 A = TypeVar("A")
 Task = tuple[Callable[[Any], Any], Any]
 """A function and its argument."""
+Take = Callable[[Any], int]
+"""Takes the result of a task, and returns how many cells that has."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +58,11 @@ class PatchJob(Protocol):
         """Whether it may be sent now; others go first while it may not."""
         return True
 
-    def make(self) -> tuple[Task, Any] | None:
-        """What is sent, and what ``solved`` gets beside its result; None if the result is known meanwhile."""
-
-    def solved(self, held: Any, found: Any) -> int:
-        """Take the result, and return how many cells it has."""
+    def make(self) -> tuple[Task, Take] | None:
+        """The task that is sent, and the function for its result; None if that is known meanwhile."""
 
     def failed(self, why: str) -> None:
-        """Take note that the job is given up, for bad input or after some tries, and what it raised."""
+        """Take note that the job is given up, for bad input or after some tries, and the error that it raised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +89,12 @@ class Errand(PatchJob):
     take: Callable[[Any], None]
     refuse: Callable[[str], None]
 
-    def make(self) -> tuple[Task, Any]:
+    def make(self) -> tuple[Task, Take]:
         """See ``PatchJob``."""
-        return (self.question.function, self.question.value), None
+        return (self.question.function, self.question.value), self._take
 
-    def solved(self, held: Any, found: Any) -> int:
-        """See ``PatchJob``."""
-        self.take(self.question.read(found))
+    def _take(self, result: Any) -> int:
+        self.take(self.question.read(result))
         return self.question.cells
 
     def failed(self, why: str) -> None:
@@ -199,7 +197,7 @@ class Patches:
         self._connect, self._timing = connect, timing
         self._lock, self._stopped, self._woken = threading.Lock(), threading.Event(), threading.Event()
         self._wanted, self._numbers = WantedJobs(), count()
-        self._sent: dict[tuple[int, ...], tuple[PatchJob, Any]] = {}  # for this service's own thread alone
+        self._sent: dict[tuple[int, ...], tuple[PatchJob, Take]] = {}  # for this service's own thread alone
         self._solved: deque[tuple[float, int]] = deque()
         self._state = WorkState()
         self._thread = steady("atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again"))
@@ -279,20 +277,20 @@ class Patches:
         if made is None:
             self._wanted.end(job)
             return None
-        task, held = made
+        task, take = made
         sent = Sent((next(self._numbers),), task)
-        self._sent[sent.index] = job, held
+        self._sent[sent.index] = job, take
         return sent
 
     def _take(self, outcome: Answer | TileFailure) -> None:
         """Hand on what a job gave, or why it is given up."""
-        job, held = self._sent.pop(outcome.index)
+        job, take = self._sent.pop(outcome.index)
         if isinstance(outcome, TileFailure):
             self._give_up(job, outcome.message)
         elif outcome.refused:
             self._give_up(job, outcome.refused)
         else:
-            cells = self._tried(job, partial(job.solved, held, outcome.found)) or 0
+            cells = self._tried(job, partial(take, outcome.found)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
         self._wanted.end(job)  # not before it is known: who asks meanwhile would have it solved again

@@ -233,9 +233,9 @@ class Subject:
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
         return Patch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
 
-    def patch(self, plane: SubjectPlane, key: TileKey, known: np.ndarray | None = None) -> Patch:
-        """What it takes to solve a tile, less the cells that are known."""
-        return self.grid(plane, *self.points(key.columns, key.rows), b"" if known is None else packed(~known))
+    def patch(self, plane: SubjectPlane, key: TileKey, missing: NDArray[np.bool_]) -> Patch:
+        """The missing cells (y, x) of a tile, to be solved."""
+        return self.grid(plane, *self.points(key.columns, key.rows), packed(missing))
 
     def spec_of(self, plane: SubjectPlane, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""

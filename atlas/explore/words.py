@@ -9,16 +9,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from atlas.cell.command import point_words
-from atlas.explore.attractors import KeptAttractors
 from atlas.explore.known import Cell
 from atlas.explore.patches import WorkState
 from atlas.explore.subject import Subject, SubjectPlane
-from atlas.render.classes import PALETTE
-from atlas.spec.system import impacts_of
 from atlas.task.compile import kernels_for, warming
 from atlas.text import plain, plural
 from workers.model.system import System
-from workers.results import LARGEST, REASON, REASONS, REGIME, result_named
+from workers.results import REASON, REASONS, REGIME, result_named
 
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 HELP = """point at the plane: the numbers of a cell
@@ -128,45 +125,6 @@ def cell_text(cell: Cell) -> str:
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """Values as JSON has them: None for those that are no numbers."""
     return {name: None if value != value else value for name, value in values.items()}
-
-
-def attractors_table(found: KeptAttractors, subject: Subject) -> str:
-    """The attractors of a cell as an HTML table, and how sure it is that these are all."""
-    if found.trouble:
-        return f'<span class="trouble">{html.escape(found.trouble)}</span>'
-    if not found.each:
-        return f"none of {plural(found.starts, 'initial state')} is decided"
-    exponents = subject.settings.exponents != "none"
-    heads = ["", "", "regime", "n-p-q", *([LARGEST.words] if exponents else []), "share, 95 %"]
-    rows = [
-        f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
-        + _cells("td", _attractor(each, k == found.own, exponents, subject.system)).removeprefix("<tr>")
-        for k, each in enumerate(found.each)
-    ]
-    notes = [
-        f"of {plural(found.starts, 'initial state')}",
-        "► reached from the cell's own" if found.own >= 0 else "",
-        f"{found.found - len(found.each)} more, of smaller shares" if len(found.each) < found.found else "",
-        f"{found.undecided} undecided" if found.undecided else "",
-        f"a search like this misses an attractor of more than {math.ceil(1000 * found.unseen) / 10:g} %"
-        " in under 5 % of cases",
-        "stored" if found.stored else f"found now, tolerance {subject.settings.tolerance:g}",
-    ]
-    table = f'<table class="list">{_cells("th", heads)}{"".join(rows)}</table>'
-    return f'{table}<span class="waiting">{html.escape("; ".join(filter(None, notes)))}</span>'
-
-
-def _attractor(each: Mapping[str, Any], own: bool, exponents: bool, system: System) -> list[str]:
-    """The row of an attractor: its class, its orbit, its exponent, its share and the ends of the share's interval."""
-    orbit = f"{each['period']}-{impacts_of(system, each)}" if each["period"] else ""
-    largest = [f"{each[LARGEST.name]:.3g}".replace("-", "−")] if exponents else []
-    share, low, high = (100 * each[name] for name in ("share", "share_low", "share_high"))
-    regime = each[REGIME.name].replace("_", " ")
-    return ["►" if own else "", regime, orbit, *largest, f"{share:.0f} % ({low:.0f}–{high:.0f})"]
-
-
-def _cells(tag: str, texts: Iterable[str]) -> str:
-    return f"<tr>{''.join(f'<{tag}>{html.escape(text)}</{tag}>' for text in texts)}</tr>"
 
 
 def compiled_first(system: System, *more: str) -> str:

@@ -11,14 +11,13 @@ from distributed import Client
 
 import atlas
 from atlas.explore.actions import new_atlas
-from atlas.explore.attractors import KeptAttractors, attractors_asked, known_attractors
+from atlas.explore.attractors import KeptAttractors, attractors_asked, attractors_table, known_attractors
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.words import attractors_table
 from atlas.query.queries import at
 from atlas.store.store import open_handle
 from atlas.store.zoom import sheet_place, sheets
@@ -55,9 +54,9 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
         parameters = dict(subject.plane.parameters) | CELL
         found = asked(explorer, Cell(parameters, CELL, of_atlas=False))
     alone = solve_attractors(subject.system, parameters, subject.settings, subject.starts)
-    assert found.found == int(alone["attractors"]) > 1
-    assert [each["share"] for each in found.each] == alone["share"][: found.found].tolist()
-    assert [each["largest"] for each in found.each] == alone["largest"][: found.found].tolist()
+    assert found.count == int(alone["attractors"]) > 1
+    assert [each["share"] for each in found.listed] == alone["share"][: found.count].tolist()
+    assert [each["largest"] for each in found.listed] == alone["largest"][: found.count].tolist()
     assert (found.starts, found.own, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
 
 
@@ -69,7 +68,7 @@ def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path
     cell = Cell(dict(subject.plane.parameters) | point, at(subject.ds, point), of_atlas=True)  # type: ignore[arg-type]
     shown = known_attractors(subject, cell)
     assert shown is not None and shown.stored
-    assert str(list(shown.each)) == str(found["coexisting"])  # NaN is not equal to itself
+    assert str(list(shown.listed)) == str(found["coexisting"])  # NaN is not equal to itself
     assert known_attractors(subject, Cell(cell.parameters, cell.results, of_atlas=False)) is None
 
 

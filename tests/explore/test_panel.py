@@ -36,8 +36,8 @@ class Letters(Panel[str]):
 
     def answer(self, errand: Errand) -> None:
         """Have the crew answer."""
-        (function, value), held = errand.make()
-        errand.solved(held, function(value))
+        (function, value), take = errand.make()
+        take(function(value))
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.known import KnownCells
 from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Errand, Patches, PatchJob, Question, Task
+from atlas.explore.patches import Errand, Patches, PatchJob, Question, Take, Task
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Subject, SubjectPlane, subject_of
 from atlas.explore.tiles import Memory
@@ -322,7 +322,7 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
 @pytest.mark.slow
 def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path, client: Client) -> None:
     subject = subject_of(str(finished))
-    arrays = solve_patch(subject.patch(subject.plane, TileKey(0, 0, 0, 0)))
+    arrays = solve_patch(subject.patch(subject.plane, TileKey(0, 0, 0, 0), np.ones((TILE, TILE), dtype=bool)))
     tile = {name: array.reshape((TILE, TILE, *array.shape[1:])) for name, array in arrays.items()}
     keys = [TileKey(level, level, 0, 0) for level in (2, 3, 4)]
     for k, key in enumerate(keys):
@@ -378,14 +378,13 @@ class Mistaken(PatchJob):
     wrong: str
     came: list[str] = field(compare=False)
 
-    def make(self) -> tuple[Task, object]:
+    def make(self) -> tuple[Task, Take]:
         self._step("make")
-        return (_shouted, self.wrong), "held"
+        return (_shouted, self.wrong), self.take
 
-    def solved(self, held: object, found: object) -> int:
-        self._step("solved")
-        assert held == "held"
-        self.came.append(str(found))
+    def take(self, result: object) -> int:
+        self._step("take")
+        self.came.append(str(result))
         return 1
 
     def failed(self, why: str) -> None:
@@ -437,9 +436,9 @@ def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: 
 
     patches, came = Patches(connect), list[str]()
     try:
-        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "solved", "none", "input")])
+        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "take", "none", "input")])
         assert waited(lambda: patches.left("page") == 0 and len(came) == 4)
-        assert sorted(came) == ["KeyError: 'make'", "KeyError: 'solved'", "NONE", "input 1"]
+        assert sorted(came) == ["KeyError: 'make'", "KeyError: 'take'", "NONE", "input 1"]
     finally:
         patches.stop()
 
@@ -483,7 +482,9 @@ def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished:
         assert known.has(subject.plane, outside) and not known.outside(partly)
         found = known.whole(subject.plane, outside)
         assert found is not None
-        for name, solved_so in solve_patch(subject.patch(subject.plane, outside)).items():
+        for name, solved_so in solve_patch(
+            subject.patch(subject.plane, outside, np.ones((TILE, TILE), dtype=bool))
+        ).items():
             assert np.array_equal(
                 found[name].reshape(solved_so.shape), solved_so, equal_nan=solved_so.dtype.kind == "f"
             )

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.render.coded import CodedMap
+
 MANTISSA = 52
 """Bits of a double's mantissa."""
 DIGITS = {24: 7, 17: 5, 14: 4, 10: 3}
@@ -57,6 +59,14 @@ def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> Packed:
     steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]]).astype(f"<u{kept.itemsize}")
     planes = steps.view(np.uint8).reshape(-1, kept.itemsize).T
     return Packed(kept.dtype.name, zlib.compress(planes.tobytes(), 6), bits)
+
+
+def add_codes(packed: dict[str, Packed], made: CodedMap) -> str:
+    """Add the codes of a map to arrays, and return their name there: that of an equal array where there is one."""
+    codes = pack(made.codes)
+    name = next((name for name, known in packed.items() if known.data == codes.data), f"map-{made.name}")
+    packed.setdefault(name, codes)
+    return name
 
 
 def unpack(packed: Packed, width: int) -> NDArray[np.generic]:

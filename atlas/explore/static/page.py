@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.arguments import checked_path
 from atlas.errors import InputError
-from atlas.explore.front.numbers import Packed, fit, pack
+from atlas.explore.front.numbers import Packed, add_codes, fit, pack
 from atlas.explore.front.script import looks, program
 from atlas.explore.static import about
 from atlas.query.attractors import leading, of_all, one
@@ -105,7 +105,9 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
     others = _others(every) if of_all(every) and max(block) == 1 else {}
     described["others"] = {name: _label_of_other(name, described["variables"]) for name in others}
     arrays = {name: partial(_values, seen, name) for name in names} | others
-    codes = _codes(maps) | {name: pack(values) for name, values in regions.items()}
+    codes = {name: pack(values) for name, values in regions.items()}
+    for made in maps:
+        made.described["codes"] = add_codes(codes, made)
     bare = _filled(described, words, maps, codes)
     room = limit - len(bare.encode()) - _EACH * len(arrays)
     found, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
@@ -183,17 +185,6 @@ def _label_of_other(name: str, variables: Mapping[str, Any]) -> str:
 
 def _values(seen: "xr.Dataset", name: str) -> Any:
     return seen[name].values
-
-
-def _codes(maps: list[CodedMap]) -> dict[str, Packed]:
-    """The codes of maps as texts, each once, under the name of the first map that has them."""
-    found: dict[str, Packed] = {}
-    for each in maps:
-        packed = pack(each.codes)
-        same = [name for name, other in found.items() if other.data == packed.data]
-        each.described["codes"] = same[0] if same else f"map-{each.name}"
-        found.setdefault(each.described["codes"], packed)
-    return found
 
 
 def _filled(
