@@ -21,8 +21,10 @@ from atlas.explore.static.about import meanings
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.words import cell_given, cell_line, cell_text
 from atlas.render.classes import BASINS
-from tests.explore.node import run
+from tests.explore.modules import run
 from workers.results import REASONS
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")
 
 
 @pytest.fixture(scope="module")
@@ -36,18 +38,15 @@ def cell_at(subject: Subject, omega: float, b: float) -> Cell:
     return Cell(found["parameters"], values | {"omega": omega, "b": b}, of_atlas=False)
 
 
-def results_shown(given: dict[str, Any]) -> dict[str, str]:
-    """What the page says of the results of a cell: label and words."""
+def results_shown(browser: Any, given: dict[str, Any]) -> dict[str, str]:
+    """The results of a cell on the page: label and words."""
     script = """
-        import { readFileSync } from "node:fs"
-        const { resultsOf } = await import(`${process.argv[1]}/words.mjs`)
-        const { told, given } = JSON.parse(readFileSync(0, "utf-8"), (_, value) => value ?? NaN)
-        const arrays = Object.fromEntries(Object.entries(given.values).map(([name, value]) => [name, [value]]))
-        const about = { ...told, variables: given.variables, arrays: {} }
-        console.log(JSON.stringify(resultsOf(about, Object.keys(given.variables), 0, arrays)))
+        const { resultsOf } = await import("/front/words.mjs"), { told, variables, values } = given
+        const arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value ?? NaN]]))
+        return resultsOf({ ...told, variables, arrays: {} }, Object.keys(variables), 0, arrays)
     """
-    told = json.loads(json.dumps(meanings()))
-    return {label: text for label, text, _ in json.loads(run(script, {"told": told, "given": given}))}
+    told = json.loads(json.dumps(meanings()))  # with codes as texts, as the page has them
+    return {label: text for label, text, _ in run(browser, script, {"told": told, **given})}
 
 
 @pytest.mark.parametrize(
@@ -61,40 +60,40 @@ def results_shown(given: dict[str, Any]) -> dict[str, str]:
         (0.0, 0.01, "0 ± 0.01"),
     ],
 )
-def test_a_number_has_four_to_six_digits_and_its_error_two(value: float, error: float, text: str) -> None:
+def test_a_number_has_four_to_six_digits_and_its_error_two(browser: Any, value: float, error: float, text: str) -> None:
     cell = Cell({}, {"omega": 2.0, "b": 0.1, "largest": value, "error": error, "regime": "chaotic"}, of_atlas=False)
-    assert results_shown(cell_given(cell, subject_of("omega-b")))["largest exponent"] == text
+    assert results_shown(browser, cell_given(cell, subject_of("omega-b")))["largest exponent"] == text
 
 
-def test_the_page_names_variables_in_words_and_gets_all_digits_for_the_pointer(subject: Subject) -> None:
+def test_the_page_names_variables_in_words_and_gets_all_digits_for_the_pointer(browser: Any, subject: Subject) -> None:
     cell = cell_at(subject, 3.9, 0.1)
     given = cell_given(cell, subject)
-    assert "impacts above" in results_shown(given)
+    assert "impacts above" in results_shown(browser, given)
     assert given["values"]["max_impact_speed"] == cell.results["max_impact_speed"]
 
 
-def test_the_page_shows_of_a_cell_the_results_of_its_regime_alone(subject: Subject) -> None:
+def test_the_page_shows_of_a_cell_the_results_of_its_regime_alone(browser: Any, subject: Subject) -> None:
     numbers = {"omega": 2.0, "b": 0.1, "largest": 0.5, "error": 0.01, "period": 0, "impacts_upper": 0}
-    chaotic = results_shown(cell_given(Cell({}, numbers | {"regime": "chaotic"}, of_atlas=False), subject))
+    chaotic = results_shown(browser, cell_given(Cell({}, numbers | {"regime": "chaotic"}, of_atlas=False), subject))
     assert chaotic == {"regime": "chaotic", "largest exponent": "0.5 ± 0.01"}
     resting = numbers | {"period": 1, "impacts_upper": -1, "largest": math.nan, "error": math.nan}
-    shown = results_shown(cell_given(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject))
+    shown = results_shown(browser, cell_given(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject))
     assert shown["impacts above"] == "without end: at rest on a stop" and "largest exponent" not in shown
 
 
-def test_the_page_says_of_a_contact_of_the_machine_itself_that_it_has_no_end(tmp_path: Path) -> None:
+def test_the_page_says_of_a_contact_of_the_machine_itself_that_it_has_no_end(browser: Any, tmp_path: Path) -> None:
     axes = "".join(f"[axes.{name}]\nstart = 1.0\nstop = 2.0\nnum = 3\n" for name in ("omega", "alpha"))
     (tmp_path / "capsule.toml").write_text(f'system = "capsule"\n{axes}', encoding="utf-8")
     resting = {"omega": 1.0, "alpha": 1.0, "regime": "periodic", "stop_upper": -1}
     capsule = subject_of(str(tmp_path / "capsule.toml"))
     cells = [Cell({}, resting | {"regime": name}, of_atlas=False) for name in ("periodic", "chaotic")]
-    shown = [[*results_shown(cell_given(cell, capsule)).values()] for cell in cells]
+    shown = [[*results_shown(browser, cell_given(cell, capsule)).values()] for cell in cells]
     assert [texts.count("without end: at rest on a stop") for texts in shown] == [1, 0]
 
 
-def test_the_page_gives_the_reason_of_a_cell_without_a_result(subject: Subject) -> None:
+def test_the_page_gives_the_reason_of_a_cell_without_a_result(browser: Any, subject: Subject) -> None:
     results = {"omega": 2.0, "b": 0.1, "regime": "failed", "reason": REASONS[1].text}
-    assert results_shown(cell_given(Cell({}, results, of_atlas=False), subject))["reason"] == REASONS[1].text
+    assert results_shown(browser, cell_given(Cell({}, results, of_atlas=False), subject))["reason"] == REASONS[1].text
 
 
 def test_a_cell_of_another_plane_says_by_what_that_differs(subject: Subject) -> None:

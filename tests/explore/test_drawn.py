@@ -23,17 +23,17 @@ from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
 from atlas.store.store import open_handle
 from tests.explore.messages import opened
-from tests.explore.node import run
+from tests.explore.modules import run
 from tests.pictures import curves
 from workers.results import CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, REGIME
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")
 
 SIZE = (240, 160)
 REGIMES = [PERIODIC, CHAOTIC, NO_IMPACT, PENDING, FAILED]
 COLORS = """
-import { readFileSync } from "node:fs"
-const { colorsOf } = await import(`${process.argv[1]}/colors.mjs`)
-const { map, codes, values, ends } = JSON.parse(readFileSync(0, "utf-8"))
-process.stdout.write(Buffer.from(colorsOf(map, codes, values, ends).buffer))
+const { colorsOf } = await import("/front/colors.mjs")
+return [...colorsOf(given.map, given.codes, given.values, given.ends)]
 """
 
 
@@ -84,7 +84,7 @@ def queries() -> Iterator[tuple[str, tuple[float, float] | None]]:
 
 @pytest.mark.parametrize(("query", "ends"), list(queries()))
 def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sent(
-    subject: Subject, query: str, ends: tuple[float, float] | None
+    subject: Subject, browser: Any, query: str, ends: tuple[float, float] | None
 ) -> None:
     chosen = looking(subject, view_of(subject), query)
     about, arrays, _, seen = sent(subject, chosen, others=False)
@@ -93,7 +93,7 @@ def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sen
     finite = {name: [None if np.isnan(value) else value for value in values] for name, values in own.items()}
     own_ends = next((bar["ends"] for bar in made["bars"] if bar["main"]), None)
     given = {"map": made, "codes": arrays[made["codes"]].ravel().tolist(), "values": finite, "ends": ends or own_ends}
-    found = np.frombuffer(run(COLORS, given), np.uint8).reshape(*seen.sight.shape, 4)
+    found = np.array(run(browser, COLORS, given), "<u4").view(np.uint8).reshape(*seen.sight.shape, 4)
 
     rounded = seen.ds.assign({name: (seen.ds[name].dims, arrays[name]) for name in made["needs"]})
     kind = TABLE[chosen.kind]

@@ -1,6 +1,5 @@
 """The browser outlines regions and enlarges single cells as files of the same map do."""
 
-import json
 import re
 from typing import Any
 
@@ -11,31 +10,32 @@ import xarray as xr
 from atlas.query.tidy import specks
 from atlas.render.coded import coded_maps
 from atlas.render.raster import MOST_MARKS, VISIBLE
-from rig.browser import opened
 from tests import pictures
-from tests.explore.node import FRONT, run
+from tests.explore.modules import FRONT, run
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")
 
 SCENE = """
+const { drawPlane, drawnAxis, pixelsOf } = await import("/front/plane.mjs")
+const { pixel, rgb } = await import("/front/colors.mjs")
 const axisOf = (count) => drawnAxis({edges: [0, count], count, log: false})
 const sceneOf = (columns, rows, entries, codes) => ({
     axes: [columns, rows].map(axisOf), window: [[0, columns], [0, rows]],
     plot: {left: 0, top: 0, width: 400, height: 200}, hidden: new Set(), lines: {}, names: [],
     shown: {map: {entries}, codes, regions: null, colors: codes.map((code) => pixel(rgb(entries[code].color)))}})
 """
-"""Made-up scenes, for the script of a page."""
+"""Made-up scenes."""
 
 
-def test_the_browser_finds_the_small_regions_that_render_enlarges() -> None:
+def test_the_browser_finds_the_small_regions_that_render_enlarges(browser: Any) -> None:
     rng = np.random.default_rng(5)
     regime = rng.choice([0, 1, 2], (40, 60), p=[0.6, 0.25, 0.15]).astype(np.uint8)
     script = """
-        import { readFileSync } from "node:fs"
-        const { specksOf } = await import(`${process.argv[1]}/plane.mjs`)
-        const { codes, width } = JSON.parse(readFileSync(0, "utf-8"))
+        const { specksOf } = await import("/front/plane.mjs"), { codes, width } = given
         const entries = [{}, {enlarged: "one", color: "#ff0000"}, {enlarged: "two", color: "#00ff00"}]
-        console.log(JSON.stringify(specksOf({ map: { entries }, codes }, width)))
+        return specksOf({ map: { entries }, codes }, width)
     """
-    found = json.loads(run(script, {"codes": regime.ravel().tolist(), "width": 60}))
+    found = run(browser, script, {"codes": regime.ravel().tolist(), "width": 60})
     for code, name in ((1, "one"), (2, "two")):
         expected = specks(regime == code, np.arange(61.0), np.arange(41.0), np.ones(2), 2.5)
         boxes = np.array([box[:4] for box in found[name]])
@@ -73,9 +73,7 @@ def test_cells_without_a_result_are_enlarged_under_the_label_of_their_legend() -
     assert enlarged == {"undetermined", "invalid", "failed"} and enlarged <= labels
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")
-def test_a_single_cell_is_drawn_larger_until_it_is_large_enough_itself(browser: Any, tmp_path: Any) -> None:
+def test_a_single_cell_is_drawn_larger_until_it_is_large_enough_itself(browser: Any) -> None:
     script = (
         SCENE
         + """
@@ -90,34 +88,19 @@ def test_a_single_cell_is_drawn_larger_until_it_is_large_enough_itself(browser: 
         }
         return [drawn(1600, 800), drawn(40, 20)]"""
     )
-    small, large = evaluated(browser, tmp_path, script)
+    small, large = run(browser, script)
     assert small[0] == "failed" and 4 <= small[1] <= 16  # of a quarter of a pixel
     assert large == ["", 100]
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")
-def test_the_border_of_an_outlined_region_is_drawn_and_the_frame_of_the_plane_is_not(
-    browser: Any, tmp_path: Any
-) -> None:
+def test_the_border_of_an_outlined_region_is_drawn_and_the_frame_of_the_plane_is_not(browser: Any) -> None:
     script = (
         SCENE
         + """
         const entries = [{color: "#0000ff"}, {color: "#0000ff", outlined: true}]
         const codes = Array.from({length: 800}, (_, k) => Number(k % 40 < 20))
         const {data} = pixelsOf(sceneOf(40, 20, entries, codes), 1), words = new Uint32Array(data.buffer)
-        return [...words.entries()].filter(([, one]) => one === pixel(rgb(OUTLINE))).map(([k]) => k % 400)"""
+        return [...words.entries()].filter(([, one]) => one === pixel(rgb("#1a2433"))).map(([k]) => k % 400)"""
     )
-    columns = evaluated(browser, tmp_path, script)
+    columns = run(browser, script)
     assert len(columns) == 200 and {*columns} == {199}
-
-
-def evaluated(browser: Any, folder: Any, script: str) -> Any:
-    """What a script returns that runs on the page of a small atlas."""
-    import atlas
-    from tests import synthetic
-
-    synthetic.complete(folder / "plane.zarr")
-    page = atlas.open(folder / "plane.zarr").atlas.page(folder / "plane.html")
-    with opened(browser, f"file://{page}", 600, 400) as tab:
-        return tab.page.evaluate(f"() => {{ {script} }}")

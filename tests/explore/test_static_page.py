@@ -33,7 +33,9 @@ from atlas.render.wanted import Wanted
 from atlas.spec.spec import Spec
 from atlas.store import making
 from tests import pictures, synthetic
-from tests.explore.node import colored
+from tests.explore.modules import colored
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")
 
 NX, NY = 45, 38
 MODULES = sorted((Path(atlas.__file__).parent / "explore").rglob("*.mjs"))
@@ -195,14 +197,14 @@ def planes() -> Iterator[tuple[str, xr.Dataset, xr.Dataset | None]]:
     ("name", "ds", "table"), list(planes()), ids=lambda each: each if isinstance(each, str) else ""
 )
 def test_javascript_has_the_colours_of_paint_to_the_bit_with_any_ends_of_the_scale(
-    name: str, ds: xr.Dataset, table: xr.Dataset | None, monkeypatch: pytest.MonkeyPatch
+    name: str, ds: xr.Dataset, table: xr.Dataset | None, browser: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("atlas.query.basins.table", lambda _: table)
     monkeypatch.setattr("atlas.render.classes.branches", lambda _: table)
     maps = [(each, Plane.of(ds, each.needs)) for each in coded_maps(ds, ds)]
     seen = {each.name for each, _ in maps}
     planes_of = {each.name: plane for each, plane in maps}
-    for each, ends, found in colored(maps, [None, *OTHER_ENDS]):
+    for each, ends, found in colored(browser, maps, [None, *OTHER_ENDS]):
         scalar = each.name.removeprefix("number-")
         kind = TABLE[SCALAR if scalar != each.name else each.name]
         page = STANDARD if ends is None else replace(STANDARD, vmin=ends[0], vmax=ends[1])
