@@ -1,1 +1,1 @@
-"""The explorer: a page in the browser that shows a plane anywhere, at any depth, and computes what is looked at."""
+"""The explorer: a page in the browser that shows a plane anywhere, at any depth, and computes the cells in view."""

@@ -44,21 +44,21 @@ def hear_keys(
     document: Document,
     plot: figure,
     logs: list[bool],
-    moved: Callable[[tuple[float, float], tuple[float, float]], None],
-    escaped: Callable[[], None],
-    chose: Callable[[float, float], None],
+    show_window: Callable[[tuple[float, float], tuple[float, float]], None],
+    escape: Callable[[], None],
+    choose: Callable[[float, float], None],
 ) -> ColumnDataSource:
     """Have the keys of a page heard; the source returned has to be sent along with the page."""
     heard = ColumnDataSource({"x": [], "y": []})
 
     def hear(attribute: str, old: object, new: dict[str, list[float]]) -> None:
         if "escape" in new:
-            escaped()
+            escape()
         elif "cell" in new:
-            chose(*new["cell"][:2])
+            choose(*new["cell"][:2])
         else:
             (left, right), (low, high) = new["x"], new["y"]
-            moved((float(left), float(right)), (float(low), float(high)))
+            show_window((float(left), float(right)), (float(low), float(high)))
 
     heard.on_change("data", hear)
     args = {"heard": heard, "plot": plot, "logs": logs, "share": SHARE, "factor": FACTOR}

@@ -1,4 +1,4 @@
-"""What a page does when it is asked to: files of the picture in view, a cell in detail, the spec of a new atlas."""
+"""Actions of a page: files of the picture in view, a cell in detail, the spec of a new atlas."""
 
 import tempfile
 from dataclasses import dataclass, replace
@@ -63,7 +63,7 @@ class NewAtlas:
 
 
 def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, folder: Path) -> NewAtlas:
-    """Write the spec of a window with so many cells across into a folder, beside what is there already.
+    """Write the spec of a window with this many cells across as a new file in a folder.
 
     Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
     does. OSError where it cannot be written.

@@ -1,4 +1,4 @@
-"""All attractors of a cell that was clicked: those of the store, or else found on the cluster; their panel."""
+"""All attractors of the cell clicked, from the store or else found on the cluster; their panel."""
 
 import html
 import math

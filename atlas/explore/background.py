@@ -1,4 +1,4 @@
-"""Work that takes a while, away from the thread of a page's document; what it finds is shown in that thread."""
+"""Long work away from the thread of a page's document; its results are shown in that thread."""
 
 import logging
 import threading
@@ -13,7 +13,7 @@ from atlas.errors import InputError, RunError
 from atlas.explore.threads import why
 
 THREADS = 2
-"""So many things at once: beside a portrait the cell under the pointer is still looked up."""
+"""Threads of a page: beside a portrait the cell under the pointer is still looked up."""
 
 Show = Callable[[], None]
 
@@ -40,7 +40,7 @@ class Background:
             self._document.add_next_tick_callback(act)
 
     def run(self, work: Callable[[], Show], refuse: Callable[[str], None] | None = None) -> None:
-        """Have something done in a thread of the page, then what it returns in that of the document, or ``refuse``."""
+        """Do work in a thread of the page, then call its result, or ``refuse``, in the thread of the document."""
         refused = refuse or self.refuse
 
         def whole() -> None:
@@ -64,5 +64,5 @@ class Background:
         self._threads.shutdown(wait=False, cancel_futures=True)
 
     def wait(self) -> None:
-        """Wait until what is under way has ended."""
+        """Wait until the work under way has ended."""
         self._threads.shutdown(wait=True)

@@ -81,10 +81,10 @@ class BasinsPanel(Panel[Cell]):
         self._plot.y_range.update(start=low, end=low + height)
         self._plot.visible = True
         rows = [slice(first, first + BAND) for first in range(0, SIDE, BAND)]
-        self.ask([labels_asked(grid, each) for each in rows], partial(self._take, grid))
+        self.ask([labels_asked(grid, some) for some in rows], partial(self._take, grid))
 
-    def _take(self, grid: Grid, found: tuple[slice, NDArray[np.int32]]) -> None:
-        rows, labels = found
+    def _take(self, grid: Grid, answer: tuple[slice, NDArray[np.int32]]) -> None:
+        rows, labels = answer
         self._labels[rows] = labels
         self._image.data = {"basins": [painted(self._labels)], **grid.box}
         count = np.unique(self._labels[self._labels >= 0]).size

@@ -101,14 +101,14 @@ class FollowedBranch:
     @cached_property
     def values(self) -> list[float]:
         """The parameter at each point."""
-        found: list[float] = self.branch.values.tolist()
-        return found
+        values: list[float] = self.branch.values.tolist()
+        return values
 
     @cached_property
     def events(self) -> list[Mark]:
         """Its events, in order."""
-        found = zip(self.branch.places, self.branch.run.events, strict=True)
-        return [Mark(k, event.kind.replace("_", " "), self.values[k]) for k, event in found]
+        events = zip(self.branch.places, self.branch.run.events, strict=True)
+        return [Mark(k, event.kind.replace("_", " "), self.values[k]) for k, event in events]
 
     @cached_property
     def _family(self) -> "Family":
@@ -131,8 +131,8 @@ class FollowedBranch:
         with suppress(ValueError):
             for share in shares:
                 orbit, at = self.branch.orbit_after(self._family, place, share, value), np.array([value])
-                each = multipliers(motion_of(self._family.model(at[None]), many_orbits([orbit])))[0]
-                point = Point(at, orbit, np.zeros(0), each, int(np.sum(np.abs(each) > 1.0)))
+                modes = multipliers(motion_of(self._family.model(at[None]), many_orbits([orbit])))[0]
+                point = Point(at, orbit, np.zeros(0), modes, int(np.sum(np.abs(modes) > 1.0)))
                 return Here(place, value, point)
         kind = next((mark.kind for mark in self.events if mark.place == place), "")
         return Here(place, self.values[place], self.branch.run.points[place], kind)
@@ -178,7 +178,7 @@ class FollowedBranch:
 
 
 class Arrow(NamedTuple):
-    """From an orbit to an event over the plane, as far as the view reaches, and what it says."""
+    """From an orbit to an event over the plane, as far as the view reaches, with its text."""
 
     x0: float
     y0: float
@@ -193,14 +193,14 @@ def distance(mark: Mark, here: Here) -> str:
     return f"{'+' if away > 0 else ''}{number(away, 5)}"
 
 
-def arrows(found: FollowedBranch, here: Here, subject: Subject, chosen: Chosen, cell: Where) -> list[Arrow]:
+def arrows(branch: FollowedBranch, here: Here, subject: Subject, chosen: Chosen, cell: Where) -> list[Arrow]:
     """From an orbit that is followed from a cell to the events beside it; none along a parameter that is no axis."""
-    if found.table.along not in subject.axes:
+    if branch.table.along not in subject.axes:
         return []
-    (_, x, y), across = cell, found.table.along == subject.axes[0]
+    (_, x, y), across = cell, branch.table.along == subject.axes[0]
     low, high = chosen.x if across else chosen.y
     made = []
-    for mark in filter(None, found.beside(here)):
+    for mark in filter(None, branch.beside(here)):
         begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
         if begin != end:
             text = f"{mark.kind} {distance(mark, here)}"
@@ -209,7 +209,7 @@ def arrows(found: FollowedBranch, here: Here, subject: Subject, chosen: Chosen, 
 
 
 def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> FollowedOrbit:
-    """A cell's own orbit, to be followed in smaller steps over what is in view of an axis, or over another's slider."""
+    """A cell's own orbit, to be followed in smaller steps over the visible part of an axis, or another's slider."""
     value, parameter = subject.values(*cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
     seen = dict(zip(subject.axes, (chosen.x, chosen.y), strict=True)).get(along, limits)
@@ -220,9 +220,10 @@ def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> Foll
 def branch_asked(subject: Subject, cell: Where, part: tuple[str, float, float]) -> Question[FollowedBranch]:
     """The branch of a cell's orbit along a parameter to be found, in smaller steps between two values of that."""
 
-    def read(found: FollowedBranch) -> FollowedBranch:
-        found.motion(found.here(found.own, found.values[found.own]))  # loads the kernels here, not in the page's thread
-        return found
+    def read(branch: FollowedBranch) -> FollowedBranch:
+        # The first motion loads the kernels: here, not in the page's thread.
+        branch.motion(branch.here(branch.own, branch.values[branch.own]))
+        return branch
 
     (along, low, high), axes = part, dict(zip(subject.axes, subject.spec.axes, strict=False))
     ends = (low, high, *(axes[along].values if along in axes else ()))

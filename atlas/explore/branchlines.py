@@ -1,4 +1,4 @@
-"""Branches on a plot: stable parts solid, unstable ones dashed, events as marks that say what they are."""
+"""Branches on a plot: stable parts solid, unstable ones dashed, events as marks with their kinds."""
 
 from bokeh.models import CDSView, ColumnDataSource, GroupFilter, HoverTool
 from bokeh.plotting import figure
@@ -22,14 +22,14 @@ class BranchLines:
         marks = plot.scatter(x="x", y="gap", source=self._events, size=7, marker="diamond", color="#000000")
         plot.add_tools(HoverTool(renderers=[marks], tooltips=[("", "@kind"), ("at", "@x{0.00000000}")]))
 
-    def show(self, found: Drawn | None) -> None:
+    def show(self, drawn: Drawn | None) -> None:
         """Show these branches in place of others; None shows none."""
-        found = found or Drawn((), ())
+        drawn = drawn or Drawn((), ())
         self._lines.data = {
-            "xs": [x for _, x, _ in found.stretches],
-            "ys": [y for *_, y in found.stretches],
-            "color": [STABLE if stable else UNSTABLE for stable, *_ in found.stretches],
-            "dash": ["solid" if stable else "dashed" for stable, *_ in found.stretches],
+            "xs": [x for _, x, _ in drawn.stretches],
+            "ys": [y for *_, y in drawn.stretches],
+            "color": [STABLE if stable else UNSTABLE for stable, *_ in drawn.stretches],
+            "dash": ["solid" if stable else "dashed" for stable, *_ in drawn.stretches],
         }
-        kinds, x, gap = zip(*found.events, strict=True) if found.events else ((), (), ())
+        kinds, x, gap = zip(*drawn.events, strict=True) if drawn.events else ((), (), ())
         self._events.data = {"x": list(x), "gap": list(gap), "kind": [kind.replace("_", " ") for kind in kinds]}

@@ -1,4 +1,4 @@
-"""What a page shows of its subject, as its controls and its address say: window, plane, kind, overlays, scale."""
+"""The choice of a page, from its controls and its address: window, plane, kind, overlays, scale."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ ARGUMENTS = (
     "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow.orbit", "without",
     "axes", "layer", "token",
 )  # fmt: skip
-"""What an address has besides parameters, whose names have no dot; ``token`` is the server's."""
+"""The arguments of an address besides parameters, whose names have no dot; ``token`` is the server's."""
 
 
 @dataclass(frozen=True)
@@ -108,12 +108,12 @@ class Chosen:
         return tuple(kind for kind in CURVE_KINDS if kind not in self.hidden) if self.hidden else None
 
     def without_curves(self, subject: Subject) -> str:
-        """Why the curves that it asks for are not those of its plane; empty where they are, or it asks for none."""
+        """Why its curves belong to another plane; empty if they belong to its own, or if it has none."""
         if self.plane == subject.plane or CURVES not in self.overlays:
             return ""
         own = dict(subject.plane.parameters)
         moved = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
-        there, here = (", ".join(f"{each[0]} = {each[i]:.6g}" for each in moved) for i in (1, 2))
+        there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in moved) for i in (1, 2))
         return f"no curves at {here}: a store has curves of its own plane alone, {there}"
 
     def scaled(self, ends: Ends) -> MapLook:
@@ -122,13 +122,13 @@ class Chosen:
 
     def look(self, ends: Ends = (None, None)) -> MapLook:
         """How its picture looks with these ends of its scale, as options of ``render.figure``."""
-        found = self.scaled(ends)
-        found["overlay"] = self.overlays
+        look = self.scaled(ends)
+        look["overlay"] = self.overlays
         if CURVES in self.overlays:
-            found["curves"] = self.curves
+            look["curves"] = self.curves
         if self.kind == SCALAR:
-            found["variable"], found["log"] = self.variable, self.log
-        return found
+            look["variable"], look["log"] = self.variable, self.log
+        return look
 
 
 LOOK = "kind", "variable", "log", "overlays", "hidden", "vmin", "vmax"
@@ -159,7 +159,7 @@ def beginning(subject: Subject) -> Chosen:
 
 
 def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Chosen:
-    """The whole plane of another subject at these values, drawn as what was chosen as far as it has that.
+    """The whole plane of another subject at these values, drawn as the old choice as far as it can be.
 
     A parameter whose value is out of its range, as in the margin of a view, has that of the subject's own plane.
     """
@@ -181,7 +181,7 @@ def carried(subject: Subject, chosen: Chosen, values: Mapping[str, float]) -> Ch
 
 
 def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chosen:
-    """What an address asks for of a subject; InputError, which names the argument, for what it cannot."""
+    """The choice of an address; InputError, which names the argument, if the subject does not have it."""
     chosen, given = beginning(subject), {name: values[-1].decode() for name, values in arguments.items()}
     for name in sorted(given, key=lambda name: name == "cell"):  # which lies in the plane that others choose
         chosen = replace(chosen, **_fields(subject, chosen, name, given[name]))
@@ -225,13 +225,13 @@ def look_query(chosen: Chosen) -> str:
     if chosen.kind == SCALAR:
         pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
     lists = {"overlay": chosen.overlays, "without": chosen.hidden}
-    pairs += [(name, ",".join(each)) for name, each in lists.items() if each]
+    pairs += [(name, ",".join(listed)) for name, listed in lists.items() if listed]
     pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
     return urlencode(pairs, safe=":,")
 
 
 def looking(subject: Subject, chosen: Chosen, query: str) -> Chosen:
-    """The choice with the look that a query asks for; InputError, which names the argument, for what it cannot."""
+    """The choice with the look of a query; InputError, which names the argument, if the subject does not have it."""
     plain = replace(chosen, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
     for name, value in parse_qsl(query):
         plain = replace(plain, **_fields(subject, plain, name, value))
@@ -239,14 +239,14 @@ def looking(subject: Subject, chosen: Chosen, query: str) -> Chosen:
 
 
 def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str, Any]:
-    """What an argument of an address changes of what is chosen."""
+    """The fields of a choice that an argument of an address changes."""
     (x, y), listed = subject.axes, value.split(",") if value else []
     if name == x:
         return {"x": _range(name, value, subject.x.log)}
     if name == y:
         return {"y": _range(name, value, subject.y.log)}
     if name in dict(chosen.plane.parameters):
-        return {"plane": subject.moved(chosen.plane, name, _number(name, value))}
+        return {"plane": subject.plane_with(chosen.plane, name, _number(name, value))}
     if name == "kind":
         return {name: _possible(name, [value], kinds(subject))[0]}
     if name == "variable":
@@ -272,22 +272,22 @@ def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str
     return {name: _number(name, value)} if name in ("vmin", "vmax") else {}
 
 
-def _possible(name: str, found: Sequence[str], possible: Sequence[str]) -> tuple[str, ...]:
-    """What was found in an argument, which must be possible there."""
-    unknown = [each for each in found if each not in possible]
+def _possible(name: str, given: Sequence[str], possible: Sequence[str]) -> tuple[str, ...]:
+    """The values of an argument, checked to be possible."""
+    unknown = [word for word in given if word not in possible]
     if unknown:
         raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(possible)}")
-    return tuple(found)
+    return tuple(given)
 
 
 def _number(name: str, value: str) -> float:
     try:
-        found = float(value)
+        given = float(value)
     except ValueError:
         raise InputError(f"{name}: found {value!r}, must be a number") from None
-    if not math.isfinite(found):
+    if not math.isfinite(given):
         raise InputError(f"{name}: found {value!r}, must be a finite number")
-    return found
+    return given
 
 
 def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:

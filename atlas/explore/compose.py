@@ -1,4 +1,4 @@
-"""The cells in view as a dataset, each from the finest that is known of it: what the render code draws."""
+"""The cells in view as a dataset for the render code, each from the finest known tile."""
 
 import json
 from collections.abc import Iterable, Sequence

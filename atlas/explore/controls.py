@@ -1,4 +1,4 @@
-"""The controls of a page: what is shown, its scale, its axes, a slider and a number for each parameter, files."""
+"""The controls of a page: its map and scale, its axes, a slider and a number for each parameter, files."""
 
 import html
 import math
@@ -33,7 +33,7 @@ class Controls:
         chosen = store.now.chosen
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         self.keep = Toggle(label="keep this plane too", visible=subject.handle is not None, **wide)
-        told = call("tell")
+        tell = call("tell")
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
         self.make = Button(label="make this an atlas", **wide)
@@ -45,7 +45,7 @@ class Controls:
             for name, value in values.items()
         }
         for button in self.files.values():
-            button.js_on_event(ButtonClick, told)  # before the click itself
+            button.js_on_event(ButtonClick, tell)  # before the click itself
         self._wire()
         self.show(store.now)
 
@@ -75,16 +75,16 @@ class Controls:
     def _wire(self) -> None:
         """Have each widget change the part of the state that it shows."""
         for name in self.sliders:
-            self.sliders[name].on_change("value", partial(self._moved, name, False))
-            self.typed[name].on_change("value", partial(self._moved, name, True))
+            self.sliders[name].on_change("value", partial(self._set_parameter, name, False))
+            self.typed[name].on_change("value", partial(self._set_parameter, name, True))
 
-    def _moved(self, name: str, rests: bool, attribute: str, old: Any, new: Any) -> None:
+    def _set_parameter(self, name: str, rests: bool, attribute: str, old: Any, new: Any) -> None:
         """Move to the plane of a slider, or of a number that was typed."""
         plane = self._store.now.chosen.plane
         if new is None or float(new) == dict(plane.parameters)[name]:
             return
         try:
-            self._store.choose(rests, plane=self.subject.moved(plane, name, float(new)))
+            self._store.choose(rests, plane=self.subject.plane_with(plane, name, float(new)))
         except InputError as error:
             self._store.set(trouble=str(error))
             self.typed[name].value = dict(plane.parameters)[name]

@@ -30,7 +30,7 @@ TOGETHER = STEPS // COARSE + 1
 SAMPLES = 48
 """Section states of a cell that is not periodic."""
 SECTION_WORDS = "gap at t = kT"
-"""What a cut shows at first."""
+"""The first choice of a cut."""
 LONGEST = 36
 """Impacts of the orbits whose branches are followed: more than for a sweep, since whoever draws a cut can zoom in."""
 
@@ -72,11 +72,11 @@ class Line:
     def points(self, index: NDArray[np.int64]) -> tuple[Array, Array]:
         """The values of both axes at points, (N,) each."""
         share, (x0, y0, x1, y1) = index / STEPS, self.ends
-        found = []
+        values = []
         for lattice, (begin, end) in ((self.subject.x, (x0, x1)), (self.subject.y, (y0, y1))):
-            found.append(begin * (end / begin) ** share if lattice.log else begin + (end - begin) * share)
-            found[-1][index == STEPS] = end
-        return found[0], found[1]
+            values.append(begin * (end / begin) ** share if lattice.log else begin + (end - begin) * share)
+            values[-1][index == STEPS] = end
+        return values[0], values[1]
 
     def parts(self) -> list[tuple[int, ...]]:
         """The points in the order in which they are solved, in parts of TOGETHER or fewer."""
@@ -114,25 +114,25 @@ def cells_asked(line: Line, part: tuple[int, ...]) -> Question[CutCells]:
         asked = {"observe": line.observe.name, "observe_values": SAMPLES}
     patch = replace(grid, settings=replace(subject.settings, **asked))
 
-    def read(found: dict[str, NDArray[Any]]) -> CutCells:
+    def read(results: dict[str, NDArray[Any]]) -> CutCells:
         if line.observe is not None:
-            shown, number = found.pop(line.observe.variable), found.pop(line.observe.number)
-            more = (found["period"] > 0) & ((number > SAMPLES) | (number < 0))
-            return CutCells(index, found | {"shown": shown, "more": more})
+            shown, number = results.pop(line.observe.variable), results.pop(line.observe.number)
+            more = (results["period"] > 0) & ((number > SAMPLES) | (number < 0))
+            return CutCells(index, results | {"shown": shown, "more": more})
         values: dict[str, float | Array] = dict(line.plane.parameters)
         values.update(zip(subject.axes, points, strict=True))
         rows = gap_rows(subject.system, values)
-        section = found.pop(SECTION.name)
+        section = results.pop(SECTION.name)
         gap = np.einsum("ni,nki->nk", rows, section[..., : rows.shape[1]])
-        period = found["period"][:, None]
+        period = results["period"][:, None]
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
-        return CutCells(index, found | {"shown": gap})
+        return CutCells(index, results | {"shown": gap})
 
     return Question(solve_patch, patch, read, len(part))
 
 
 def follow(sweep: "xr.Dataset") -> Drawn:
-    """The branches through the periodic cells of a sweep, and those that begin on them."""
+    """The branches through the periodic cells of a sweep, and the branches that begin on these."""
     from atlas.orbits.branches.sweep import tree_through
     from atlas.orbits.branches.table import Branches
 
@@ -159,8 +159,8 @@ def sweep_of(line: Line, cells: CutCells) -> "xr.Dataset":
         if array.ndim == 1 or name in extra
     }
     coords: dict[str, Any] = {line.name: values[line.along]} | {name: ((), value) for name, value in fixed.items()}
-    found = xarray.Dataset(arrays, coords, {"spec": json.dumps(line.subject.spec.resolved())})
-    return found.sortby(line.name)
+    sweep = xarray.Dataset(arrays, coords, {"spec": json.dumps(line.subject.spec.resolved())})
+    return sweep.sortby(line.name)
 
 
 def too_long(cells: CutCells) -> int:
@@ -185,11 +185,11 @@ def shown_points(line: Line, cells: CutCells) -> dict[str, NDArray[np.floating]]
 
 
 def to_observe(subject: Subject) -> dict[str, Observable | None]:
-    """What a cut can show, by its words: section states, impacts, turning points of the gap coordinate, losses."""
+    """The choices of a cut, by their words: section states, impacts, turning points of the gap coordinate, losses."""
     definition = subject.system.definition
-    names = [each.name for each in definition.contacts] if len(definition.contacts) > 1 else []
+    names = [part.name for part in definition.contacts] if len(definition.contacts) > 1 else []
     texts = [":".join(filter(None, (kind, name))) for kind in OF_IMPACTS for name in ("", *names)]
     texts = texts if definition.contacts else []
     texts += [f"{kind}:{GAP}" for kind in (MAXIMUM, MINIMUM)] + [ENERGY_LOSS]
-    found = [Observable.parse(text, definition) for text in texts]
-    return {SECTION_WORDS: None} | {each.words: each for each in found}
+    observables = [Observable.parse(text, definition) for text in texts]
+    return {SECTION_WORDS: None} | {part.words: part for part in observables}

@@ -56,7 +56,7 @@ SWITCHES: dict[str, Any] = {
     "click_policy": "hide", "orientation": "horizontal", "border_line_color": None, "label_text_font_size": "11px",
     "margin": 0, "padding": 0, "location": "left",
 }  # fmt: skip
-"""A legend above a diagram, whose entries switch what they name."""
+"""A legend above a diagram, whose entries switch the parts that they name."""
 
 
 class CutPanel(Panel[Line]):
@@ -136,9 +136,9 @@ class CutPanel(Panel[Line]):
 
     def _take(self, line: Line, cells: CutCells) -> None:
         """Show more cells of the line."""
-        self._cells = found = cells.joined(self._cells)
-        self._sources["shown"].data = dict(shown_points(line, found))
-        self._sources["exponents"].data = dict(exponents(line, found))
+        self._cells = known = cells.joined(self._cells)
+        self._sources["shown"].data = dict(shown_points(line, known))
+        self._sources["exponents"].data = dict(exponents(line, known))
         self._say()
 
     def _say(self) -> None:
@@ -165,9 +165,9 @@ class CutPanel(Panel[Line]):
         self._note, self._follow.disabled = says, False
         self._say()
 
-    def _take_branches(self, found: Drawn) -> None:
-        self._show_branches(found)
-        counts = f"{plural(len(found.stretches), 'stretch', 'stretches')}, {plural(len(found.events), 'event')}"
+    def _take_branches(self, drawn: Drawn) -> None:
+        self._show_branches(drawn)
+        counts = f"{plural(len(drawn.stretches), 'stretch', 'stretches')}, {plural(len(drawn.events), 'event')}"
         long = 0 if self._cells is None else too_long(self._cells)
         omitted = f"; without {plural(long, 'cell')} whose orbits have more than {LONGEST} impacts" if long else ""
         self._ended(f"branches: {counts}{omitted}; point at an event to read it")
@@ -180,7 +180,7 @@ class CutPanel(Panel[Line]):
         self._store.choose(cut=ends)
 
     def _drew(self, attribute: str, old: Any, new: Any) -> None:
-        """Cut along what was drawn, from where the pointer went down to where it went up."""
+        """Cut along a drawn line, from where the pointer went down to where it went up."""
         if not new["xs"] or len(new["xs"][0]) <= 2:
             return
         x, y = new["xs"][0], new["ys"][0]
@@ -200,7 +200,7 @@ class CutPanel(Panel[Line]):
         self._drawn.on_change("data", self._drew)
 
     def _draw(self) -> None:
-        """What the diagrams consist of."""
+        """Make the parts of the diagrams."""
         of, sources = self._section, self._sources
         of.scatter(x="x", y="y", source=sources["shown"], size=1.8, color="#1a2433", line_color=None)
         self._branches = BranchLines(of)
@@ -222,11 +222,11 @@ class CutPanel(Panel[Line]):
             named("exponent along the cut"),
         )
 
-    def _show_branches(self, found: Drawn | None) -> None:
+    def _show_branches(self, drawn: Drawn | None) -> None:
         """Show these branches, and their entries in the legend; None shows neither."""
-        self._branches.show(found)
+        self._branches.show(drawn)
         for item in self._items[1:]:
-            item.visible = found is not None
+            item.visible = drawn is not None
 
     def _link(self, logs: list[bool]) -> None:
         """Have the pointer on one move on the other."""
@@ -239,8 +239,8 @@ class CutPanel(Panel[Line]):
             plot.js_on_event(MouseMove, call("linkPointer", **args, of_plane=plot is self._plane))
 
     def _label(self, line: Line, low: float, high: float) -> None:
-        found, system = ticks(line.subject, line.name, low, high), line.subject.system
+        marks, system = ticks(line.subject, line.name, low, high), line.subject.system
         axis, other = self._exponents.xaxis[0], line.subject.axes[1 - line.along]
         formatter: Any = axis.formatter
-        formatter.args = {"base": found.base, "unit": found.unit, "decimals": found.decimals}
-        axis.axis_label = found.label if line.level else f"{found.label}, {symbol_of(system, other)} along the cut"
+        formatter.args = {"base": marks.base, "unit": marks.unit, "decimals": marks.decimals}
+        axis.axis_label = marks.label if line.level else f"{marks.label}, {symbol_of(system, other)} along the cut"

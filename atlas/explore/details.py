@@ -73,15 +73,15 @@ class Details(Panel[Point]):
 
     @property
     def panels(self) -> list[Any]:
-        """What it consists of, from the top."""
+        """Its parts, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
-        found = [self._attractors.panel, self._motion.panel, self._basins.panel, self._portrait]
-        return [self._pointed, self._clicked, line, self._follow.panel, *found, self._numbers, self._copy_all]
+        below = [self._attractors.panel, self._motion.panel, self._basins.panel, self._portrait]
+        return [self._pointed, self._clicked, line, self._follow.panel, *below, self._numbers, self._copy_all]
 
     def close(self) -> None:
         """Want nothing more."""
-        for each in (self._attractors, self._basins, self._follow):
-            each.close()
+        for panel in (self._attractors, self._basins, self._follow):
+            panel.close()
 
     def click(self, event: Tap) -> None:
         """Choose the cell at a point."""
@@ -90,7 +90,7 @@ class Details(Panel[Point]):
 
     def choose(self, x: float, y: float) -> None:
         """Choose the cell of the view at a point, whether it is known by now or not."""
-        self._background.run(partial(self._found, (x, y)))
+        self._background.run(partial(self._choose_nearest, (x, y)))
 
     def show(self, chosen: Chosen) -> None:
         """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
@@ -116,7 +116,7 @@ class Details(Panel[Point]):
         sight = self._sight()
         return None if sight is None else self._explorer.known.cell(plane, sight, *point)
 
-    def _found(self, point: tuple[float, float]) -> Show:
+    def _choose_nearest(self, point: tuple[float, float]) -> Show:
         plane, sight = self._store.now.chosen.plane, self._sight()
         at = point if sight is None else self._explorer.known.point(plane, sight, *point)
         return lambda: self._store.choose(cell=(plane, *at))

@@ -37,7 +37,7 @@ def maps_of(seen: InView, chosen: Chosen, others: bool) -> list[CodedMap]:
     """The map that is chosen, and all others that its variables suffice for; InputError where it cannot be drawn."""
     first = coded_map(seen.ds, seen.ds, chosen.map)
     rest = _others(seen.ds) if others else ()
-    return [first, *(each for each in rest if each.name != chosen.map)]
+    return [first, *(made for made in rest if made.name != chosen.map)]
 
 
 def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
@@ -49,8 +49,8 @@ def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
 
 def ends_of(made: CodedMap) -> Range | None:
     """The ends of the scale of a map whose ends can be chosen; None for another."""
-    found = [tuple(bar["ends"]) for bar in made.described["bars"] if bar["main"]]
-    return found[0] if found else None
+    ends = [tuple(bar["ends"]) for bar in made.described["bars"] if bar["main"]]
+    return ends[0] if ends else None
 
 
 def message(
@@ -61,7 +61,7 @@ def message(
     scales: Mapping[str, Range],
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], str]:
-    """What a page needs to draw these maps with the lines over them, and why it lacks some of these.
+    """The message from which a page draws these maps with lines over them, and why some lines are missing.
 
     The length of the first part in four bytes; that part, deflated JSON; the arrays that it names, packed.
     """
@@ -88,7 +88,7 @@ def message(
 
 
 def _held(bar: Mapping[str, Any], ends: Range | None) -> list[float]:
-    """The ends of a bar, which those of other views replace where it takes them."""
+    """The ends of a bar: the held ones of its scale, if any."""
     if ends is None or not bar["main"]:
         return list(bar["ends"])
     return list(ends)
@@ -97,13 +97,13 @@ def _held(bar: Mapping[str, Any], ends: Range | None) -> list[float]:
 def _lines(
     seen: InView, subject: Subject, chosen: Chosen, size: tuple[int, int]
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]], list[str]]:
-    """The lines that are chosen, the arrays that they need, and what is lacking."""
+    """The lines that are chosen, the arrays that they need, and why some are missing."""
     why = chosen.without_curves(subject)
-    found, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
+    drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
     names = [LARGEST.name] if LARGEST.name in seen.ds else []
     view = View(TABLE["period"], seen.ds, Plane.of(seen.ds, names), Wanted(STANDARD))
     for name in chosen.overlays:
-        found[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
+        drawn[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
         if name not in chosen.drawn(subject):
             continue
         try:
@@ -111,10 +111,10 @@ def _lines(
         except OverlayError as error:
             lacking.append(str(error))
             continue
-        found[name] = lines.described
+        drawn[name] = lines.described
         if lines.regions is not None:
             arrays["regions"] = lines.regions
-    return found, arrays, lacking
+    return drawn, arrays, lacking
 
 
 def _axis(lattice: Lattice, cells: Stretch) -> dict[str, Any]:
@@ -123,16 +123,16 @@ def _axis(lattice: Lattice, cells: Stretch) -> dict[str, Any]:
     edges = lattice.values(cells.level + 1, halves)
     drawn = np.log(edges) if lattice.log else edges
     even = np.allclose(np.diff(drawn), (drawn[-1] - drawn[0]) / cells.count, rtol=1e-3)
-    found = edges[[0, -1]] if even else edges
-    return {"edges": found.tolist(), "count": cells.count, "first": cells.first, "level": cells.level}
+    shown = edges[[0, -1]] if even else edges
+    return {"edges": shown.tolist(), "count": cells.count, "first": cells.first, "level": cells.level}
 
 
 def _joined(about: Mapping[str, Any], packed: Mapping[str, Packed]) -> NDArray[np.uint8]:
     arrays, at = dict[str, Any](), 0
-    for name, each in packed.items():
-        arrays[name] = {"type": each.type, "digits": each.digits, "at": at, "size": len(each.data)}
-        at += len(each.data)
+    for name, array in packed.items():
+        arrays[name] = {"type": array.type, "digits": array.digits, "at": at, "size": len(array.data)}
+        at += len(array.data)
     text = json.dumps({**about, "arrays": arrays}, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     head = zlib.compress(text.encode(), 6)
-    parts = [len(head).to_bytes(4, "little"), head, *(each.data for each in packed.values())]
+    parts = [len(head).to_bytes(4, "little"), head, *(array.data for array in packed.values())]
     return np.frombuffer(b"".join(parts), np.uint8)

@@ -1,4 +1,4 @@
-"""One subject explored by any number of pages: what is solved, for whom, and who is told."""
+"""One subject explored by any number of pages: its work, its stores, and the pages that hear of solved tiles."""
 
 import math
 import threading
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 AGAIN = 60.0
 """Seconds after which a tile that was given up may be tried again."""
 MOST_OTHERS = 4
-"""Other axes and layers whose cells are remembered; of more, those that no page shows are forgotten."""
+"""Other axes and layers whose cells are remembered; beyond these, axes that no page shows are forgotten."""
 MOST_FAILURES = 4096
 """Tiles of which it is remembered that they could not be solved."""
 
@@ -35,7 +35,7 @@ class Explorer:
 
     ``connect`` leads to the cluster, or is the explorer whose cluster and memory this one shares.
 
-    tiles      what is solved of the subject
+    tiles      the solved tiles of the subject
     known      the cells of these tiles, and of the atlas
     failures   when tiles could not be solved, in seconds of ``time.monotonic``
     """
@@ -66,7 +66,7 @@ class Explorer:
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
         self.patches.stop()
-        for keeper in (*self._ending, *(each.tiles.keeper for each in (*self._others.values(), self))):
+        for keeper in (*self._ending, *(other.tiles.keeper for other in (*self._others.values(), self))):
             keeper.stop()
 
     def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
@@ -78,34 +78,34 @@ class Explorer:
             return self
         subject, layer = self.subject.turned(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
-            found = self._others.pop((axes, layer), None) or Explorer(subject, self, *self._keeping)
-            self._others[axes, layer] = found  # the last ones used come last
-            idle = [key for key, each in self._others.items() if not each.listeners and key != (axes, layer)]
+            explorer = self._others.pop((axes, layer), None) or Explorer(subject, self, *self._keeping)
+            self._others[axes, layer] = explorer  # the last ones used come last
+            idle = [key for key, other in self._others.items() if not other.listeners and key != (axes, layer)]
             self._ending = [keeper for keeper in self._ending if not keeper.ended]
             for key in idle[: max(0, len(self._others) - MOST_OTHERS)]:
                 gone = self._others.pop(key).tiles
                 gone.drop()  # its last tiles are written while the page goes on
                 self._ending.append(gone.keeper)
-            return found
+            return explorer
 
-    def listen(self, who: Hashable, told: Callable[[SubjectPlane, TileKey], None] | None) -> None:
-        """Have a page told, in another thread, of every tile that is solved; None for a page that is gone."""
+    def listen(self, who: Hashable, hear: Callable[[SubjectPlane, TileKey], None] | None) -> None:
+        """Call ``hear``, in another thread, with every tile that is solved; None for a page that is gone."""
         with self._lock:
-            if told is None:
+            if hear is None:
                 self._listeners.pop(who, None)
             else:
-                self._listeners[who] = told
-        if told is None:
+                self._listeners[who] = hear
+        if hear is None:
             self.patches.want(who, ())
 
     @property
     def listeners(self) -> list[Hashable]:
-        """Who is told of solved tiles."""
+        """The pages that hear of solved tiles."""
         with self._lock:
             return list(self._listeners)
 
     def want(self, who: Hashable, plane: SubjectPlane, sight: Sight, stages: range) -> int:
-        """Have what is not known of the view solved, at these stages in this order, and return how many tiles.
+        """Have the unknown tiles of a view solved, at these stages in this order, and return how many they are.
 
         A tile that failed is tried again by whoever looks at it AGAIN seconds later.
         """
@@ -133,8 +133,8 @@ class Explorer:
         self.failures.pop((plane, key), None)
         with self._lock:
             listeners = list(self._listeners.values())
-        for told in listeners:
-            told(plane, key)
+        for hear in listeners:
+            hear(plane, key)
 
 
 @dataclass(frozen=True)

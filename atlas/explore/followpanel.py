@@ -35,7 +35,7 @@ INK = "#aa3377"
 
 
 class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
-    """What starts and ends following, and what is shown meanwhile."""
+    """The controls that start and end following, and the orbit meanwhile."""
 
     def __init__(self, explorer: Explorer, background: Background, store: Store, plane: figure) -> None:
         super().__init__(explorer, background)
@@ -64,11 +64,11 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self.panel.visible = there_is_one or self.about is not None
 
     def show(self, chosen: Chosen) -> None:
-        """Follow what is chosen, and show where it is."""
+        """Follow the chosen orbit, and show where it is."""
         follow, cell = chosen.follow, chosen.cell
         self.turn(None if follow is None or cell is None else (cell, follow[:3]))
         if self._shown is not None and follow is not None and cell is not None:
-            self._mark(chosen, cell, self._shown.found, self._shown.move(follow))
+            self._mark(chosen, cell, self._shown.branch, self._shown.move(follow))
 
     def begin(self, about: tuple[Point, tuple[str, float, float]]) -> None:
         """Have a branch found."""
@@ -110,9 +110,9 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         elif chosen.cell is not None:
             self._store.choose(follow=beginning(self._subject, chosen, chosen.cell, str(self._along.value)))
 
-    def _take(self, found: FollowedBranch) -> None:
+    def _take(self, branch: FollowedBranch) -> None:
         self._say("")
-        self._shown = _Shown(self._explorer, self._store, found)
+        self._shown = _Shown(self._explorer, self._store, branch)
         self._body.children = self._shown.parts
         self.show(self._store.now.chosen)
 
@@ -132,14 +132,14 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
         plane.text(background_fill_alpha=0.85, **at, **look)
 
-    def _mark(self, chosen: Chosen, cell: Point, found: FollowedBranch, here: Here) -> None:
+    def _mark(self, chosen: Chosen, cell: Point, branch: FollowedBranch, here: Here) -> None:
         """Mark an orbit over the plane where it lies in that."""
-        values = self._subject.values(*cell) | {found.table.along: here.value}
+        values = self._subject.values(*cell) | {branch.table.along: here.value}
         inside = all(values[name] == value for name, value in chosen.plane.parameters)
         names = zip(self._marker.data, self._subject.axes, strict=True)
         marker = {name: [values[axis]] if inside else [] for name, axis in names}
         drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
-        for k, arrow in enumerate(arrows(found, here, self._subject, chosen, cell) if inside else ()):
+        for k, arrow in enumerate(arrows(branch, here, self._subject, chosen, cell) if inside else ()):
             ends = arrow.x0, arrow.y0, arrow.x1, arrow.y1
             for name, value in zip(_COLUMNS, (*ends, *label_of(arrow, k, chosen.x)), strict=True):
                 drawn[name].append(value)
@@ -172,15 +172,15 @@ _COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down"
 class _Shown:
     """The widgets of a branch that is followed: they show where on it the state is, and change that."""
 
-    def __init__(self, explorer: Explorer, store: Store, found: FollowedBranch) -> None:
-        self.found, self._subject, self._store = found, explorer.subject, store
-        self._symbol = symbol_of(self._subject.system, found.table.along)
+    def __init__(self, explorer: Explorer, store: Store, branch: FollowedBranch) -> None:
+        self.branch, self._subject, self._store = branch, explorer.subject, store
+        self._symbol = symbol_of(self._subject.system, branch.table.along)
         self._at: FollowedOrbit | None = None
-        self._here = found.here(found.own, found.values[found.own])
+        self._here = branch.here(branch.own, branch.values[branch.own])
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
-        last = len(found.values) - 1
+        last = len(branch.values) - 1
         self._slider = Slider(
-            title="along the branch", start=0, end=last, value=found.own, step=1, show_value=False, bar_color=INK,
+            title="along the branch", start=0, end=last, value=branch.own, step=1, show_value=False, bar_color=INK,
             **wide,
         )  # fmt: skip
         self._typed = NumericInput(
@@ -189,13 +189,13 @@ class _Shown:
         self._slider.on_change("value", self._slide)
         self._typed.on_change("value", self._type)
         self._text = Div(stylesheets=[TEXT], **wide)
-        low, high = min(found.values), max(found.values)
+        low, high = min(branch.values), max(branch.values)
         margin = 0.04 * (high - low)
         diagram = figure(
             height=170, x_range=(low - margin, high + margin), y_axis_label="gap at t = kT", toolbar_location=None,
             tools="", min_border_left=58, **wide,
         )  # fmt: skip
-        BranchLines(diagram).show(Drawn.of(found.table))
+        BranchLines(diagram).show(Drawn.of(branch.table))
         self._span = Span(location=self._here.value, dimension="height", line_color=INK)
         diagram.add_layout(self._span)
         self._points = ColumnDataSource({"branch_x": [], "branch_gap": []})
@@ -210,10 +210,10 @@ class _Shown:
         if follow == self._at:
             return self._here
         self._at = follow
-        self._here = here = self.found.here(self.found.own + follow.step, follow.value)
+        self._here = here = self.branch.here(self.branch.own + follow.step, follow.value)
         self._slider.value, self._typed.value, self._span.location = here.place, here.value, here.value
-        self._text.text = self._told()
-        motion = self.found.motion(here)
+        self._text.text = self._table()
+        motion = self.branch.motion(here)
         gap = motion.moving[0][:: int(motion.per_period)]
         self._points.data = {"branch_x": [here.value] * gap.size, "branch_gap": gap}
         self.motion.portray({0: motion})
@@ -223,30 +223,30 @@ class _Shown:
     def _go(self, place: int, value: float) -> None:
         now = self._store.now.chosen.follow
         if now is not None:
-            self._store.choose(follow=now._replace(step=place - self.found.own, value=value))
+            self._store.choose(follow=now._replace(step=place - self.branch.own, value=value))
 
     def _slide(self, attribute: str, old: Any, new: Any) -> None:
         """Go to the point of the slider."""
         if int(new) != self._here.place:
-            self._go(int(new), self.found.values[int(new)])
+            self._go(int(new), self.branch.values[int(new)])
 
     def _type(self, attribute: str, old: Any, new: Any) -> None:
         """Go to where the branch has a value that was typed, nearest along it."""
         if new == self._here.value:
             return
-        place = None if new is None else self.found.passing(float(new), self._here)
+        place = None if new is None else self.branch.passing(float(new), self._here)
         if place is not None:
             self._go(place, float(new))
             return
         if new is not None:
-            low, high = number(min(self.found.values)), number(max(self.found.values))
+            low, high = number(min(self.branch.values)), number(max(self.branch.values))
             said = html.escape(f"the branch has {self._symbol} from {low} to {high} alone, found {number(float(new))}")
-            self._text.text = f'<span class="trouble">{said}</span>{self._told()}'
+            self._text.text = f'<span class="trouble">{said}</span>{self._table()}'
         self._typed.value = self._here.value
 
-    def _told(self) -> str:
-        """What the page says of the orbit, as HTML."""
-        here, found = self._here, self.found
+    def _table(self) -> str:
+        """The table of the orbit, as HTML."""
+        here, branch = self._here, self.branch
         outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if here.point.unstable else "stable"
         largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
@@ -259,13 +259,13 @@ class _Shown:
             ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),
             ("largest multiplier", largest),
         ]  # fmt: skip
-        for mark, side, end in zip(found.beside(here), ("◄", "►"), (0, -1), strict=True):
-            text = f"none up to {number(found.values[end])}, where the range ends"
+        for mark, side, end in zip(branch.beside(here), ("◄", "►"), (0, -1), strict=True):
+            text = f"none up to {number(branch.values[end])}, where the range ends"
             if mark is not None:
                 text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"
             rows.append((f"{side} next event", text))
-        folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in found.events if mark.kind == "fold"]
+        folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in branch.events if mark.kind == "fold"]
         rows += [("turns back at", ", ".join(folds))] if folds else []
-        place = f"point {here.place + 1} of {len(found.values)}"
-        body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, each)) for each in rows)
+        place = f"point {here.place + 1} of {len(branch.values)}"
+        body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, entry)) for entry in rows)
         return f"<table><caption>orbit followed, {place}</caption>{body}</table>"

@@ -1,7 +1,7 @@
 """Tiles kept in the store: looked up in its zoom levels, written there in the background, dropped where they are many.
 
-One thread writes what was solved since it last did, under the store's claim, so that explorers and runs take turns.
-What cannot be written waits, and is tried again.
+One thread writes newly solved tiles under the store's claim, so that explorers and runs take turns.
+Tiles that cannot be written wait, and are tried again.
 """
 
 import logging
@@ -41,7 +41,7 @@ RECENT = 60.0
 class Keeper:
     """The kept tiles of a subject.
 
-    What was looked at in the last ``recent`` seconds is not dropped, however much it is.
+    Tiles seen in the last ``recent`` seconds are not dropped, however many.
     """
 
     def __init__(
@@ -104,11 +104,11 @@ class Keeper:
         return self.sheets is not None and self.sheets.span_with(key) is not None
 
     def load(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
-        """These variables of those of the tiles that are kept and can be read; all variables of those that wait."""
+        """These variables of the tiles that are kept and can be read; all variables of waiting tiles."""
         with self._lock:
-            found = {key: self._waiting[plane, key] for key in keys if (plane, key) in self._waiting}
-        rest = [key for key in keys if key not in found]
-        return found | (self.sheets.load(plane, rest, list(names)) if self.sheets is not None else {})
+            waiting = {key: self._waiting[plane, key] for key in keys if (plane, key) in self._waiting}
+        rest = [key for key in keys if key not in waiting]
+        return waiting | (self.sheets.load(plane, rest, list(names)) if self.sheets is not None else {})
 
     def end(self) -> None:
         """Write what waits, and end, without waiting for that."""
@@ -130,7 +130,7 @@ class Keeper:
 
     def _serve(self) -> None:
         noted, pause = time.monotonic(), PAUSE
-        if self._stopped.is_set() and self._trouble:  # what went wrong goes wrong again, and somebody waits for the end
+        if self._stopped.is_set() and self._trouble:  # it would go wrong again, and somebody waits for the end
             return
         while True:
             ending = self._stopped.wait(pause)
@@ -149,7 +149,7 @@ class Keeper:
                     return
 
     def _turn(self, handle: Atlas, batch: list[tuple[tuple[SubjectPlane, TileKey], Arrays]]) -> None:
-        """Write some tiles under the store's claim; those that cannot be written now wait for another turn."""
+        """Write some tiles under the store's claim; tiles that cannot be written wait for another turn."""
         notes = notes_of(handle.place)
         try:
             if not handle.place.exists(ROOT):  # to claim it would make a folder of its name
@@ -196,17 +196,17 @@ class Keeper:
         """Drop the sheets seen longest ago, of those the deepest first, until the rest is small enough."""
         assert self.sheets is not None
         all_sheets = sheets(handle)
-        for each in all_sheets:
-            if each not in self._sizes:
-                self._sizes[each] = sheet_bytes(handle, *each)
+        for sheet in all_sheets:
+            if sheet not in self._sizes:
+                self._sizes[sheet] = sheet_bytes(handle, *sheet)
         seen = seen_sheets(handle) | self.sheets.take_seen()
-        total = sum(self._sizes[each] for each in all_sheets)
+        total = sum(self._sizes[sheet] for sheet in all_sheets)
         recent = time.time() - self._recent
-        for each in sorted(all_sheets, key=lambda one: (seen.get(one, 0.0), -depth(one[1]))):
-            if total <= self._most or seen.get(each, 0.0) > recent:
+        for sheet in sorted(all_sheets, key=lambda one: (seen.get(one, 0.0), -depth(one[1]))):
+            if total <= self._most or seen.get(sheet, 0.0) > recent:
                 break
-            total -= self._sizes.pop(each)
-            drop_sheet(handle, *each)
-            seen.pop(each, None)
-            self.sheets.close(*each)
+            total -= self._sizes.pop(sheet)
+            drop_sheet(handle, *sheet)
+            seen.pop(sheet, None)
+            self.sheets.close(*sheet)
         note_seen(handle, seen)

@@ -1,4 +1,4 @@
-"""What is known of a subject: cells of the atlas itself, tiles in memory, tiles kept; one cell is solved if asked."""
+"""The known cells of a subject: of the atlas itself, of tiles in memory, of kept tiles; one cell is solved if asked."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from atlas.query.queries import at
 from workers.results import PENDING, REASON, REGIME, in_words
 
 DEPTH = 12
-"""So many coarser levels are looked through for what was kept."""
+"""Coarser levels that are looked through for kept tiles."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class KnownCells:
         self.tiles, self.subject = tiles, tiles.subject
 
     def look(self, plane: SubjectPlane, sight: Sight, names: Collection[str]) -> None:
-        """Read what is kept of the cells in view: finest first, and coarser ones only where these leave gaps."""
+        """Read the kept tiles in view: the finest first, and coarser ones only where these leave gaps."""
         hidden: set[TileKey] = set()
         for stage in range(max(STAGES, min(DEPTH, max(sight.x.level, sight.y.level))) + 1):
             tiles = sight.tiles(stage)
@@ -51,9 +51,9 @@ class KnownCells:
         for stage in range(max(STAGES, sight.x.level, sight.y.level) + 1):
             level_x, level_y = sight.x.level - stage, sight.y.level - stage
             if min(level_x, level_y) < 0:
-                found = self._atlas_cell(plane, x, y)
-                if found is not None:
-                    return found
+                own = self._atlas_cell(plane, x, y)
+                if own is not None:
+                    return own
             j, i = self.subject.x.nearest(level_x, x), self.subject.y.nearest(level_y, y)
             key = TileKey(level_x, level_y, j // TILE, i // TILE)
             arrays = self.tiles.whole(plane, key)
@@ -64,16 +64,16 @@ class KnownCells:
     def point(self, plane: SubjectPlane, sight: Sight, x: float, y: float) -> tuple[float, float]:
         """The cell of a view nearest to a point: one of the atlas itself where its cells lie closer than the view's."""
         if min(sight.x.level, sight.y.level) < 0:
-            found = self._atlas_cell(plane, x, y)
-            if found is not None:
-                return self.subject.point(found.parameters)[1:]
+            own = self._atlas_cell(plane, x, y)
+            if own is not None:
+                return self.subject.point(own.parameters)[1:]
         j, i = self.subject.x.nearest(sight.x.level, x), self.subject.y.nearest(sight.y.level, y)
         return self._at(sight.x.level, sight.y.level, j, i)
 
     def solved(self, plane: SubjectPlane, x: float, y: float) -> Cell:
         """The cell at exactly this point, solved here and now."""
-        found = solve_patch(self.subject.grid(plane, (x,), (y,)))
-        return self._cell_of(plane, found, (0,), (x, y), (x, y))
+        results = solve_patch(self.subject.grid(plane, (x,), (y,)))
+        return self._cell_of(plane, results, (0,), (x, y), (x, y))
 
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
         """The parameters of a column and a row of a level."""
@@ -85,12 +85,12 @@ class KnownCells:
         if subject.ds is None or plane != subject.plane:
             return None
         try:
-            found = at(subject.ds, dict(zip(subject.axes, (x, y), strict=True)))
+            results = at(subject.ds, dict(zip(subject.axes, (x, y), strict=True)))
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None
-        if found[REGIME.name] == REGIME.meaning(PENDING).name:
+        if results[REGIME.name] == REGIME.meaning(PENDING).name:
             return None
-        return Cell(subject.values(plane, *(found[name] for name in subject.axes)), found, of_atlas=True)
+        return Cell(subject.values(plane, *(results[name] for name in subject.axes)), results, of_atlas=True)
 
     def _cell_of(
         self,
@@ -102,11 +102,11 @@ class KnownCells:
     ) -> Cell:
         """The cell at a place of arrays, which lies at ``at``, as the one nearest to a point."""
         subject, (x, y) = self.subject, at
-        found: dict[str, Any] = dict(zip(subject.axes, at, strict=True))
-        found["distance"] = dict(zip(subject.axes, (abs(x - point[0]), abs(y - point[1])), strict=True))
-        found |= in_words({each.name: arrays[each.name][place] for each in (REGIME, REASON)})
-        found |= {name: arrays[name][place].item() for name in subject.numbers}
-        return Cell(subject.values(plane, x, y), found, of_atlas=False)
+        results: dict[str, Any] = dict(zip(subject.axes, at, strict=True))
+        results["distance"] = dict(zip(subject.axes, (abs(x - point[0]), abs(y - point[1])), strict=True))
+        results |= in_words({variable.name: arrays[variable.name][place] for variable in (REGIME, REASON)})
+        results |= {name: arrays[name][place].item() for name in subject.numbers}
+        return Cell(subject.values(plane, x, y), results, of_atlas=False)
 
 
 def below(key: TileKey) -> list[TileKey]:

@@ -63,9 +63,9 @@ def motions(
     subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]
 ) -> dict[int, MotionPicture]:
     """The motions from these states of a cell, by their places, as far as they can be shown."""
-    found = {}
+    pictures = {}
     for place, state in enumerate(states[:MOST]):
         given = dict(parameters) | dict(zip(subject.system.states, map(float, state), strict=True))
         with suppress(InputError):
-            found[place] = motion_of(cell_orbit(given, subject.system, subject.settings))
-    return found
+            pictures[place] = motion_of(cell_orbit(given, subject.system, subject.settings))
+    return pictures

@@ -54,10 +54,10 @@ class MotionPanel:
         self.panel.visible = self._play.active = False
         self.portray({})
 
-    def portray(self, each: Mapping[int, MotionPicture]) -> None:
+    def portray(self, motions: Mapping[int, MotionPicture]) -> None:
         """Show the portraits of attractors in the colours of their places."""
-        colors = [PALETTE[place % len(PALETTE)] for place in each]
-        paths = each.values()
+        colors = [PALETTE[place % len(PALETTE)] for place in motions]
+        paths = motions.values()
         self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
 
     def show(self, own: MotionPicture) -> None:

@@ -1,6 +1,6 @@
 """The page: the plane, the controls, the cell under the pointer, and a line on the work.
 
-The ranges of the axes, and how the plane looks, belong to the browser. This side learns of them and sends cells;
+The ranges of the axes, and how the plane looks, belong to the browser. This side gets them and sends cells;
 setting them from here would race with the user.
 """
 
@@ -67,14 +67,14 @@ def fill(document: Document, explorer: Explorer, folder: Path, pages: "set[Page]
 
 
 class Page:
-    """One page, of one browser's tab. What it shows follows from the state that ``store`` holds."""
+    """One page, of one browser's tab. All of it follows from the state in ``store``."""
 
     def __init__(self, document: Document, explorer: Explorer, store: Store, folder: Path, home: Explorer) -> None:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
         self._folder, self._home, chosen = folder, home, store.now.chosen
         self._background = Background(document, lambda why: store.set(trouble=why))
         self._controls = Controls(self._subject, store, self._go)
-        self._pane = Pane(explorer, self._background, chosen, self._heard, self._looked)
+        self._pane = Pane(explorer, self._background, chosen, self._note_picture, self._note_look)
         plot, painter = self._pane.plot, self._pane.painter
         self._details = Details(explorer, self._background, store, lambda: painter.sight, self._pane.mark, plot)
         self._cut = CutPanel(explorer, self._background, store, plot)
@@ -91,7 +91,7 @@ class Page:
         store.listen(self._changed)
 
     def close(self) -> None:
-        """Free what the page holds."""
+        """Free the threads of the page, and want nothing more."""
         self._background.close()
         self._details.close()
         self._cut.close()
@@ -110,12 +110,12 @@ class Page:
         self._download = ColumnDataSource({"name": [], "href": []})
 
     def _wire(self) -> None:
-        """Connect events with what they lead to."""
+        """Connect events with their handlers."""
         controls, store = self._controls, self._store
         plot = self._pane.plot
         for k, attribute in enumerate(("inner_width", "inner_height")):
             plot.on_change(attribute, partial(self._resized, k))
-        plot.on_event(RangesUpdate, self._moved)
+        plot.on_event(RangesUpdate, self._window_changed)
         plot.js_on_event(RangesUpdate, call("tell"))  # before the event itself
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
@@ -144,7 +144,7 @@ class Page:
         return whole
 
     def _changed(self, old: State, new: State) -> None:
-        """Show what the state says now."""
+        """Show the new state."""
         chosen = new.chosen
         self._controls.show(new, self._explorer.tiles.keeps(chosen.plane))
         self._details.show(chosen)
@@ -154,7 +154,7 @@ class Page:
             self._pane.show(chosen, new.size, new.rests)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
-        """Open the page of other axes or of another layer, with what is in the middle of the view, or clicked, kept."""
+        """Open the page of other axes or of another layer, at the cell clicked or else the middle of the view."""
         subject, chosen = self._subject, self._store.now.chosen
         turned = self._home.turned(axes or subject.axes, subject.layer_value if layer is None else layer).subject
         values = subject.values(chosen.plane, *chosen.middle(subject))
@@ -162,14 +162,14 @@ class Page:
             values[turned.third.name] = layer
         there = carried(turned, chosen, values)
         there = there if axes else replace(there, x=chosen.x, y=chosen.y)
-        found = place_query(self._home.subject, turned, there)
-        self._opened.data = {"place": [found], "overlays": [overlays(turned)]}
+        query = place_query(self._home.subject, turned, there)
+        self._opened.data = {"place": [query], "overlays": [overlays(turned)]}
 
     def _resized(self, place: int, attribute: str, old: Any, new: Any) -> None:
         width, height = self._store.now.size
         self._store.set(size=(int(new or 0), height) if place == 0 else (width, int(new or 0)))
 
-    def _moved(self, event: RangesUpdate) -> None:
+    def _window_changed(self, event: RangesUpdate) -> None:
         ends = (event.x0, event.x1, event.y0, event.y1)
         left, right, low, high = (float("nan") if end is None else float(end) for end in ends)
         self._show_window((left, right), (low, high))
@@ -178,7 +178,7 @@ class Page:
         if x[0] < x[1] and y[0] < y[1] and np.isfinite([*x, *y]).all():
             self._store.choose(x=x, y=y)
 
-    def _looked(self, query: str) -> None:
+    def _note_look(self, query: str) -> None:
         """Take note of how the browser shows the plane."""
         try:
             looks = looking(self._subject, self._store.now.chosen, query)
@@ -186,12 +186,12 @@ class Page:
         except InputError as error:
             self._store.set(trouble=str(error))
 
-    def _heard(self, found: Painted | str) -> None:
+    def _note_picture(self, picture: Painted | str) -> None:
         """Take note of a picture of the plane, or of why there is none."""
-        if isinstance(found, str):
-            self._store.set(lacking=found, shares=())
+        if isinstance(picture, str):
+            self._store.set(lacking=picture, shares=())
             return
-        self._store.set(lacking=found.note, shares=found.shares)
+        self._store.set(lacking=picture.note, shares=picture.shares)
         self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
 
     def _say_progress(self) -> None:

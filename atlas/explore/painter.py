@@ -1,6 +1,6 @@
-"""What a page shows, made in a thread of the page's own: looked up, sent, wanted, sent again as tiles come in.
+"""The pictures of a page, made in a thread of its own: cells looked up, sent, wanted, sent again as tiles come in.
 
-Each step is planned for a time; what is chosen meanwhile replaces the steps that are not taken yet.
+Each step is planned for a time; a new choice replaces the steps that are not taken yet.
 """
 
 import threading
@@ -62,7 +62,7 @@ def warm(explorer: Explorer) -> None:
 
 
 class Painter:
-    """Makes pictures for one page. ``deliver`` gets them and ``refuse`` what speaks against one, in this thread."""
+    """Makes pictures for one page. ``deliver`` gets them, ``refuse`` why there is none, both in its thread."""
 
     def __init__(self, explorer: Explorer, deliver: Callable[[Painted], None], refuse: Callable[[str], None]) -> None:
         self._explorer, self._deliver, self._refuse = explorer, deliver, refuse
@@ -77,11 +77,11 @@ class Painter:
         self._found: tuple[SubjectPlane, Sight] | None = None
         self.looked = 0
         self.sight: Sight | None = None
-        explorer.listen(self, self._told)
+        explorer.listen(self, self._plan_repaint)
         self._thread = steady("atlas-painter", self._serve, self._mistaken)
 
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool = True) -> None:
-        """Show this on so many pixels. While a slider moves, nothing ``rests``: at first the first stage is solved."""
+        """Show a choice on this many pixels; unless it ``rests``, solve its first stage alone for a while."""
         asked, now = (chosen.picture, size), time.monotonic()
         with self._changed:
             if asked != self._asked:
@@ -111,7 +111,7 @@ class Painter:
         """Wait until a painter that is closed has ended."""
         self._thread.join()
 
-    def _told(self, plane: SubjectPlane, key: TileKey) -> None:
+    def _plan_repaint(self, plane: SubjectPlane, key: TileKey) -> None:
         if self._asked and self._concerns(self._asked[0], plane, key):
             with self._changed:
                 self._view = next(self._views)
@@ -123,7 +123,7 @@ class Painter:
         return plane == chosen.plane and self.sight is not None and self.sight.shows(key)
 
     def _mistaken(self, error: str) -> None:
-        """Say what went wrong with a picture, and plan it anew if it was not begun."""
+        """Report an exception of a picture, and plan the picture anew if it was not begun."""
         self._say_no(f"this picture could not be made: {error}")
         with self._changed:
             if self._asked is not None and self._asked != self._looked:
@@ -164,7 +164,7 @@ class Painter:
         self._explorer.listen(self, None)
 
     def _find(self, stages: range) -> None:
-        """Find out what is known of a view, show it, and have these stages of the rest solved."""
+        """Look up the known cells of a view, show them, and have these stages of the others solved."""
         self._looked = asked = self._asked
         if asked is None:
             return
@@ -188,13 +188,13 @@ class Painter:
         seen = replace(explorer.known.seen(chosen.plane, sight, chosen.names), of=of)
         stages = seen.stages
         maps = maps_of(seen, chosen, others=not stages.any())
-        self._hold(chosen, [each.name for each in maps])
+        self._hold(chosen, [made.name for made in maps])
         if np.mean(seen.ds[REGIME.name].values == PENDING) <= SETTLED:
-            self._scales = {each.name: ends for each in maps if (ends := ends_of(each))} | self._scales
+            self._scales = {made.name: ends for made in maps if (ends := ends_of(made))} | self._scales
         made, note = message(seen, explorer.subject, chosen, maps, self._scales, size)
         shares = tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
         seconds = time.monotonic() - begin
-        sent = (of, [each.name for each in maps], chosen.overlays)
+        sent = (of, [made.name for made in maps], chosen.overlays)
         if asked == self._asked and sent != self._sent:
             self._sent = sent
             self._deliver(Painted(made, note, shares))
@@ -211,5 +211,5 @@ class Painter:
         sight = subject.sight(subject.x.ends, subject.y.ends, WHOLE)
         whole = self._explorer.known.seen(subject.plane, sight, chosen.names)
         if np.mean(whole.ds[REGIME.name].values == PENDING) <= 0.5:
-            made = [each for each in maps_of(whole, chosen, others=True) if each.name in names]
-            self._scales = {each.name: ends for each in made if (ends := ends_of(each))} | self._scales
+            made = [made for made in maps_of(whole, chosen, others=True) if made.name in names]
+            self._scales = {made.name: ends for made in made if (ends := ends_of(made))} | self._scales

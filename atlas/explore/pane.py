@@ -1,4 +1,4 @@
-"""The plane of the page: its title, its figure, the key of its colours, and what the browser draws it from."""
+"""The plane of the page: its title, its figure, the key of its colours, and the cells that the browser draws."""
 
 import json
 from collections.abc import Callable
@@ -32,8 +32,8 @@ NOTHING: dict[str, Any] = {"message": [], "share": []}
 class Pane:
     """The plane of a page.
 
-    heard      hears of each picture, or why there is none
-    looked     hears how the browser shows the plane, as a query, before it asks for anything
+    on_picture   gets each picture, or why there is none
+    on_look      gets the look of the plane in the browser, as a query, before it asks for anything
     """
 
     def __init__(
@@ -41,10 +41,10 @@ class Pane:
         explorer: Explorer,
         background: Background,
         chosen: Chosen,
-        heard: Callable[[Painted | str], None],
-        looked: Callable[[str], None],
+        on_picture: Callable[[Painted | str], None],
+        on_look: Callable[[str], None],
     ) -> None:
-        self._subject, self._chosen, self._heard = explorer.subject, chosen, heard
+        self._subject, self._chosen, self._on_picture = explorer.subject, chosen, on_picture
         # Of fixed height, whatever they say: else the plane would change its size with every word.
         line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
         self._title = Div(text=title(explorer.subject, chosen.plane), **line)
@@ -56,7 +56,7 @@ class Pane:
         self.plot, self._image = make_plot(explorer.subject, chosen, self.mark)
         self._sent, self._look = ColumnDataSource(NOTHING), ColumnDataSource({"query": []})
         self._blank = ColumnDataSource({"words": [np.zeros((1, 1), np.uint32)]})
-        self._look.on_change("data", lambda attribute, old, new: looked(str(new["query"][0])))
+        self._look.on_change("data", lambda attribute, old, new: on_look(str(new["query"][0])))
         self._waiting = Label(x=12, y=12, x_units="screen", y_units="screen", text="drawing the first picture")
         self.plot.add_layout(self._waiting)
         plane = row(self.plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
@@ -68,12 +68,13 @@ class Pane:
         self._image.tags = [self._sent, self._look, self._blank]  # sources without a view are sent along as tags
         models = {"plot": self.plot, "image": self._image, "sent": self._sent, "look": self._look}
         models |= {"blank": self._blank, "waiting": self._waiting, "address": address}
-        document.js_on_event(DocumentReady, call("begin", told=json.dumps(told(self._subject, self._chosen)), **models))
+        subject = json.dumps(described(self._subject, self._chosen))
+        document.js_on_event(DocumentReady, call("begin", subject=subject, **models))
         address.js_on_change("text", call("remember"))
         self.plot.js_on_event(MouseMove, call("point"))
 
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool) -> None:
-        """Show what is chosen on so many pixels."""
+        """Show a choice on this many pixels."""
         old, self._chosen, subject = self._chosen, chosen, self._subject
         if (chosen.x, chosen.y) != (old.x, old.y):
             label_axes(self.plot, subject, chosen)
@@ -84,16 +85,16 @@ class Pane:
     def _show(self, painted: Painted) -> None:
         """Send a picture to the page."""
         self._sent.data = {"message": [painted.message], "share": [sum(painted.shares) / len(painted.shares)]}
-        self._heard(painted)
+        self._on_picture(painted)
 
     def _unpainted(self, why: str) -> None:
         """Show no picture, least of all one of something else, and say why."""
         self._sent.data = NOTHING
-        self._heard(why)
+        self._on_picture(why)
 
 
-def told(subject: Subject, chosen: Chosen) -> dict[str, Any]:
-    """What the page knows of its subject from the beginning, as plain JSON; ``look`` is how it looks at first."""
+def described(subject: Subject, chosen: Chosen) -> dict[str, Any]:
+    """The subject as plain JSON, which the page has from the beginning; ``look`` is how the plane looks at first."""
     from atlas.explore.compose import dataset
 
     points = [np.array(lattice.axis.values[:2]) for lattice in (subject.x, subject.y)]

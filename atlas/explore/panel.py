@@ -1,4 +1,4 @@
-"""Panels of a page: each is about one thing at a time, asks what is to be found of that, and shows the answers.
+"""Panels of a page: a panel is about one thing at a time, asks for results on it, and shows the answers.
 
 An answer that comes once its panel is about something else is dropped: here, and nowhere else.
 """
@@ -34,7 +34,7 @@ class Panel(Generic[A]):
         self._background.refuse(why)
 
     def turn(self, about: A | None) -> None:
-        """Be about something else, unless it is this already: what was asked is wanted no more."""
+        """Turn to another thing: earlier questions are dropped. Does nothing if it is the same."""
         if about == self.about:
             return
         self.about = about
@@ -55,9 +55,9 @@ class Panel(Generic[A]):
         take: Callable[[Any], None],
         refuse: Callable[[str], None] | None = None,
     ) -> None:
-        """Ask the crew, before what was asked earlier: ``take`` shows each answer, ``refuse`` why there is none."""
-        told = [self._background.later(self._current(act)) for act in (take, refuse or self.refuse)]
-        self._explorer.patches.want(self, [Errand(each, *told) for each in questions], too=True)
+        """Ask the crew, before earlier questions: ``take`` shows an answer, ``refuse`` why there is none."""
+        answers = [self._background.later(self._current(act)) for act in (take, refuse or self.refuse)]
+        self._explorer.patches.want(self, [Errand(question, *answers) for question in questions], too=True)
 
     def work(self, work: Callable[[], Show]) -> None:
         """Have something found in a thread of the page, and shown by what ``work`` returns."""

@@ -67,7 +67,7 @@ class PatchJob(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Question(Generic[A]):
-    """What a panel asks of the crew: a function of one value.
+    """A question of a panel to the crew: a function of one value.
 
     read    the answer that the function's result is, made in a thread of this service
     cells   how many cells are solved for it
@@ -75,7 +75,7 @@ class Question(Generic[A]):
 
     function: Callable[[Any], Any]
     value: Any
-    read: Callable[[Any], A] = lambda found: found
+    read: Callable[[Any], A] = lambda result: result
     cells: int = 0
 
 
@@ -112,10 +112,10 @@ class Sent:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the job of that number gave: what its function found, or what that said of bad input."""
+    """The result of the job of this number, or its words about bad input."""
 
     index: tuple[int, ...]
-    found: Any = None
+    result: Any = None
     refused: str = ""
 
 
@@ -203,7 +203,7 @@ class Patches:
         self._thread = steady("atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again"))
 
     def want(self, who: Hashable, jobs: Iterable[PatchJob], too: bool = False) -> None:
-        """From now on these jobs are wanted, in this order, with ``too`` before those that were; none cancels all."""
+        """Want these jobs from now on, in this order, with ``too`` before the earlier ones; none cancels all."""
         self._wanted.want(who, jobs, too)
         self._woken.set()
 
@@ -240,7 +240,7 @@ class Patches:
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
-        """Have jobs done until no worker may have one: what is under way then is given up, and all have a new chance.
+        """Have jobs done until no worker may have one: then give up the jobs under way, and readmit all.
 
         _StoppedError once this service is to end.
         """
@@ -283,14 +283,14 @@ class Patches:
         return sent
 
     def _take(self, outcome: Answer | TileFailure) -> None:
-        """Hand on what a job gave, or why it is given up."""
+        """Hand on the result of a job, or why it is given up."""
         job, take = self._sent.pop(outcome.index)
         if isinstance(outcome, TileFailure):
             self._give_up(job, outcome.message)
         elif outcome.refused:
             self._give_up(job, outcome.refused)
         else:
-            cells = self._tried(job, partial(take, outcome.found)) or 0
+            cells = self._tried(job, partial(take, outcome.result)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
         self._wanted.end(job)  # not before it is known: who asks meanwhile would have it solved again
@@ -301,7 +301,7 @@ class Patches:
         self._wanted.back()
 
     def _tried(self, job: PatchJob, step: Callable[[], Any]) -> Any:
-        """What a step of a job returns; None after a mistake of ours, which ends that job and not the work for all."""
+        """The result of a step of a job; None after an unexpected exception, which ends that job alone."""
         try:
             return step()
         except (RunError, OSError):
@@ -312,7 +312,7 @@ class Patches:
             return None
 
     def _give_up(self, job: PatchJob, reason: str) -> None:
-        """Have a job told that it is given up; a mistake in that is its own."""
+        """Give a job up; an exception of its ``failed`` is logged."""
         try:
             job.failed(reason)
         except Exception:
@@ -325,5 +325,5 @@ class _StoppedError(Exception):
 
 
 def _without_advice(error: Exception) -> str:
-    """What an error says, without the advice for a run that follows."""
+    """The text of an error, without the advice for a run that follows."""
     return str(error).partition("; ")[0]

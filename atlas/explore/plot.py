@@ -61,7 +61,7 @@ def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:
         (plot.xaxis[0], subject.x, chosen.x),
         (plot.yaxis[0], subject.y, chosen.y),
     ):
-        found = ticks(subject, lattice.axis.name, *window)
-        axis.axis_label = found.label
+        marks = ticks(subject, lattice.axis.name, *window)
+        axis.axis_label = marks.label
         formatter: Any = axis.formatter
-        formatter.args = {"base": found.base, "unit": found.unit, "decimals": found.decimals}
+        formatter.args = {"base": marks.base, "unit": marks.unit, "decimals": marks.decimals}

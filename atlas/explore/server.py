@@ -1,7 +1,7 @@
 """The server of the page, in a thread of its own: on this machine's loopback, or for those who have its token.
 
 Any web page that the user has open can send requests here, and by a name of its own that resolves to this machine it
-may read the answers. So whatever is served, page, scripts or websocket, goes only to requests that name this server's
+may read the answers. So pages, scripts and websockets go only to requests that name this server's
 own address as the host and, where they say which page they come from, as their origin.
 
 Where others are to reach it, on another address or through a proxy, no host tells who may. Then a page goes only to
@@ -103,8 +103,8 @@ class PageServer:
         self.port = int(sockets[0].getsockname()[1])
         with ExitStack() as ending:
             ending.callback(loop.close, all_fds=False)
-            for each in sockets:
-                ending.callback(each.close)
+            for bound in sockets:
+                ending.callback(bound.close)
             pages = _guarded_pages(self._make, own_hosts(self.port), self.token)
             http = HTTPServer(pages)
             http.add_sockets(sockets)
@@ -119,7 +119,7 @@ class PageServer:
 
 
 def own_hosts(port: int) -> list[str]:
-    """What a request to a port of this machine's loopback may name as its host: browsers leave out port 80."""
+    """The hosts that a request to a port of this machine's loopback may name: browsers leave out port 80."""
     names = (HOST, "localhost")
     return [f"{name}:{port}" for name in names] + [name for name in names if port == 80]
 
@@ -128,7 +128,7 @@ def refusal(request: "HTTPServerRequest", hosts: list[str], token: str = "") -> 
     """The HTTP status with which a request is refused, None for one that is served.
 
     Without a token it is decided by the hosts that are served. With one, Bokeh's own scripts are for all, and its
-    websocket checks what a page has signed.
+    websocket checks the signature of a page.
     """
     origin = request.headers.get("Origin")
     if token:
@@ -139,7 +139,7 @@ def refusal(request: "HTTPServerRequest", hosts: list[str], token: str = "") -> 
     elif request.host.lower() not in hosts or (origin is not None and urlsplit(origin).netloc.lower() not in hosts):
         return 403
     try:
-        for value in (each for values in request.query_arguments.values() for each in values):
+        for value in (given for values in request.query_arguments.values() for given in values):
             value.decode()
     except UnicodeDecodeError:
         return 400
@@ -168,7 +168,7 @@ def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str], token: 
         extra_websocket_origins=["*"] if token else hosts,
         sign_sessions=bool(token),
         secret_key=secrets.token_bytes(32) if token else None,
-        include_headers=[],  # else the source of a page has those of its request, and the cookies of a hub
+        include_headers=[],  # else the source of a page has the headers of its request, and the cookies of a hub
         include_cookies=[],
         unused_session_lifetime_milliseconds=FORGOTTEN,
         check_unused_sessions_milliseconds=FORGOTTEN // 4,

@@ -55,7 +55,7 @@ class Exploration:
         return f"{self._server.url}?{self._query}" if self._query else self._server.url
 
     def stop(self) -> None:
-        """Close the pages, end the work, keep what is solved."""
+        """Close the pages, end the work, keep the solved tiles."""
         self._server.stop()
         for page in self._pages:
             page.close()
@@ -95,7 +95,7 @@ def explore(
 
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, on the client that the caller has
     open, or on worker processes of this machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at
-    first. With ``keep``, what is solved lies in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are
+    first. With ``keep``, solved tiles lie in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are
     written into ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go
     to addresses with their token alone.
     ``prepare`` is called once the input has been checked, before anything starts.

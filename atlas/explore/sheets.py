@@ -126,7 +126,7 @@ class Sheets:
             return None
 
     def made(self, handle: Atlas, plane: SubjectPlane, key: SheetKey, span: Span) -> Sheet:
-        """A sheet that ``find`` found none of, open, by the handle of the store as its claim's holder has it.
+        """A sheet that does not exist yet, made and open, by the handle of the store as its claim's holder has it.
 
         Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew; OSError
         where the disk refuses.
@@ -168,17 +168,17 @@ class Sheets:
             return sheet is not None and sheet.index(key) in sheet.done and time.monotonic() - sheet.refused > LOOK
 
     def load(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
-        """These variables of those of the tiles that are kept and can be read."""
-        wanted, found = dict[SheetKey, list[TileKey]](), dict[TileKey, Arrays]()
+        """These variables of the tiles that are kept and can be read."""
+        wanted, read = dict[SheetKey, list[TileKey]](), dict[TileKey, Arrays]()
         for key in keys:
             if self.has(plane, key):
                 wanted.setdefault(SheetKey.of(key), []).append(key)
         for of, tiles in wanted.items():
             sheet = self.find(plane, of)
             if sheet is not None:
-                found |= self._read(sheet, tiles, names)
+                read |= self._read(sheet, tiles, names)
                 self.look(plane, of)
-        return found
+        return read
 
     def look(self, plane: SubjectPlane, key: SheetKey) -> None:
         """Note that a sheet is looked at."""
@@ -200,7 +200,7 @@ class Sheets:
     def _read(self, sheet: Sheet, tiles: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
         """These variables of tiles of a sheet; nothing where it cannot be read.
 
-        Damaged tiles are solved again. What a disk refuses to read stays: it is asked again after LOOK seconds.
+        Damaged tiles are solved again. A sheet that a disk refuses to read stays, and is read again after LOOK seconds.
         """
         places = np.array([sheet.index(key) for key in tiles]) * TILE
         low, high = places.min(axis=0), places.max(axis=0) + TILE
@@ -216,22 +216,22 @@ class Sheets:
                 sheet.bad |= bad
                 sheet.done -= bad
             return {}
-        found = {}
+        tiles_read = {}
         for key, place in zip(tiles, places - low, strict=True):
             part = tuple(slice(int(a), int(a) + TILE) for a in place)
-            found[key] = {name: block[part].copy() for name, block in blocks.items()}
-        return found
+            tiles_read[key] = {name: block[part].copy() for name, block in blocks.items()}
+        return tiles_read
 
     def span(self, key: SheetKey) -> Span | None:
         """The rows and columns of a sheet's tiles whose cells all lie in the valid ranges; None without any."""
-        found = []
+        spans = []
         for along, level, number in ((1, key.level_y, key.y), (0, key.level_x, key.x)):
             first = number * SHEET
             whole = np.flatnonzero(self._subject.admitted(along, level, first, SHEET).all(axis=1))
             if not whole.size:
                 return None
-            found.append(range(first + int(whole[0]), first + int(whole[-1]) + 1))
-        return found[0], found[1]
+            spans.append(range(first + int(whole[0]), first + int(whole[-1]) + 1))
+        return spans[0], spans[1]
 
     def span_with(self, key: TileKey) -> Span | None:
         """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
@@ -239,7 +239,7 @@ class Sheets:
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
     def _was_refused(self, error: Exception) -> bool:
-        """Whether it is the disk that refused, which is told."""
+        """Whether the disk refused; if so, ``trouble`` says it."""
         refused = _refused(error)
         if refused:
             self._refusal = time.monotonic(), f"kept cells cannot be read: {error}"
@@ -259,9 +259,9 @@ class Sheets:
 
 
 def _refused(error: BaseException) -> bool:
-    """Whether a disk or a server refused to read something that may be there, which says nothing of what it is."""
-    found = error.__cause__ if isinstance(error, InputError | RunError) else error
-    return isinstance(found, OSError) and not isinstance(found, FileNotFoundError)
+    """Whether a disk or a server refused a read, which leaves open whether the file is damaged."""
+    cause = error.__cause__ if isinstance(error, InputError | RunError) else error
+    return isinstance(cause, OSError) and not isinstance(cause, FileNotFoundError)
 
 
 def depth(name: str) -> int:

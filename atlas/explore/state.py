@@ -1,4 +1,4 @@
-"""The one state of a page: what is chosen and what stands on it; all that the page shows is derived from it."""
+"""The one state of a page, from which all that it shows is derived."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,15 +9,15 @@ from atlas.explore.chosen import Chosen, Range
 
 @dataclass(frozen=True)
 class State:
-    """What a page shows.
+    """The state of a page.
 
-    chosen    what its address holds
+    chosen    the choice in its address
     size      pixels of the plane; 0 before the browser has laid it out
     rests     whether nothing moves: while a slider does, only the first stage is solved
     box       the window that was chosen for a new atlas, in this view
-    lacking   what the picture in view lacks, and why
+    lacking   missing parts of the picture in view, and why
     shares    of each stage, the coarsest first, the share of the view that is drawn as densely; empty without a picture
-    trouble   what else cannot be done, and why
+    trouble   other failures, and why
     """
 
     chosen: Chosen
@@ -48,7 +48,7 @@ class Store:
                 listener(old, self.now)
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
-        """Change fields of what is chosen; the trouble of the last choice goes, and the box of another view.
+        """Change fields of the choice; the trouble of the last choice goes, and the box of another view.
 
         An orbit is followed until another cell is chosen.
         """

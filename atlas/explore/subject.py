@@ -69,14 +69,14 @@ class SubjectPlane:
         """The plane of these parameters."""
         return cls(tuple(parameters.items()))
 
-    def moved(self, name: str, value: float) -> "SubjectPlane":
+    def with_value(self, name: str, value: float) -> "SubjectPlane":
         """The plane with another value of one parameter."""
-        return SubjectPlane(tuple((each, value if each == name else old) for each, old in self.parameters))
+        return SubjectPlane(tuple((own, value if own == name else old) for own, old in self.parameters))
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What a page shows: a spec of two axes, its store where it has one, and how its depths are solved.
+    """The subject of a page: a spec of two axes, its store if it has one, and the settings for its depths.
 
     stored     the handle of the store; None where a spec is explored that has none
     ds         the plane of the store as a dataset
@@ -184,11 +184,11 @@ class Subject:
         rest = {"parameters": dict(plane.parameters), "axes": axes, "solve": solve, "solver": SOLVER_VERSION}
         return digest_of(identity(self.system.resolved()) | rest)
 
-    def moved(self, plane: SubjectPlane, name: str, value: float) -> SubjectPlane:
-        """The plane with another value of a parameter; InputError for what is no parameter or out of its range."""
+    def plane_with(self, plane: SubjectPlane, name: str, value: float) -> SubjectPlane:
+        """The plane with another value of a parameter; InputError for an unknown one, or a value out of its range."""
         if name not in dict(plane.parameters):
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
-        return plane.moved(name, admitted(self.system.parameter(name), value))
+        return plane.with_value(name, admitted(self.system.parameter(name), value))
 
     def point(self, values: Mapping[str, float]) -> tuple[SubjectPlane, float, float]:
         """Where a cell with these parameters lies: the inverse of ``values``."""
@@ -202,9 +202,9 @@ class Subject:
 
     @property
     def numbers(self) -> list[str]:
-        """Those of one number a cell, but for its regime and the reason for that."""
-        every = self.variables.values()
-        return [each.name for each in every if not each.extra and each.name not in (REGIME.name, REASON.name)]
+        """The results of one number a cell, except the regime and its reason."""
+        coded = REGIME.name, REASON.name
+        return [name for name, variable in self.variables.items() if not variable.extra and name not in coded]
 
     def without_results(self, names: Collection[str], shape: tuple[int, int]) -> Arrays:
         """Arrays of cells that have no results yet."""
@@ -215,7 +215,7 @@ class Subject:
         return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
 
     def sight(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Sight:
-        """The cells in a window on so many pixels, at the deepest levels whose cells are not finer than pixels."""
+        """The cells in a window on this many pixels, at the deepest levels whose cells are not finer than pixels."""
         return Sight(Stretch.seen(self.x, *x, pixels[0]), Stretch.seen(self.y, *y, pixels[1]))
 
     def points(self, x: Stretch, y: Stretch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -229,7 +229,7 @@ class Subject:
         return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE))
 
     def grid(self, plane: SubjectPlane, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> Patch:
-        """What it takes to solve cells of a plane at these values of the axes."""
+        """The patch of cells of a plane at these values of the axes."""
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
         return Patch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
 

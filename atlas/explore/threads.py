@@ -14,7 +14,7 @@ def steady(name: str, work: Callable[[], None], say: Callable[[str], None]) -> t
     """A thread, running, in which ``work`` is done until it returns.
 
     Whenever it raises instead, the exception is logged, ``say`` gets it in words, and the work begins again after
-    PAUSE seconds. Dask's ``sync`` may raise anything, also what is no Exception.
+    PAUSE seconds. Dask's ``sync`` may raise anything, also a bare BaseException.
     """
 
     def run() -> None:
@@ -33,5 +33,5 @@ def steady(name: str, work: Callable[[], None], say: Callable[[str], None]) -> t
 
 
 def why(error: BaseException | None) -> str:
-    """What an exception says, with its type, on one line."""
+    """The text of an exception, with its type, on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())

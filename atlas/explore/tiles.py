@@ -36,9 +36,9 @@ class Memory:
         self._tiles: OrderedDict[tuple[object, SubjectPlane, TileKey], tuple[Arrays, bool]] = OrderedDict()
 
     def put(self, whose: object, plane: SubjectPlane, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
-        """Hold arrays of a tile, beside those that it has.
+        """Add arrays to a tile.
 
-        The tiles not seen for longest go where there is no room; those that are ``only_here`` after all others.
+        The least recently seen tiles go where there is no room, the ``only_here`` ones after all others.
         """
         at = whose, plane, key
         with self._lock:
@@ -46,7 +46,7 @@ class Memory:
             self._tiles[at] = made, _ = known | arrays, only_here or before
             self.bytes += _size(made) - _size(known)
             while self.bytes > self.most and len(self._tiles) > 1:
-                others = (each for each, (_, alone) in self._tiles.items() if not alone and each != at)
+                others = (held for held, (_, alone) in self._tiles.items() if not alone and held != at)
                 self.bytes -= _size(self._tiles.pop(next(others, next(iter(self._tiles))))[0])
 
     def get(self, whose: object, plane: SubjectPlane, key: TileKey) -> Arrays:
@@ -61,13 +61,13 @@ class Memory:
     def of(self, whose: object, plane: SubjectPlane) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane."""
         with self._lock:
-            found = self._tiles.items()
-            return [(key, arrays) for (who, of, key), (arrays, _) in found if who is whose and of == plane]
+            tiles = self._tiles.items()
+            return [(key, arrays) for (who, of, key), (arrays, _) in tiles if who is whose and of == plane]
 
     def drop(self, whose: object) -> None:
         """Forget the tiles of a store."""
         with self._lock:
-            for at in [each for each in self._tiles if each[0] is whose]:
+            for at in [held for held in self._tiles if held[0] is whose]:
                 self.bytes -= _size(self._tiles.pop(at)[0])
 
 
@@ -91,14 +91,14 @@ class TileStore:
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
     def get(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
-        """Those of the tiles that are known with these variables; what was kept of them is in memory then."""
+        """The tiles that are known with these variables; kept ones are in memory then."""
         wanted = {*names, REGIME.name}
-        found = {key: self.memory.get(self, plane, key) for key in keys}
-        missing = [key for key, arrays in found.items() if not arrays.keys() >= wanted]
+        known = {key: self.memory.get(self, plane, key) for key in keys}
+        missing = [key for key, arrays in known.items() if not arrays.keys() >= wanted]
         for key, arrays in self.keeper.load(plane, missing, wanted).items():
             self.memory.put(self, plane, key, arrays)
-            found[key] = found[key] | arrays
-        return {key: arrays for key, arrays in found.items() if arrays.keys() >= wanted}
+            known[key] = known[key] | arrays
+        return {key: arrays for key, arrays in known.items() if arrays.keys() >= wanted}
 
     def put(self, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
         """Hold a solved tile, and keep it if its plane is kept and it can be."""
@@ -119,9 +119,9 @@ class TileStore:
 
     def shown(self, plane: SubjectPlane, sight: Sight) -> list[tuple[TileKey, Arrays]]:
         """The tiles in view that are as dense as the view or less, coarse ones first; last those out of any range."""
-        found = [(key, arrays) for key, arrays in self.of(plane) if sight.shows(key)]
-        found.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
-        return found + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
+        shown = [(key, arrays) for key, arrays in self.of(plane) if sight.shows(key)]
+        shown.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
+        return shown + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
 
     def keeps(self, plane: SubjectPlane) -> bool:
         """Whether tiles of this plane are kept as they are solved, where anything is."""
@@ -129,7 +129,7 @@ class TileStore:
             return plane in self._kept_planes
 
     def keep_plane(self, plane: SubjectPlane, on: bool = True) -> None:
-        """Keep this plane too, with what is known of it; or nothing more of it."""
+        """Keep this plane too, with its known tiles; or no further tiles of it."""
         with self._lock:
             if on == (plane in self._kept_planes):
                 return
@@ -167,7 +167,7 @@ class TileStore:
     def atlas_done(self) -> NDArray[np.bool_] | None:
         """Which cells (y, x) of the atlas itself are solved; None without an atlas.
 
-        Of an atlas of all attractors those that keep the one that the cell's own initial state reaches.
+        In an atlas of all attractors a cell counts if it has the one that the cell's own initial state reaches.
         """
         ds, subject = self.subject.ds, self.subject
         if ds is None or subject.stored is None:

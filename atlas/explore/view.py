@@ -26,7 +26,7 @@ class Stretch:
 
     @classmethod
     def seen(cls, lattice: Lattice, low: float, high: float, pixels: int) -> "Stretch":
-        """The cells in a window on so many pixels, at the deepest level whose cells are not finer than pixels."""
+        """The cells in a window on this many pixels, at the deepest level whose cells are not finer than pixels."""
         level = lattice.level(low, high, pixels)
         first = lattice.nearest(level, low)
         return cls(level, first, lattice.nearest(level, high) - first + 1)
@@ -42,7 +42,7 @@ class Stretch:
         return np.arange(self.first, self.first + self.count, dtype=np.int64)
 
     def tiles(self, stage: int) -> range:
-        """The numbers of the tiles that it lies in, so many times halved in density."""
+        """The numbers of the tiles that it lies in, ``stage`` times halved in density."""
         half = (1 << stage) // 2
         first, last = (((end + half) >> stage) // TILE for end in (self.first, self.last))
         return range(first, last + 1)
@@ -54,7 +54,7 @@ class Stretch:
         return slice(max(begin, 0), max(0, min(end, self.count)))
 
     def holding(self, level: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Which of its cells, from 0 on, those of a level as fine or finer lie in."""
+        """The place, from 0 on, of its cell that contains a cell of a level as fine or finer."""
         shift = level - self.level
         return np.asarray(((index + (1 << shift) // 2) >> shift) - self.first)
 
@@ -111,7 +111,7 @@ class Sight(NamedTuple):
         return self.y.count, self.x.count
 
     def tiles(self, stage: int) -> list[TileKey]:
-        """The tiles in view, so many times halved in density, from the centre out.
+        """The tiles in view, ``stage`` times halved in density, from the centre out.
 
         The distance from the centre is measured in views, so that a wide view does not begin with a column.
         """

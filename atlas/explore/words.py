@@ -1,4 +1,4 @@
-"""What the page says, as plain Unicode and HTML: symbols, numbers, the cell under the pointer, the title, the ticks."""
+"""The words of the page, as plain Unicode and HTML: symbols, numbers, the cell clicked, the title, the ticks."""
 
 import base64
 import html
@@ -44,19 +44,19 @@ def title(subject: Subject, plane: SubjectPlane) -> str:
 
 
 def _equation(symbol: str, value: str) -> str:
-    """What a symbol equals, as HTML that stays on one line."""
+    """A symbol and its value, as HTML that stays on one line."""
     return f'<span class="number"><i>{html.escape(symbol)}</i> = {value}</span>'
 
 
 def number(value: float, digits: int = 6) -> str:
-    """A number as text shows it: so many digits, a proper minus, powers of ten."""
+    """A number for text: at most this many digits, a proper minus, powers of ten."""
     mantissa, _, power = f"{value:.{digits}g}".partition("e")
     text = mantissa.replace("-", "−")
     return f"{text}·10{str(int(power)).translate(_ABOVE)}" if power else text
 
 
 class Ticks(NamedTuple):
-    """How the ticks of an axis are written: (tick - base) / unit with so many decimals, and the axis's label."""
+    """The writing of an axis's ticks, (tick - base) / unit to a number of decimals, and its label."""
 
     base: float
     unit: float
@@ -92,7 +92,7 @@ def cell_line(cell: Cell, subject: Subject) -> str:
 
 
 def cell_given(cell: Cell, subject: Subject) -> dict[str, Any]:
-    """The numbers of a cell and what they mean, as JSON: the page shows those that are results of its regime."""
+    """The numbers of a cell with their meanings, as JSON, of which the page shows the results of its regime."""
     own = {variable.name: variable for variable in subject.system.own_variables}
     numbers = {name: value for name, value in cell.results.items() if isinstance(value, bool | int | float)}
     values = {name: value for name, value in numbers.items() if name not in subject.axes}
@@ -105,25 +105,25 @@ def cell_given(cell: Cell, subject: Subject) -> dict[str, Any]:
         "places": [(symbol_of(subject.system, name), cell.results[name]) for name in subject.axes],
         "variables": {
             name: {
-                "label": name if name in (REGIME.name, REASON.name) else each.words,
+                "label": name if name in (REGIME.name, REASON.name) else variable.words,
                 "flag": isinstance(values[name], bool),
-                "endless": each.endless,
-                "regimes": sorted(each.regimes),
+                "endless": variable.endless,
+                "regimes": sorted(variable.regimes),
             }
-            for name, each in meant.items()
+            for name, variable in meant.items()
         },
         "values": _plain(values),
     }
 
 
 def cell_text(cell: Cell) -> str:
-    """All that is known of a cell as JSON, in full precision; what is no number is null."""
+    """All numbers of a cell as JSON, in full precision; NaN is null."""
     values = cell.parameters | cell.results
     return json.dumps(_plain(values), indent=1)
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values as JSON has them: None for those that are no numbers."""
+    """Values for JSON: None in place of NaN."""
     return {name: None if value != value else value for name, value in values.items()}
 
 

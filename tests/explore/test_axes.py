@@ -63,7 +63,7 @@ def test_what_was_chosen_goes_along_to_other_axes(explorer: Explorer) -> None:
 
 def test_cells_over_other_axes_are_those_of_the_point_command_to_the_bit(explorer: Explorer) -> None:
     turned = explorer.turned(("R", "b"))
-    subject, plane = turned.subject, turned.subject.plane.moved("omega", 3.9)
+    subject, plane = turned.subject, turned.subject.plane.with_value("omega", 3.9)
     sight = subject.sight((0.7, 0.8), (0.45, 0.55), (20, 20))
     turned.want("test", plane, sight, range(3, -1, -1))
     assert waited(lambda: turned.patches.left("test") == 0)
@@ -90,7 +90,7 @@ def test_a_box_is_forgotten_with_the_view_in_which_it_was_chosen() -> None:
     store = Store(State(from_address(subject, {})))
     box = ((2.5, 2.75), (0.25, 0.375))
     for change, kept in (
-        ({"kind": "period"}, box), ({"x": (2.0, 3.0)}, None), ({"plane": subject.plane.moved("R", 0.7)}, None),
+        ({"kind": "period"}, box), ({"x": (2.0, 3.0)}, None), ({"plane": subject.plane.with_value("R", 0.7)}, None),
     ):  # fmt: skip
         store.set(box=box)
         store.choose(**change)

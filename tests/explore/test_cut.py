@@ -57,7 +57,7 @@ def test_a_line_begins_and_ends_where_it_was_drawn_to_the_bit(subject: Subject) 
 
 
 def test_the_cells_of_a_slanted_line_are_those_of_the_point_command_to_the_bit(subject: Subject) -> None:
-    line = Line(subject, subject.plane.moved("R", 0.7), (3.6, 0.45, 3.9, 0.5))
+    line = Line(subject, subject.plane.with_value("R", 0.7), (3.6, 0.45, 3.9, 0.5))
     cells = solved(line, [(0, 100, STEPS)])
     x, y = line.points(cells.index)
     for k in range(3):

@@ -141,7 +141,7 @@ def test_lines_come_clipped_to_the_view_and_what_cannot_be_drawn_is_said(subject
         x = np.reshape(line["points"], (-1, 2))[:, 0]
         assert x.min() < 2.9 and x.max() > 2.3 and np.count_nonzero((x < 2.25) | (x > 2.95)) <= 2
     assert arrays["regions"].shape == seen.sight.shape
-    moved = replace(chosen, plane=chosen.plane.moved("R", 0.7), overlays=("curves",))
+    moved = replace(chosen, plane=chosen.plane.with_value("R", 0.7), overlays=("curves",))
     about, _, lacking, _ = sent(subject, moved)
     assert "a store has curves of its own plane alone" in lacking
     assert about["lines"]["curves"]["lines"] == []  # known to be lacking: the page asks no more

@@ -65,7 +65,7 @@ def test_while_a_slider_moves_the_first_stage_alone_is_solved(
     explorer: Explorer, painter: Painter, view: Chosen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(painting, "STAY", 3.0)
-    plane = explorer.subject.plane.moved("R", 0.71)
+    plane = explorer.subject.plane.with_value("R", 0.71)
     painter.show(replace(view, plane=plane), SIZE, rests=False)
 
     def stages() -> set[int]:

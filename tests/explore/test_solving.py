@@ -255,7 +255,7 @@ def test_plain_xarray_reads_what_was_kept(finished: Path, client: Client) -> Non
 def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         subject, sight = explorer.subject, view_of(explorer.subject)
-        plane = subject.moved(subject.plane, "R", 0.71)
+        plane = subject.plane_with(subject.plane, "R", 0.71)
         solved(explorer, sight, plane)
         assert not (finished / "zoom").exists()
         explorer.tiles.keep_plane(plane)
@@ -264,7 +264,7 @@ def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, clie
 
 def test_the_keeping_of_another_plane_ends_where_that_is_asked_for(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
-        plane = explorer.subject.moved(explorer.subject.plane, "R", 0.71)
+        plane = explorer.subject.plane_with(explorer.subject.plane, "R", 0.71)
         kept = [explorer.tiles.keeps(plane)]
         for on in (True, True, False):
             explorer.tiles.keep_plane(plane, on)

@@ -254,7 +254,7 @@ def test_curves_are_those_of_the_store_where_their_orbit_is_otherwise_stable() -
 
 
 def test_a_store_without_curves_has_none_on_its_page(opened: xr.Dataset) -> None:
-    assert described(page_of(opened))["lines"].keys() == {"grazing", "boundaries", "isolines"}
+    assert described(page_of(opened))["lines"].keys() == {"grazing", "boundaries"}  # and no isoline
 
 
 # The file

@@ -182,7 +182,7 @@ def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> N
     assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"]).ds).curves) == len(curves().curves)
     chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
     assert chosen.drawn(stored) == ("grazing", "curves")
-    assert replace(chosen, plane=stored.plane.moved("R", 0.7)).drawn(stored) == ("grazing",)
+    assert replace(chosen, plane=stored.plane.with_value("R", 0.7)).drawn(stored) == ("grazing",)
 
 
 def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(finished: Path) -> None:
@@ -212,7 +212,7 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
         for name, texts in parse_qs(to_address(subject, subject, chosen)).items()
     }
     assert from_address(subject, again) == chosen
-    assert chosen.plane == subject.plane.moved("R", 0.75)
+    assert chosen.plane == subject.plane.with_value("R", 0.75)
     assert chosen.curves is not None and {"fold", "graze"}.isdisjoint(chosen.curves)
 
 
@@ -254,7 +254,11 @@ def test_planes_that_differ_in_a_parameter_or_in_how_they_are_solved_have_digest
     subject: Subject,
 ) -> None:
     finer = Subject(subject.spec, exploring(subject.spec.settings, tolerance=0.1))
-    planes = [subject.digest(subject.plane), subject.digest(subject.plane.moved("R", 0.7)), finer.digest(subject.plane)]
+    planes = [
+        subject.digest(subject.plane),
+        subject.digest(subject.plane.with_value("R", 0.7)),
+        finer.digest(subject.plane),
+    ]
     assert len(set(planes)) == 3
 
 

@@ -1,4 +1,4 @@
-// Elements of a page, and what they are drawn on.
+// Elements of a page, its canvases and frames.
 
 /** An element with these properties and children. */
 export function make(tag, given, ...inside) {

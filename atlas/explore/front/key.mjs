@@ -112,7 +112,7 @@ export function fillKey(key, map, lines, look, change, enlarged) {
   updateKey(key);
 }
 
-/** Have a key show what its look has become. */
+/** Have a key show the new look. */
 export function updateKey(key) {
   for (const each of key.querySelectorAll("*")) {
     if (each.update) each.update();

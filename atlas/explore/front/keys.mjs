@@ -1,9 +1,9 @@
 // The keyboard: arrows move the view, + and - zoom it, Enter on the plane chooses the cell in its middle, Esc ends a
-// followed orbit, the cut or what is enlarged; and two fingers, which zoom, with both on the cells that they are on.
+// followed orbit, the cut or an enlarged picture; two fingers zoom, each staying on its cell.
 
 import { tell } from "./live.mjs";
 
-/** Hear keys and fingers, and say in `heard` what they ask for. */
+/** Hear keys and fingers, and put their requests into `heard`. */
 export function hearKeys({ heard, plot, logs, share, factor }) {
   const moves = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}
   window.addEventListener("keydown", (event) => {

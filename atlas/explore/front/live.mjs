@@ -1,7 +1,7 @@
-// The plane of the explorer's page: what the server has sent of the cells in view, and how the browser shows it.
+// The plane of the explorer's page: the cells in view as the server has sent them, and how the browser shows them.
 //
-// Whatever the page holds is shown without the server: another scale, another map of the same variables, lines that are
-// switched, the cell under the pointer. The server is told how the plane looks before it is asked for anything more.
+// Without the server it shows another scale, another map of the same variables, lines that are
+// switched, the cell under the pointer. The server gets the look of the plane before it is asked for anything more.
 
 import { make, oncePerFrame } from "./elements.mjs";
 import { fillKey, updateKey } from "./key.mjs";
@@ -12,8 +12,8 @@ import { number, resultsOf } from "./words.mjs";
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const parts = {}; // the elements of the page that are filled here, by name
-let models = null, told = null; // of Bokeh, and what is known of the subject: see pane.py
-let look = null, lastTold = ""; // how the plane looks, and what of that the server knows
+let models = null, subject = null; // of Bokeh, and the subject as pane.py describes it
+let look = null, lastTold = ""; // how the plane looks, and the last look that the server got
 let held = null; // the cells in view, as the server has sent them
 let shown = null; // the map that is drawn, its cells and their colours
 let enlarged = new Set(); // labels of classes whose single cells are drawn larger
@@ -22,8 +22,8 @@ let pointer = null, turns = 0;
 /** Begin, once the document is there. */
 export function begin(given) {
   models = given;
-  told = JSON.parse(given.told);
-  look = lookOf(new URLSearchParams(told.look));
+  subject = JSON.parse(given.subject);
+  look = lookOf(new URLSearchParams(subject.look));
   lastTold = query();
   for (const range of [models.plot.x_range, models.plot.y_range])
     for (const end of ["start", "end"]) range.properties[end].change.connect(draw);
@@ -52,7 +52,7 @@ export function tell() {
   models.look.data = { query: [lastTold] };
 }
 
-// What the server sends
+// Messages of the server
 
 async function hear() {
   const [sent] = models.sent.data.message || [], turn = ++turns;
@@ -69,7 +69,7 @@ async function hear() {
   if (turn !== turns) return;
   const old = held && held.of === about.of ? held : { maps: {}, lines: {}, names: {}, arrays: {} };
   const arrays = Object.entries(about.arrays).map(([name, { at, size, ...each }]) => [name, { ...each, bytes: bytes.slice(body + at, body + at + size) }]);
-  held = { ...about, axes: about.axes.map((axis, along) => drawnAxis({ ...told.axes[along], ...axis })),
+  held = { ...about, axes: about.axes.map((axis, along) => drawnAxis({ ...subject.axes[along], ...axis })),
     maps: { ...old.maps, ...Object.fromEntries(about.maps.map((map) => [map.name, map])) },
     lines: { ...old.lines, ...about.lines }, names: { ...old.names, ...about.names },
     arrays: { ...Object.fromEntries(arrays), ...old.arrays } };
@@ -86,8 +86,8 @@ async function show() {
   const of = held, map = of.maps[mapName(look)], lacks = look.overlays.some((name) => !(name in of.lines));
   if (!map || lacks) tell();
   if (!map) return;
-  const known = Object.keys(told.variables).filter((name) => name in of.arrays);
-  const made = await shownAs(map, look, of.numbers, [told.special.regime, "stages", ...known], "regions" in of.arrays);
+  const known = Object.keys(subject.variables).filter((name) => name in of.arrays);
+  const made = await shownAs(map, look, of.numbers, [subject.special.regime, "stages", ...known], "regions" in of.arrays);
   if (of !== held || map !== held.maps[mapName(look)]) return;
   shown = made;
   models.waiting.setv({ visible: false }, { sync: false });
@@ -119,7 +119,7 @@ function drawNow() {
   image.setv({ data: { image: [picture], x, y, dw, dh, cells: [[across[0], up[0], across[1], up[1]]] } }, { sync: false });
 }
 
-/** Say what is shown of the cell at a point of the plane. */
+/** Show the numbers of the cell at a point of the plane. */
 export function point(_, { x, y }) {
   pointer = x == null || y == null ? null : [x, y];
   fill("pointer");
@@ -149,13 +149,13 @@ export function take(name, element) {
 }
 
 const FILLED = { key: fillMapKey, pointer: fillPointer, bar: fillBar, cell: fillCell,
-  look: (element) => fillLook(element, { ...told, logs: true }, () => look, change) };
+  look: (element) => fillLook(element, { ...subject, logs: true }, () => look, change) };
 
 function fill(name) {
   if (parts[name] && models) FILLED[name](parts[name]);
 }
 
-let keyed = null; // what the key is of
+let keyed = null; // the map and lines of the key, as text
 
 function fillMapKey(element) {
   if (!shown) {
@@ -175,7 +175,7 @@ const rowOf = (head, text, title = "") => make("tr", {}, make("td", { textConten
 /** Fill an element with the cell clicked, as the server says it; the pointer over a number shows all its digits. */
 function fillCell(element) {
   const { caption, places, variables, values } = JSON.parse(element.dataset.given, (_, value) => value ?? NaN);
-  const arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value]])), about = { ...told, variables, arrays: {} };
+  const arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value]])), about = { ...subject, variables, arrays: {} };
   const rows = places.map(([symbol, value]) => rowOf(symbol, number(value), value));
   rows.push(...resultsOf(about, Object.keys(variables), 0, arrays).map(([label, text, name]) => rowOf(label, text, values[name])));
   element.replaceChildren(make("table", {}, make("caption", { textContent: caption }), ...rows));
@@ -184,14 +184,14 @@ function fillCell(element) {
 function fillPointer(element) {
   const cell = pointer && shown && cellAt(pointer);
   if (!cell) {
-    if (!pointer || !shown) element.replaceChildren(make("span", { className: "waiting", innerText: told.help }));
+    if (!pointer || !shown) element.replaceChildren(make("span", { className: "waiting", innerText: subject.help }));
     return;
   }
   const k = cell[1] * held.axes[0].count + cell[0], stage = Math.min(shown.values.stages[k], 3);
-  const at = placeOf(cell, stage), here = { ...told, arrays: held.arrays };
+  const at = placeOf(cell, stage), here = { ...subject, arrays: held.arrays };
   const rows = held.axes.map(({ symbol }, along) => rowOf(symbol, number(at[along])));
-  const names = Object.keys(shown.values).filter((name) => name in told.variables);
-  rows.push(...resultsOf(here, names, k, shown.values).map(([label, text, name]) => rowOf(name === told.special.regime ? "regime" : label, text)));
+  const names = Object.keys(shown.values).filter((name) => name in subject.variables);
+  rows.push(...resultsOf(here, names, k, shown.values).map(([label, text, name]) => rowOf(name === subject.special.regime ? "regime" : label, text)));
   const block = held.axes.map(({ level }) => 2 ** Math.max(0, -level));
   const coarse = Math.max(...block) > 1 ? [make("span", { className: "waiting", textContent: `block of up to ${block.join(" × ")} cells` })] : [];
   element.replaceChildren(make("table", {}, ...rows), ...coarse);

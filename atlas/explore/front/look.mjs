@@ -61,7 +61,7 @@ export function fillLook(element, { maps, overlays, logs }, look, change) {
   updateKey(element);
 }
 
-/** The lines that a look asks for, of those that a page has by the name of their overlay, as one. */
+/** The lines of a look as one; `lines` are the lines of a page by the names of their overlays. */
 export function linesOf(look, lines) {
   const on = look.overlays.map((name) => lines[name]).filter(Boolean), all = (name) => on.flatMap((each) => each[name] || []);
   return { looks: Object.assign({}, ...on.map(({ looks }) => looks)), marks: Object.assign({}, ...on.map(({ marks }) => marks)),

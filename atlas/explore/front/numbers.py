@@ -78,7 +78,7 @@ def unpack(packed: Packed, width: int) -> NDArray[np.generic]:
 
 
 def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
-    """Values to so many bits of the mantissa, the nearest, ties to even; what is not finite stays."""
+    """Values to so many bits of the mantissa, the nearest, ties to even; values that are not finite stay."""
     exact = np.asarray(values, np.float64)
     if bits >= MANTISSA:
         return exact
@@ -98,21 +98,21 @@ def fit(
     most: the one named ``first``, then the largest text, ``last`` the last. Those are left out that have no more
     digits to lose.
     """
-    found = {name: pack(read()) for name, read in arrays.items()}
+    packed = {name: pack(read()) for name, read in arrays.items()}
     left_out: list[str] = []
 
     def order(name: str) -> tuple[int, bool, bool, int]:
-        return found[name].bits, name != last, name == first, found[name].length
+        return packed[name].bits, name != last, name == first, packed[name].length
 
-    while sum(each.length for each in found.values()) > limit:
-        floats = [name for name, each in found.items() if each.type == "float64"]
+    while sum(array.length for array in packed.values()) > limit:
+        floats = [name for name, array in packed.items() if array.type == "float64"]
         if not floats:
             break
         name = max(floats, key=order)
-        fewer = [bits for bits in DIGITS if bits < found[name].bits]
+        fewer = [bits for bits in DIGITS if bits < packed[name].bits]
         if fewer:
-            found[name] = pack(arrays[name](), max(fewer))
+            packed[name] = pack(arrays[name](), max(fewer))
         else:
             left_out.append(name)
-            del found[name]
-    return found, left_out
+            del packed[name]
+    return packed, left_out

@@ -44,7 +44,7 @@ function cellsAlong(cuts, [low, high], count, falling) {
   return found;
 }
 
-/** The pixels of the cells in view, of so many to a CSS pixel; clear ones where there are none. */
+/** The pixels of the cells in view, `ratio` to a CSS pixel; clear where there are no cells. */
 export function pixelsOf({ axes: [x, y], window, plot, shown }, ratio) {
   const columns = Math.max(1, Math.round(plot.width * ratio)), rows = Math.max(1, Math.round(plot.height * ratio));
   const image = new ImageData(columns, rows), pixels = new Uint32Array(image.data.buffer), count = x.cuts.length - 1;
@@ -150,7 +150,7 @@ export function drawPlane(pen, scene, ratio) {
   return enlarged;
 }
 
-/** Round numbers between two ends, so many at most. */
+/** Round numbers between two ends, about `most` at most. */
 export function ticks(low, high, most, log) {
   if (log && high / low > 8) {
     const found = [];

@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 SHARED = ("numbers.mjs", "colors.mjs", "words.mjs", "elements.mjs", "plane.mjs", "key.mjs", "look.mjs")
-"""The modules of both pages, each after those that it takes something from."""
+"""The modules of both pages, in an order in which each follows its imports."""
 
 
 LIVE = ("live.mjs", "keys.mjs", "widgets.mjs")
@@ -17,12 +17,12 @@ TICKS = "return atlasPage.tickText(tick, base, unit, decimals)"
 
 
 def program(package: str, *own: str) -> str:
-    """The shared modules and those of a package as one script: what they export and import are names of its own."""
-    return "".join(_joined(each) for each in (*_texts(__package__, SHARED), *_texts(package, own)))
+    """The shared modules and those of a package as one script, whose names their exports become."""
+    return "".join(_joined(text) for text in (*_texts(__package__, SHARED), *_texts(package, own)))
 
 
 def page_script() -> str:
-    """The script of the explorer's page, which calls what its modules export ``atlasPage``."""
+    """The script of the explorer's page, which calls the exports of its modules ``atlasPage``."""
     own = "".join(_texts(__package__, LIVE))
     names = ", ".join(re.findall(r"^export (?:function|const) (\w+)", own, re.MULTILINE))
     return (

@@ -1,4 +1,4 @@
-// What the widgets of the explorer's page do in the browser. Each gets its models, and the one that has changed.
+// The actions of the explorer's widgets in the browser, functions of their models and the model that has changed.
 
 import { copied } from "./elements.mjs";
 

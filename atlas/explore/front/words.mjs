@@ -1,8 +1,8 @@
-// Numbers of cells in words. What is `told` of an atlas is plain JSON: see static/about.py.
+// Numbers of cells in words. A `subject` is plain JSON: see static/about.py.
 
 const raised = (text) => text.replace(/./g, (letter) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(letter)] || "");
 
-/** A number with so many digits at most. */
+/** A number with at most this many digits. */
 export function number(value, digits = 6) {
   if (!Number.isFinite(value)) return Number.isNaN(value) ? "none" : value > 0 ? "∞" : "−∞";
   const small = value !== 0 && Math.abs(value) < 1e-3, near = Number(value.toPrecision(digits));
@@ -18,35 +18,35 @@ function withError(value, error, most) {
   return `${number(value, Math.min(most, Math.max(4, certain)))} ± ${number(error, 2)}`;
 }
 
-/** The value of a variable in cell k, where `told.arrays` says how many digits it has. */
-function inWords(told, name, k, values) {
-  const value = values[name][k], { special, variables, arrays } = told, { flag, endless } = variables[name];
+/** The value of a variable in cell k, where `subject.arrays` says how many digits it has. */
+function inWords(subject, name, k, values) {
+  const value = values[name][k], { special, variables, arrays } = subject, { flag, endless } = variables[name];
   const digits = Math.min(6, arrays[name]?.digits || 6);
-  if (name === special.regime) return told.regimes[value];
-  if (name === special.reason) return told.reasons[value];
+  if (name === special.regime) return subject.regimes[value];
+  if (name === special.reason) return subject.reasons[value];
   if (name === special.largest && values[special.error]) return withError(value, values[special.error][k], digits);
   if (endless && value < 0) return "without end: at rest on a stop";
   return flag ? (value ? "yes" : "no") : number(value, digits);
 }
 
 /** Whether a variable is a result in cell k. */
-function isResult(told, name, k, values) {
-  const value = values[name][k], { regime, reason } = told.special;
+function isResult(subject, name, k, values) {
+  const value = values[name][k], { regime, reason } = subject.special;
   if (name === reason) return value !== 0;
-  return name === regime || (told.variables[name].regimes.includes(values[regime][k]) && !Number.isNaN(value));
+  return name === regime || (subject.variables[name].regimes.includes(values[regime][k]) && !Number.isNaN(value));
 }
 
 /** The results in cell k of these variables, each with its label, its value in words and its name; none of an error
  * beside its exponent, which has it.
  */
-export function resultsOf(told, names, k, values) {
-  const { largest, error } = told.special;
-  return names.filter((name) => !(name === error && largest in values) && isResult(told, name, k, values))
-    .map((name) => [told.variables[name].label, inWords(told, name, k, values), name]);
+export function resultsOf(subject, names, k, values) {
+  const { largest, error } = subject.special;
+  return names.filter((name) => !(name === error && largest in values) && isResult(subject, name, k, values))
+    .map((name) => [subject.variables[name].label, inWords(subject, name, k, values), name]);
 }
 
 /** The regime of cell k and the results that a map shows of it. */
-export function sentence(told, map, k, values) {
-  const { regime } = told.special, rest = map.needs.filter((name) => name !== regime);
-  return [told.regimes[values[regime][k]], ...resultsOf(told, rest, k, values).map(([label, text]) => `${label} ${text}`)].join("; ");
+export function sentence(subject, map, k, values) {
+  const { regime } = subject.special, rest = map.needs.filter((name) => name !== regime);
+  return [subject.regimes[values[regime][k]], ...resultsOf(subject, rest, k, values).map(([label, text]) => `${label} ${text}`)].join("; ");
 }

@@ -1,4 +1,4 @@
-"""What a page says of an atlas besides its numbers: its axes, variables and parameters, what to cite."""
+"""The words of a page on an atlas: its axes, variables and parameters, and what to cite."""
 
 import shlex
 from typing import TYPE_CHECKING, Any
@@ -24,9 +24,9 @@ _PROVENANCE = {
 
 
 def described(ds: "xr.Dataset", handle: Atlas, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
-    """What the page's program knows of an atlas, as plain JSON."""
+    """An atlas for the page's program, as plain JSON."""
     record, place = handle.spec.record, ds.attrs.get(ATTRACTOR)
-    names = {each.code: each.text for each in record.regime.codes}
+    names = {meant.code: meant.text for meant in record.regime.codes}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
     return {
         "axes": [_axis(ds, axis) for axis in axes],
@@ -36,7 +36,7 @@ def described(ds: "xr.Dataset", handle: Atlas, axes: tuple[PlaneAxis, PlaneAxis]
             if float(ds[p.name]) or p.name not in record.states
         ],
         "attractor": place,
-        "allowances": {each.name: f"--{each.setting.replace('_', '-')}" for each in ALLOWANCES},
+        "allowances": {meant.name: f"--{meant.setting.replace('_', '-')}" for meant in ALLOWANCES},
         **meanings(),
         "regimes": names | ({PENDING: f"not more than {place}"} if place else {}),
     }
@@ -46,9 +46,9 @@ def meanings() -> dict[str, Any]:
     """The regimes and the reasons in words, and the names of the variables that a page treats in a way of their own."""
     special = {"regime": REGIME, "reason": REASON, "largest": LARGEST, "error": ERROR}
     return {
-        "regimes": {each.code: each.text for each in REGIME.codes},
+        "regimes": {meant.code: meant.text for meant in REGIME.codes},
         "reasons": [reason.text for reason in REASONS],
-        "special": {"pending": PENDING} | {name: each.name for name, each in special.items()},
+        "special": {"pending": PENDING} | {name: meant.name for name, meant in special.items()},
     }
 
 
@@ -80,8 +80,8 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
 def provenance(ds: "xr.Dataset", handle: Atlas) -> dict[str, str]:
     """Where the numbers are from, by its name on the page."""
     cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in handle.spec.axes)
-    found = {"cells": cells} | {_PROVENANCE[key]: str(ds.attrs[key]) for key in _PROVENANCE if key in ds.attrs}
-    return {name: found[name] for name in ("atlas", *found) if name in found}
+    named = {"cells": cells} | {_PROVENANCE[key]: str(ds.attrs[key]) for key in _PROVENANCE if key in ds.attrs}
+    return {name: named[name] for name in ("atlas", *named) if name in named}
 
 
 def citation(ds: "xr.Dataset", handle: Atlas) -> str:

@@ -1,4 +1,4 @@
-// What the page knows of its atlas, and the numbers of its cells, which are unpacked once they are asked for.
+// The atlas of the page, and the numbers of its cells, which are unpacked when they are first needed.
 
 import { reader } from "../front/look.mjs";
 import { drawnAxis } from "../front/plane.mjs";

@@ -1,4 +1,4 @@
-// The cell that is chosen, with all its numbers, and what the page says about its numbers.
+// The cell that is chosen, with all its numbers, and the precision of the numbers.
 
 import { copied, make } from "../front/elements.mjs";
 import { number, resultsOf } from "../front/words.mjs";

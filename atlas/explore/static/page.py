@@ -45,7 +45,7 @@ SIZE = 1000.0, 800.0
 MOST_CELLS = 1 << 20
 """Cells of a page; a larger atlas is shown by an overview."""
 COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
-"""What a page says of the attractors of a cell that it does not show."""
+"""The results of attractors that a page lists beside the one that it shows."""
 PROGRAM = ("atlas.mjs", "cell.mjs", "page.mjs")
 """The modules of a page of its own, in this order."""
 _EACH = 300
@@ -92,7 +92,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
         "block": list(block),
         "command": about.command(ds, handle) if max(block) == 1 else "",
         "lines": lines,
-        "names": {each.name: names_on(each.layers, plane, SIZE) for each in maps},
+        "names": {made.name: names_on(made.layers, plane, SIZE) for made in maps},
         "leftOut": [],
         "variables": {name: about.variable(seen, name) for name in names},
     }
@@ -110,9 +110,9 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
         made.described["codes"] = add_codes(codes, made)
     bare = _filled(described, words, maps, codes)
     room = limit - len(bare.encode()) - _EACH * len(arrays)
-    found, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
-    kept = [each for each in maps if found.keys() >= {*each.needs}]
-    arrays_kept = {name: codes[name] for name in (*(each.described["codes"] for each in kept), *regions)} | found
+    packed, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
+    kept = [made for made in maps if packed.keys() >= {*made.needs}]
+    arrays_kept = {name: codes[name] for name in (*(made.described["codes"] for made in kept), *regions)} | packed
     text = _filled(described | {"leftOut": left_out}, words, kept, arrays_kept)
     if len(text.encode()) > limit:
         size = f"{byte_size(len(text.encode()))}, at most {byte_size(limit)}"
@@ -126,9 +126,10 @@ def lines_of(ds: "xr.Dataset", seen: "xr.Dataset") -> tuple[dict[str, Any], dict
     lines, arrays = dict[str, Any](), dict[str, Any]()
     for name in MAP_OVERLAYS:
         with suppress(OverlayError):  # this atlas has none
-            found = lines_over(view, name, SIZE)
-            lines[name] = found.described
-            arrays |= {} if found.regions is None else {"regions": found.regions}
+            drawn = lines_over(view, name, SIZE)
+            if drawn.described["lines"] or drawn.regions is not None:
+                lines[name] = drawn.described
+            arrays |= {} if drawn.regions is None else {"regions": drawn.regions}
     return lines, arrays
 
 
@@ -171,11 +172,11 @@ def _cells(ds: "xr.Dataset", most: int) -> tuple["xr.Dataset", tuple[int, ...]]:
 def _others(every: "xr.Dataset") -> dict[str, Any]:
     """Of an atlas of all attractors the arrays that tell those after the first, as ``largest-1``."""
     names = [name for name in COEXISTING if name in every]
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     for place in range(1, every.sizes[ATTRACTOR]):
         ds, _ = rising(one(every, place)[names])
-        found |= {f"{name}-{place}": partial(_values, ds.load(), name) for name in names}
-    return found
+        arrays |= {f"{name}-{place}": partial(_values, ds.load(), name) for name in names}
+    return arrays
 
 
 def _label_of_other(name: str, variables: Mapping[str, Any]) -> str:
@@ -193,14 +194,14 @@ def _filled(
     """The whole page."""
     whole = {
         **described,
-        "maps": [each.described for each in maps],
-        "arrays": {name: {"type": each.type, "digits": each.digits} for name, each in arrays.items()},
+        "maps": [made.described for made in maps],
+        "arrays": {name: {"type": made.type, "digits": made.digits} for name, made in arrays.items()},
     }
     parts = {name: files(__package__).joinpath(name).read_text("utf-8") for name in ("page.html", "page.css")}
     listed = "".join(
         f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in words["provenance"].items()
     )
-    blobs = [f'<script type="text/plain" id="{name}">{each.text}</script>' for name, each in arrays.items()]
+    blobs = [f'<script type="text/plain" id="{name}">{made.text}</script>' for name, made in arrays.items()]
     return Template(parts["page.html"]).substitute(
         title=html.escape(words["title"]),
         spec=html.escape(words["spec"]),
