@@ -21,10 +21,6 @@ HEAD = """
 <script>{{ page_script }}</script>{% endblock %}
 """
 """Without the first a phone lays the page out as wide as a desk's."""
-SHARE = 0.1
-"""How far an arrow moves the view, as a share of it."""
-FACTOR = 1.25
-"""How far + and - zoom."""
 
 
 def named(text: str) -> dict[str, Any]:
@@ -43,7 +39,6 @@ def make_accessible(document: Document) -> None:
 def hear_keys(
     document: Document,
     plot: figure,
-    logs: list[bool],
     show_window: Callable[[tuple[float, float], tuple[float, float]], None],
     escape: Callable[[], None],
     choose: Callable[[float, float], None],
@@ -61,6 +56,5 @@ def hear_keys(
             show_window((float(left), float(right)), (float(low), float(high)))
 
     heard.on_change("data", hear)
-    args = {"heard": heard, "plot": plot, "logs": logs, "share": SHARE, "factor": FACTOR}
-    document.js_on_event(DocumentReady, call("hearKeys", **args))
+    document.js_on_event(DocumentReady, call("hearKeys", heard=heard, plot=plot))
     return heard

@@ -25,7 +25,6 @@ from atlas.errors import InputError
 from atlas.explore.access import named
 from atlas.explore.background import Background
 from atlas.explore.branches import Drawn
-from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Cut
 from atlas.explore.cut import (
     LONGEST,
@@ -45,7 +44,7 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.front.script import call
 from atlas.explore.panel import Panel
 from atlas.explore.patches import Question
-from atlas.explore.plot import quiet
+from atlas.explore.plot import BranchLines, quiet
 from atlas.explore.state import State, Store
 from atlas.explore.style import CUT, CUT_HEAD, DIAGRAM, TEXT
 from atlas.explore.words import symbol_of, ticks
@@ -95,11 +94,10 @@ class CutPanel(Panel[Line]):
         self.panel = column(
             head, self._section, self._exponents, sizing_mode="stretch_width", visible=False, stylesheets=[CUT],
         )  # fmt: skip
-        lattices = subject.x, subject.y
         self.buttons = [Button(label=label, sizing_mode="stretch_width") for label in ("cut across", "cut up")]
         for k, button in enumerate(self.buttons):
             button.on_click(partial(self._straight, k))
-        self._link([lattice.log for lattice in lattices])
+        self._link()
 
     def show(self, state: State) -> None:
         """Show the diagrams along the line that is chosen, in the plane that is chosen."""
@@ -228,13 +226,11 @@ class CutPanel(Panel[Line]):
         for item in self._items[1:]:
             item.visible = drawn is not None
 
-    def _link(self, logs: list[bool]) -> None:
+    def _link(self) -> None:
         """Have the pointer on one move on the other."""
         self._along = ColumnDataSource({"along": [0]})
-        args = {
-            "line": self._drawn, "logs": logs, "plane": self._plane, "axis": self._along, "spans_of": self._spans,
-            "dot": self._dot,
-        }  # fmt: skip
+        args = {"line": self._drawn, "plane": self._plane, "axis": self._along}
+        args |= {"spans_of": self._spans, "dot": self._dot}
         for plot in (self._plane, self._section, self._exponents):
             plot.js_on_event(MouseMove, call("linkPointer", **args, of_plane=plot is self._plane))
 

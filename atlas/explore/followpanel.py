@@ -10,13 +10,12 @@ from bokeh.plotting import figure
 from atlas.explore.background import Background
 from atlas.explore.branches import Arrow as Reach
 from atlas.explore.branches import Drawn, FollowedBranch, Here, arrows, beginning, branch_asked, distance
-from atlas.explore.branchlines import BranchLines
 from atlas.explore.chosen import Chosen, FollowedOrbit, Point, Range, followable
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.motionpanel import MotionPanel
 from atlas.explore.panel import Panel
-from atlas.explore.plot import quiet
+from atlas.explore.plot import BranchLines, quiet
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.words import compiled_first, number, symbol_of

@@ -14,9 +14,6 @@ from atlas.explore.subject import Subject
 from atlas.render.classes import PALETTE
 from atlas.text import plain
 
-SECONDS = 3.0
-"""What one forcing period takes on the screen."""
-
 
 class MotionPanel:
     """The portraits of a cell's attractors in one phase plane, and its machine, which a button sets in motion."""
@@ -46,7 +43,7 @@ class MotionPanel:
         self._scene.yaxis[0].major_label_overrides = dict(enumerate(lanes))
         self._play = Toggle(label="move the machine", sizing_mode="stretch_width")
         args = {"path": self._path, "here": self._here, "machine": self._machine, "pace": self._pace}
-        self._play.js_on_change("active", call("play", **args, seconds=SECONDS))
+        self._play.js_on_change("active", call("play", **args))
         self.panel = column(self._phase, self._scene, self._play, sizing_mode="stretch_width", visible=False)
 
     def clear(self) -> None:

@@ -79,8 +79,7 @@ class Page:
         self._details = Details(explorer, self._background, store, lambda: painter.sight, self._pane.mark, plot)
         self._cut = CutPanel(explorer, self._background, store, plot)
         self._make_panels()
-        logs = [lattice.log for lattice in (self._subject.x, self._subject.y)]
-        self._keys = hear_keys(document, plot, logs, self._show_window, store.escape, self._details.choose)
+        self._keys = hear_keys(document, plot, self._show_window, store.escape, self._details.choose)
         self._pane.begin(document, self._address)
         self._wire()
         self._cut.show(store.now)

@@ -1,17 +1,28 @@
-"""The plot of the page: the plane's axes, and the image in it."""
+"""Plots of the page: the plane's axes and the image in it; branches on a diagram, with their events as marks."""
 
 from typing import Any
 
-from bokeh.models import BoxSelectTool, ColumnDataSource, CustomJSTickFormatter, Range1d, WheelZoomTool
+from bokeh.models import (
+    BoxSelectTool,
+    CDSView,
+    ColumnDataSource,
+    CustomJSTickFormatter,
+    GroupFilter,
+    HoverTool,
+    Range1d,
+    WheelZoomTool,
+)
 from bokeh.plotting import figure
 
 from atlas.explore.access import named
+from atlas.explore.branches import Drawn
 from atlas.explore.chosen import Chosen
 from atlas.explore.front.script import TICKS
 from atlas.explore.style import PLOT, RIGHT_MARGIN
 from atlas.explore.subject import Subject
 from atlas.explore.words import ticks
 
+STABLE, UNSTABLE = "#004488", "#bb5566"
 KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
@@ -65,3 +76,30 @@ def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:
         axis.axis_label = marks.label
         formatter: Any = axis.formatter
         formatter.args = {"base": marks.base, "unit": marks.unit, "decimals": marks.decimals}
+
+
+class BranchLines:
+    """Branches on a plot of the gap coordinate over the parameter."""
+
+    def __init__(self, plot: figure) -> None:
+        self._lines = ColumnDataSource({"xs": [], "ys": [], "color": [], "dash": []})
+        self._events = ColumnDataSource({"x": [], "gap": [], "kind": []})
+        for dash in ("solid", "dashed"):
+            plot.multi_line(
+                xs="xs", ys="ys", source=self._lines, line_color="color", line_width=1.6, line_dash=dash,
+                view=CDSView(filter=GroupFilter(column_name="dash", group=dash)),
+            )  # fmt: skip
+        marks = plot.scatter(x="x", y="gap", source=self._events, size=7, marker="diamond", color="#000000")
+        plot.add_tools(HoverTool(renderers=[marks], tooltips=[("", "@kind"), ("at", "@x{0.00000000}")]))
+
+    def show(self, drawn: Drawn | None) -> None:
+        """Show these branches in place of others; None shows none."""
+        drawn = drawn or Drawn((), ())
+        self._lines.data = {
+            "xs": [x for _, x, _ in drawn.stretches],
+            "ys": [y for *_, y in drawn.stretches],
+            "color": [STABLE if stable else UNSTABLE for stable, *_ in drawn.stretches],
+            "dash": ["solid" if stable else "dashed" for stable, *_ in drawn.stretches],
+        }
+        kinds, x, gap = zip(*drawn.events, strict=True) if drawn.events else ((), (), ())
+        self._events.data = {"x": list(x), "gap": list(gap), "kind": [kind.replace("_", " ") for kind in kinds]}

@@ -9,7 +9,7 @@ import pytest
 import atlas
 from atlas.errors import InputError
 from atlas.explore.chosen import beginning, from_address, kinds, overlays
-from atlas.explore.compose import composed
+from atlas.explore.compose import composed, seen_atlas
 from atlas.explore.drawn import maps_of
 from atlas.explore.kept import Keeper
 from atlas.explore.known import below
@@ -378,3 +378,20 @@ def test_who_waits_for_kernels_reads_that_they_are_compiled_first(monkeypatch: p
     ):
         monkeypatch.setattr("atlas.explore.words.warming", lambda *parts, said=said: said)
         assert compiled_first(system, ATTRACTORS) == told
+
+
+def test_tiles_that_are_finer_than_the_atlas_along_one_axis_lie_over_it(finished: Path) -> None:
+    stored = subject_of(str(finished))
+    x, y = ((axis.values[0], axis.values[-1]) for axis in stored.spec.axes)
+    sight = stored.sight(x, y, (3, 60))
+    assert sight.x.level < 0 < sight.y.level
+    base = seen_atlas(stored, sight, ["largest"])
+    assert base is not None
+    alone = composed(stored, stored.plane, sight, [], ["largest"], base)
+    assert {*alone.stages.ravel()} == {min(sight.y.level, STAGES + 1)}
+    tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
+    seen = composed(stored, stored.plane, sight, tiles, ["largest"], base)
+    assert (seen.ds.largest == 1.0).all() and not seen.stages.any()
+    coarse = [(key, filled(stored, key, 1.0)) for key in sight.tiles(sight.y.level)]
+    covered = composed(stored, stored.plane, sight, coarse, ["largest"], base)
+    assert np.array_equal(covered.ds.largest, alone.ds.largest, equal_nan=True)

@@ -1,10 +1,13 @@
 // The keyboard: arrows move the view, + and - zoom it, Enter on the plane chooses the cell in its middle, Esc ends a
 // followed orbit, the cut or an enlarged picture; two fingers zoom, each staying on its cell.
 
-import { tell } from "./live.mjs";
+import { scales, tell } from "./live.mjs";
+
+const SHARE = 0.1; // of the view, by which an arrow moves it
+const FACTOR = 1.25; // by which + and - zoom
 
 /** Hear keys and fingers, and put their requests into `heard`. */
-export function hearKeys({ heard, plot, logs, share, factor }) {
+export function hearKeys({ heard, plot }) {
   const moves = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}
   window.addEventListener("keydown", (event) => {
       const at = event.composedPath()[0]
@@ -19,19 +22,21 @@ export function hearKeys({ heard, plot, logs, share, factor }) {
           return
       }
       if (event.key === "Enter" && at.matches?.(".bk-events")) {
-          const middle = [plot.x_range, plot.y_range].map(({start, end}, k) =>
-              logs[k] ? Math.sqrt(start * end) : 0.5 * (start + end))
+          const middle = [plot.x_range, plot.y_range].map(({start, end}, k) => {
+              const [to, from] = scales()[k]
+              return from(0.5 * (to(start) + to(end)))
+          })
           heard.data = {cell: [...middle, (heard.data.cell?.[2] ?? 0) + 1]}
           return
       }
-      const zoom = {"+": 1 / factor, "=": 1 / factor, "-": factor}[event.key]
+      const zoom = {"+": 1 / FACTOR, "=": 1 / FACTOR, "-": FACTOR}[event.key]
       const move = moves[event.key]
       if (!zoom && !move) return
       event.preventDefault()
       const [x, y] = [plot.x_range, plot.y_range].map((range, k) => {
-          const [to, from] = logs[k] ? [Math.log, Math.exp] : [(v) => v, (v) => v]
+          const [to, from] = scales()[k]
           const [low, high] = [to(range.start), to(range.end)]
-          const middle = 0.5 * (low + high) + (move ? move[k] * share * (high - low) : 0)
+          const middle = 0.5 * (low + high) + (move ? move[k] * SHARE * (high - low) : 0)
           const half = 0.5 * (high - low) * (zoom ?? 1)
           range.setv({start: from(middle - half), end: from(middle + half)})
           return [range.start, range.end]
@@ -61,7 +66,7 @@ export function hearKeys({ heard, plot, logs, share, factor }) {
       if (begun && fingers.size === 2) setTimeout(part, 0, begun, two()) // after Bokeh, which stops some of these events
   }, true)
   const part = (old, now) => [plot.x_range, plot.y_range].forEach((range, k) => {
-      const [to, from] = logs[k] ? [Math.log, Math.exp] : [(v) => v, (v) => v]
+      const [to, from] = scales()[k]
       const [low, high] = old.ends[k].map(to), span = high - low, zoom = old.apart / now.apart
       const start = low + span * (old.inside(old.middle)[k] - zoom * old.inside(now.middle)[k])
       range.setv({start: from(start), end: from(start + zoom * span)})

@@ -7,7 +7,7 @@ import { make, oncePerFrame } from "./elements.mjs";
 import { fillKey, updateKey } from "./key.mjs";
 import { changed, fillLook, linesOf, lookOf, mapName, queryOf, reader, shownAs } from "./look.mjs";
 import { inflated } from "./numbers.mjs";
-import { cellWith, drawPlane, drawnAxis } from "./plane.mjs";
+import { cellWith, drawPlane, drawnAxis, scaleOf } from "./plane.mjs";
 import { number, resultsOf } from "./words.mjs";
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -51,6 +51,9 @@ export function tell() {
   lastTold = query();
   models.look.data = { query: [lastTold] };
 }
+
+/** The coordinates in which both axes are drawn, and back. */
+export const scales = () => subject.axes.map(({ log }) => scaleOf(log));
 
 // Messages of the server
 

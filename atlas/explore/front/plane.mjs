@@ -11,11 +11,14 @@ const BORDER = "#101418", OUTLINE = "#1a2433";
 const POINT = 96 / 72; // CSS pixels
 const VISIBLE = 2 * POINT, MOST_MARKS = 300; // as in atlas.render.raster
 
+/** The coordinate in which an axis is drawn, and back. */
+export const scaleOf = (log) => (log ? [Math.log, Math.exp] : [(value) => value, (value) => value]);
+
 /** An axis of `count` cells between its `edges`, all or the outer ones, with `to` and `from` the coordinate in which it
  * is drawn, and the `cuts` between cells in that.
  */
 export function drawnAxis(axis) {
-  const { edges, log, count = edges.length - 1 } = axis, to = log ? Math.log : (value) => value, from = log ? Math.exp : to;
+  const { edges, log, count = edges.length - 1 } = axis, [to, from] = scaleOf(log);
   const [low, high] = [edges[0], edges.at(-1)].map(to);
   const cuts = edges.length > count ? edges.map(to) : Array.from({ length: count + 1 }, (_, k) => low + ((high - low) * k) / count);
   return { ...axis, to, from, cuts };

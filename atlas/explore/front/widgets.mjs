@@ -1,6 +1,9 @@
 // The actions of the explorer's widgets in the browser, functions of their models and the model that has changed.
 
 import { copied } from "./elements.mjs";
+import { scales } from "./live.mjs";
+
+const SECONDS = 3; // of one forcing period on the screen
 
 const find = (node) => [...node.querySelectorAll("*")].flatMap(
   (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])]);
@@ -33,22 +36,21 @@ export function tickText(tick, base, unit, decimals) {
 }
 
 /** Have the pointer on the plane or on a diagram of the cut mark the same point on the others. */
-export function linkPointer({ line, logs, plane, axis, spans_of, dot, of_plane }, cb_obj) {
+export function linkPointer({ line, plane, axis, spans_of, dot, of_plane }, cb_obj) {
   const [x0, x1] = line.data.xs[0] ? [line.data.xs[0][0], line.data.xs[0].at(-1)] : [NaN, NaN]
   const [y0, y1] = line.data.ys[0] ? [line.data.ys[0][0], line.data.ys[0].at(-1)] : [NaN, NaN]
   if (Number.isNaN(x0) || cb_obj.x == null) return
-  const scales = logs.map((log) => log ? [Math.log, Math.exp] : [(v) => v, (v) => v])
-  const ends = [[x0, x1], [y0, y1]].map((pair, k) => pair.map(scales[k][0]))
-  const at = (k, share) => scales[k][1](ends[k][0] + share * (ends[k][1] - ends[k][0]))
+  const both = scales(), ends = [[x0, x1], [y0, y1]].map((pair, k) => pair.map(both[k][0]))
+  const at = (k, share) => both[k][1](ends[k][0] + share * (ends[k][1] - ends[k][0]))
   let share
   if (of_plane) {
-      const spans = [plane.x_range, plane.y_range].map((range, k) => scales[k][0](range.end) - scales[k][0](range.start))
+      const spans = [plane.x_range, plane.y_range].map((range, k) => both[k][0](range.end) - both[k][0](range.start))
       const along = ends.map((pair, k) => (pair[1] - pair[0]) / spans[k])
-      const here = [cb_obj.x, cb_obj.y].map((v, k) => (scales[k][0](v) - ends[k][0]) / spans[k])
+      const here = [cb_obj.x, cb_obj.y].map((v, k) => (both[k][0](v) - ends[k][0]) / spans[k])
       share = (along[0] * here[0] + along[1] * here[1]) / (along[0] ** 2 + along[1] ** 2)
   } else {
       const k = axis.data.along[0]
-      share = (scales[k][0](cb_obj.x) - ends[k][0]) / (ends[k][1] - ends[k][0])
+      share = (both[k][0](cb_obj.x) - ends[k][0]) / (ends[k][1] - ends[k][0])
   }
   share = Math.min(1, Math.max(0, share))
   for (const span of spans_of) span.setv({location: at(axis.data.along[0], share)}, {sync: false})
@@ -56,14 +58,14 @@ export function linkPointer({ line, logs, plane, axis, spans_of, dot, of_plane }
 }
 
 /** Move the machine along its orbit for as long as a button is pressed. */
-export function play({ path, here, machine, pace, seconds }, cb_obj) {
+export function play({ path, here, machine, pace }, cb_obj) {
   let begin = null
   const step = (now) => {
       const {y, v, ...masses} = path.data
       const lanes = Object.keys(masses).filter((name) => name.startsWith("q")).sort()
       if (!cb_obj.active || !y.length) return
       begin ??= now
-      const k = Math.floor((now - begin) / 1000 / seconds * pace.data.per_period[0]) % y.length
+      const k = Math.floor((now - begin) / 1000 / SECONDS * pace.data.per_period[0]) % y.length
       here.setv({data: {now_y: [y[k]], now_v: [v[k]]}}, {sync: false})
       machine.setv({data: {at: lanes.map((name) => masses[name][k]), lane: lanes.map((_, i) => i)}}, {sync: false})
       requestAnimationFrame(step)
