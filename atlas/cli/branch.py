@@ -170,17 +170,18 @@ def _seed(
 def _print(found: Branches) -> None:
     """A table of events, and how each branch ends."""
     cycles = [CYCLE_PERIOD.name] if found.system.definition.unforced else []
+    events = [event for traced in found.traced for event in traced.run.events]
     rows = [
         (
             str(each["branch"]),
             each["kind"].replace("_", " "),
             f"{each[found.along]:.12g}",
             *(f"{each[name]:.10g}" for name in cycles),
-            _name(each),
+            orbit_name(event.point.orbit.itinerary, found.system),
             str(each["unstable"]),
             str(each["leaving"]) if each["leaving"] >= 0 else "",
         )
-        for each in _records(found.events)
+        for each, event in zip(_records(found.events), events, strict=True)
     ]
     if rows:
         print_table(
@@ -198,18 +199,15 @@ def _print(found: Branches) -> None:
         )
     for number, each in enumerate(_records(found.branches)):
         left = f", leaves branch {each['leaves']}" if each["leaves"] >= 0 else ""
-        first, *_, last = found.traced[number].values
+        traced = found.traced[number]
+        (first, *_, last), name = traced.values, orbit_name(traced.itinerary, found.system)
         ends = [f"{first:.10g} ({each['first_end']})", f"{last:.10g} ({each['last_end']})"]
         reach = " to ".join(ends).replace("_", " ")
-        click.echo(f"branch {number}: {_name(each)}{left}, {each['points']} points, {found.along} {reach}")
+        click.echo(f"branch {number}: {name}{left}, {each['points']} points, {found.along} {reach}")
     for event in found.untried:
         kind, value = event.event.kind.replace("_", " "), event.event.point.values[0]
         click.echo(f"not followed: branch {event.branch}, {kind} at {value:.10g}: {event.why}")
     click.echo(f"{plural(len(rows), 'event')} on {plural(len(found.traced), 'branch', 'branches')}")
-
-
-def _name(each: dict[str, Any]) -> str:
-    return orbit_name(*(each[name] for name in ("period", "impacts_upper", "impacts_lower", "symmetric")))
 
 
 def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ from atlas.explore.subject import Subject, slider_range
 from atlas.explore.words import number
 from atlas.orbits.branches.branch import tree_from
 from atlas.orbits.branches.seed import seed_of_point
-from atlas.orbits.branches.table import Branches, modulus, orbit_name, pattern
+from atlas.orbits.branches.table import Branches, modulus
 from atlas.task.compile import ORBITS, compile_once, kernels_for
 from workers import Settings
 from workers.model.system import System
@@ -74,11 +74,6 @@ class Here(NamedTuple):
     value: float
     point: "Point"
     kind: str = ""
-
-    @property
-    def name(self) -> str:
-        """The orbit as n-p-q."""
-        return orbit_name(*pattern(self.point.orbit.itinerary))
 
     @property
     def multiplier(self) -> float:

@@ -19,7 +19,7 @@ from atlas.explore.plot import BranchLines, quiet
 from atlas.explore.state import Store
 from atlas.explore.style import TEXT
 from atlas.explore.words import compiled_first, number, symbol_of
-from atlas.orbits.branches.table import cycle_period
+from atlas.orbits.branches.table import cycle_period, orbit_name
 from atlas.task.compile import ORBITS
 from atlas.text import plural
 
@@ -255,7 +255,8 @@ class _Shown:
             period = f"cycle of {number(cycle_period(here.point, orbit), 8)}"
         rows = [
             (self._symbol, number(here.value, 8)), ("period", period),
-            ("orbit n-p-q", here.name), ("stability", f"changes here: {here.kind}" if here.kind else stability),
+            ("orbit n-p-q", orbit_name(orbit, found.table.system)),
+            ("stability", f"changes here: {here.kind}" if here.kind else stability),
             ("largest multiplier", largest),
         ]  # fmt: skip
         for mark, side, end in zip(branch.beside(here), ("◄", "►"), (0, -1), strict=True):

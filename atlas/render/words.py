@@ -115,7 +115,8 @@ def gap_label(system: System | None) -> str:
         return f"gap coordinate\n$y${ending}"
     formula = combination(known, [state_symbol(system, state.name) for state in states])
     alone = [(state, c) for state, c in zip(states, known, strict=True) if c != 0.0]
-    meaning = alone[0][0].meaning.removeprefix("initial ") if [c for _, c in alone] == [1.0] else "gap coordinate"
+    own = alone[0][0].meaning.removeprefix("initial ").split(",")[0]  # what follows the comma would take lines
+    meaning = own if [c for _, c in alone] == [1.0] else "gap coordinate"
     return f"{meaning}\n${formula}${ending}"
 
 

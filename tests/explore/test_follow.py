@@ -18,6 +18,7 @@ from atlas.explore.details import Details
 from atlas.explore.followpanel import FollowPanel, label_of
 from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, subject_of
+from atlas.orbits.branches.table import orbit_name
 from tests.explore.messages import to_address
 
 CELL = {"omega": 1.75, "b": 0.125}
@@ -117,7 +118,7 @@ def test_a_closed_branch_has_the_events_beside_it_all_around(found: FollowedBran
 
 def test_the_cells_own_orbit_is_a_point_of_the_branch(own: Here, found: FollowedBranch, subject: Subject) -> None:
     cell = atlas.point(CELL, settings=subject.spec.settings)
-    assert own.value == CELL["omega"] and own.name == "1-2-2 symmetric"
+    assert own.value == CELL["omega"] and orbit_name(own.point.orbit.itinerary, found.table.system) == "1-2-2 symmetric"
     motion = found.motion(own)
     assert motion.moving[0][0] == pytest.approx(cell["state"][0], abs=1e-9)
 

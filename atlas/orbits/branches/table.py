@@ -15,7 +15,7 @@ from atlas.text import motion_name, plural
 from workers.model.observables import Observable
 from workers.model.parameter import OMEGA
 from workers.model.system import System, identity
-from workers.results import CYCLE_PERIOD
+from workers.results import CYCLE_PERIOD, NO_IMPACT
 
 if TYPE_CHECKING:
     import pandas
@@ -247,9 +247,16 @@ def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
     return itinerary.sections, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
 
 
-def orbit_name(period: int, upper: int, lower: int, symmetric: bool) -> str:
-    """An orbit as n-p-q, and whether it is its own mirror image."""
-    return motion_name(period, upper, lower) + (" symmetric" if symmetric else "")
+def orbit_name(itinerary: "Itinerary", system: System) -> str:
+    """An orbit of a system as n-p-q, and whether it is its own mirror image.
+
+    Without a force it is a cycle n-p-q, or an equilibrium, which has no events.
+    """
+    unforced = system.definition.unforced
+    if unforced and not itinerary.sides:
+        return system.regime.meaning(NO_IMPACT).text
+    *counts, symmetric = pattern(itinerary)
+    return ("cycle " if unforced else "") + motion_name(*counts) + (" symmetric" if symmetric else "")
 
 
 def modulus(point: "Point", own: "Itinerary") -> float:

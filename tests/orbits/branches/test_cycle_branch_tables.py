@@ -12,7 +12,9 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.render.drawing import figure
+from atlas.render.words import gap_label
 from workers import solve_tile
+from workers.model.system import packaged_system
 
 FAST = atlas.Settings(survival=0, max_periods=2000)
 END = 0.658855574469523615
@@ -49,10 +51,23 @@ def test_the_command_prints_the_period_and_draws_the_branch(tmp_path: Path) -> N
     told = CliRunner().invoke(main, asked)
     assert told.exit_code == 0, told.output
     assert "cycle period" in told.output
+    assert "branch 0: cycle 1-0-0, " in told.output
     assert "grazing sliding 0.65885557447 6.43947489" in " ".join(told.output.split())
     assert (tmp_path / "belt.png").stat().st_size > 1000
     whole = json.loads(CliRunner().invoke(main, [*asked[:-2], "--json"]).stdout)
     assert whole["events"][0]["cycle_period"] == pytest.approx(6.439474890105244, abs=1e-9)
+
+
+def test_a_branch_of_an_equilibrium_is_called_so(tmp_path: Path) -> None:
+    cell = ["branch", "--system", "belt", "--set", "u=1.2", "--set", "zeta=0.2", "--max-periods", "2000"]
+    told = CliRunner().invoke(main, [*cell, "--survival", "0", "--along", "u", "--from", "0.5", "--to", "1.5"])
+    assert told.exit_code == 0, told.output
+    assert "branch 0: equilibrium, " in told.output and "1-0-0" not in told.output
+
+
+def test_the_label_of_a_branch_ends_where_the_meaning_says_its_scale() -> None:
+    assert "displacement, in deflections" in packaged_system("belt").parameter("x").meaning
+    assert gap_label(packaged_system("belt")) == "displacement\n$x$ at its event"
 
 
 def test_branches_lie_over_a_sweep_of_cycles(tmp_path: Path, client: Client) -> None:
