@@ -53,6 +53,15 @@ def checked_pixels(given: object) -> tuple[int, int] | None:
     return x, y
 
 
+def checked_suffix(path: Path, formats: Sequence[str]) -> str:
+    """The suffix of a file, in lower case, which chooses among formats such as ".csv"; before long work."""
+    suffix = path.suffix.lower()
+    if suffix not in formats:
+        found = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
+        raise InputError(f"{path.name}: the suffix chooses the format, {found}; possible: {', '.join(formats)}")
+    return suffix
+
+
 def checked_path(given: object, name: str = "path") -> Path:
     """A path of this machine."""
     if isinstance(given, str | os.PathLike) and isinstance(os.fspath(given), str):

@@ -22,7 +22,7 @@ FINER = 4.0
 """By how much the bound is smaller: the number of segments grows as its root."""
 
 CLASS = ("regime", "period", "impacts_upper", "impacts_lower")
-"""What tells the classes of cells apart."""
+"""Results that define the class of a cell."""
 
 _Element = TypeVar("_Element", Contact, Friction, Spring)
 

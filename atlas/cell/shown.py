@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.cell.orbit import CellOrbit, modulation, samples_of
-from workers.results import CYCLE_PERIOD, QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
+from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def periods(orbit: CellOrbit) -> int:
     """Forcing periods of the time histories: an orbit's, or those in which a torus has been through its modulation."""
     if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
         return min(_span(orbit), max(_SHOWN, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
-    if np.isfinite(orbit.cell.get(CYCLE_PERIOD.name, math.nan)):
+    if orbit.cycle is not None:
         return _CYCLES
     return min(max(_SHOWN, int(orbit.cell["period"])), 2 * _SHOWN)
 

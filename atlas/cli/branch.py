@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from atlas.arguments import checked_suffix
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
@@ -28,13 +29,13 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import print_table, to_json
 from atlas.cli.progress import reporter
-from atlas.errors import InputError
 from atlas.orbits.branches.branch import MOST, observed_of, tree_from
-from atlas.orbits.branches.seed import seed_of_cell, seed_of_point, system_of
+from atlas.orbits.branches.seed import seed_of_cell, seed_of_point
 from atlas.orbits.branches.table import Branches, orbit_name
 from atlas.query.export import write_rows, written_whole
 from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels
+from atlas.spec.system import system_of
 from atlas.task.compile import OBSERVED, ORBITS, kernels_for
 from atlas.text import plural
 from workers.results import CYCLE_PERIOD
@@ -108,7 +109,8 @@ def branch(
     breakings, period doublings, Neimark-Sacker points, grazes, lost impacts and contacts, onset and end of stick, each
     located to 1e-10 or better. Of a machine without a force it follows cycles and equilibria, with their Hopf points.
     """
-    _check_out(out)
+    if out is not None:
+        checked_suffix(out, [f".{name}" for name in (*TABLES, *FORMATS)])
     look = {name: options.pop(name) for name in LOOK if name in options}
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
@@ -163,7 +165,7 @@ def _seed(
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)
     ds = opened(store, read_pairs("--select", select, read_number))
-    prepare_kernels(show, *kernels_for(system_of(ds), ORBITS))
+    prepare_kernels(show, *kernels_for(system_of(ds.attrs), ORBITS))
     return seed_of_cell(ds, at)
 
 
@@ -213,14 +215,6 @@ def _print(found: Branches) -> None:
 def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = frame.to_dict("records")
     return found
-
-
-def _check_out(out: Path | None) -> None:
-    suffix = None if out is None else out.suffix.lower().removeprefix(".")
-    if out is not None and suffix not in (*TABLES, *FORMATS):
-        shown = f"found {out.suffix!r}" if suffix else "found none"
-        possible = ", ".join(f".{each}" for each in (*TABLES, *FORMATS))
-        raise InputError(f"{out.name}: the suffix chooses the format, {shown}; possible: {possible}")
 
 
 def _write(found: Branches, out: Path, look: dict[str, Any]) -> None:

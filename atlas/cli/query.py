@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from atlas.arguments import checked_suffix
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
@@ -86,10 +87,10 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], select: t
 @json_option
 def export(store: str, window: tuple[str, ...], select: tuple[str, ...], out: Path, as_json: bool) -> None:
     """Write the cells of STORE, or of a window of it, to a CSV or netCDF file."""
-    from atlas.query.export import check_path
+    from atlas.query.export import FORMATS
     from atlas.query.export import export as write
 
-    check_path(out)
+    checked_suffix(out, FORMATS)
     with _asked(store, select, window) as (ds, bounds):
         say("reading and writing")
         message = {"file": str(out), "cells": write(ds, out, bounds)}

@@ -61,7 +61,7 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
-    """What a plane of initial states, or a window of it, says of its basins.
+    """Measures of the basins in a plane of initial states, or in a window of it.
 
     ``attractors``: an entry for each by its label with its results, ``share`` and its interval in the window, and
     ``mirror``; ``unknown``: the share without a label; ``entropy`` and ``boundary_entropy``, ``uncertainty`` (alpha)

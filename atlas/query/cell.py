@@ -1,9 +1,8 @@
 """One cell of an atlas with everything that a second solution needs."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from atlas.errors import InputError
 from atlas.query.attractors import leading
 from atlas.query.queries import at
 from atlas.query.window import axis_names
-from atlas.spec.system import resolved_system
+from atlas.spec.system import stored_spec, system_of
 from workers import Settings
 from workers.model.system import System
 
@@ -36,18 +35,21 @@ def solved_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> SolvedCell:
     Raises InputError as ``queries.at`` does, and where the dataset lacks the spec of its atlas.
     """
     ds = leading(ds)
-    cell = at(ds, point)
+    cell, who = at(ds, point), "this dataset does not say how it was solved"
+    system = system_of(ds.attrs, who)
     try:
-        spec = json.loads(ds.attrs["spec"])
-        system, settings = resolved_system(spec), Settings(**spec["solve"])
-    except InputError:
-        raise
+        settings = Settings(**stored_spec(ds.attrs)["solve"])
     except (KeyError, TypeError, ValueError):
-        raise InputError("this dataset does not say how it was solved: it lacks the spec of its atlas") from None
-    names = [each.name for each in system.parameters if each.name in ds.coords]
-    values = {name: float(cell[name] if name in cell else ds[name]) for name in names}
+        raise InputError(f"{who}: its spec has no [solve] that this program knows") from None
+    values = values_of(ds, system, cell)
     if "attractors" in ds and "state" in ds:
         state = ds["state"].sel({name: cell[name] for name in axis_names(ds)}).values
         if np.isfinite(state).all():
             values |= dict(zip(system.states, state.tolist(), strict=True))
     return SolvedCell(system, values, settings)
+
+
+def values_of(ds: "xr.Dataset", system: System, cell: Mapping[str, Any]) -> dict[str, float]:
+    """The parameters that an atlas has for a cell, as ``queries.at`` gives it: on axes, in columns, or fixed."""
+    names = [parameter.name for parameter in system.parameters if parameter.name in ds.coords]
+    return {name: float(cell[name] if name in cell else ds[name]) for name in names}

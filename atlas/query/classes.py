@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from atlas.arguments import checked_name
 from atlas.errors import InputError, check_names, shown
+from atlas.query.motions import STICKS as ALL_STICKING
+from atlas.query.motions import motion_keys
 from atlas.query.walk import CellBlock
 from atlas.text import motion_name
 from workers.results import PENDING, PERIODIC, REGIME
@@ -17,16 +19,15 @@ if TYPE_CHECKING:
 
 _NEEDED = {REGIME.name: (), "period": ("period",), "impacts": ("period", "impacts_upper", "impacts_lower")}
 BY = tuple(_NEEDED)
-"""What cells can be classified by."""
+"""Results by which cells are classified."""
 STICKS = "sticks"
 """The pattern of all motions that rest on a stop: their impacts are infinitely many."""
 
-_REGIMES = {each.name: each.code for each in REGIME.codes if each.code != PENDING}
-_STUCK = (0, -1, -1)
+_REGIMES = {regime.name: regime.code for regime in REGIME.codes if regime.code != PENDING}
 
 
 def asked_class(by: str, value: object = None) -> tuple[str, object]:
-    """What cells are classified by, and the one class meant, None for all; a regime may be named alone."""
+    """The result that classifies cells, and the one class meant, None for all; a regime may be named alone."""
     checked_name("by", by)
     if value is None and by in _REGIMES:
         return REGIME.name, by
@@ -82,17 +83,15 @@ class Classes:
             return block.regime[counted].astype(np.int64)[:, None]
         if not counted.any():
             return np.zeros((0, len(self.names)), np.int64)
-        keys = np.stack([block.values[name][counted] for name in self.names], axis=1).astype(np.int64)
-        if self.by == "impacts":
-            keys[(keys[:, 1:] < 0).any(axis=1)] = _STUCK
-        return keys
+        values = [block.values[name][counted] for name in self.names]
+        return motion_keys(*values) if self.by == "impacts" else np.stack(values, axis=1).astype(np.int64)
 
     def _value(self, key: tuple[int, ...]) -> Any:
         if self.by == REGIME.name:
             return REGIME.meaning(key[0]).name
         if self.by == "period":
             return key[0]
-        return STICKS if key == _STUCK else motion_name(*key)
+        return STICKS if key == ALL_STICKING else motion_name(*key)
 
 
 def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[np.intp]]:
@@ -112,7 +111,7 @@ def _key_of(by: str, value: object) -> tuple[int, ...]:
     parts: Sequence[object] = [value]
     if by == "impacts":
         if value == STICKS:
-            return _STUCK
+            return ALL_STICKING
         parts = value.split("-") if isinstance(value, str) else value if isinstance(value, tuple) else []
     try:
         key = tuple(int(str(part)) for part in parts)

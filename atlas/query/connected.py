@@ -92,7 +92,7 @@ class _Side:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Regions:
     """Regions: ``labels`` over the part with both dimensions rising, and the class of each."""
 
     by: str
@@ -138,7 +138,7 @@ class _Found:
                 yield f"highest {side.name}"
 
 
-def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_cells: int) -> _Found:
+def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_cells: int) -> _Regions:
     if not is_whole(min_cells) or min_cells < 1:
         raise InputError(f"min_cells: found {shown(min_cells)}, must be a whole number of cells, 1 or more")
     refuse_table(ds, "regions")
@@ -159,7 +159,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
     renamed = np.zeros(len(values) + 1, np.int32)
     renamed[order + 1] = np.arange(1, order.size + 1)
     found = renamed[found]
-    return _Found(by, sides, found, [values[k] for k in order], areas[order], _beside(found, pending))
+    return _Regions(by, sides, found, [values[k] for k in order], areas[order], _beside(found, pending))
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _Side:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atlas.arguments import checked_suffix
 from atlas.errors import InputError
 from atlas.query.window import Window, axis_names, within
 from atlas.query.window import columns as columns_of
@@ -44,22 +45,15 @@ def export(
     that cannot be written.
     """
     target = Path(path)
-    check_path(target)
+    suffix = checked_suffix(target, FORMATS)
     shown = within(ds, window)
     count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
     with written_whole(target) as unfinished:
-        if target.suffix.lower() == ".csv":
+        if suffix == ".csv":
             _write_csv(shown, unfinished, csv_cells)
         else:
             _write_netcdf(shown, unfinished, netcdf_bytes)
     return count
-
-
-def check_path(path: Path) -> None:
-    """InputError unless the suffix is one that ``export`` knows."""
-    if path.suffix.lower() not in FORMATS:
-        found = f"found {path.suffix!r}" if path.suffix else "found none"
-        raise InputError(f"{path.name}: the suffix chooses the format, {found}; possible: {', '.join(FORMATS)}")
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -106,14 +100,14 @@ def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
     dims = tuple(reversed(names))
     ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
     columns = {str(name): _components(ds, str(name), dims) for name in ordered}
-    words = {each.name: {code.code: code.name for code in each.codes} for each in (REGIME, REASON)}
+    words = {variable.name: {code.code: code.name for code in variable.codes} for variable in (REGIME, REASON)}
     rows = max(1, cells_at_a_time // ds.sizes[names[0]])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*names, *columns_of(ds), *(column for several in columns.values() for column in several)])
         for block in _blocks(ds[ordered], dims, rows):
             at = np.meshgrid(*(block[dim].values for dim in dims), indexing="ij")
-            fields: list[list[Any]] = [each.ravel().tolist() for each in reversed(at)]
+            fields: list[list[Any]] = [grid.ravel().tolist() for grid in reversed(at)]
             fields += [block[name].values.tolist() for name in columns_of(block)]
             for name, several in columns.items():
                 table = block[name].transpose(*dims, ...).values.reshape(at[0].size, len(several))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from atlas.arguments import checked_name
-from atlas.errors import InputError
+from atlas.errors import InputError, check_names
 from atlas.query.classes import Classes
 from atlas.query.walk import CellBlock, walk
 from atlas.query.window import Window, axis_names, axis_values, columns, within
@@ -34,7 +34,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     """
     checked_name("variable", name)
     checked_name("by", by)
-    _check(ds, name)
+    check_number(ds, name)
     classes, part = None if by == ALL else Classes(ds, by), within(ds, window)
     meant = variable_of(ds, name)
     codes = meant.regimes
@@ -100,20 +100,21 @@ def variable_of(ds: "xr.Dataset", name: str) -> Variable:
     """What a variable of an atlas means: one of its machine's own, or one that all have."""
     system = stored_system(ds.attrs)
     own = system.own_variables if system else ()
-    return next((each for each in own if each.name == name), result_named(name))
+    return next((variable for variable in own if variable.name == name), result_named(name))
 
 
-def _check(ds: "xr.Dataset", name: str) -> None:
-    fitting = numbers_of_cells(ds)
-    if name not in fitting:
-        what = "is no number of each cell" if name in ds else "is no variable of this atlas"
-        raise InputError(f"{name!r} {what}; possible: {', '.join(fitting)}")
+def check_number(ds: "xr.Dataset", name: str) -> None:
+    """InputError unless a variable is one number in each cell."""
+    possible = numbers_of_cells(ds)
+    if name in ds and name not in possible:
+        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
+    check_names("variable", [name], possible)
 
 
 def numbers_of_cells(ds: "xr.Dataset") -> list[str]:
     """The variables that are one number in each cell; codes and flags are not."""
     dims = set(ds[REGIME.name].dims) if REGIME.name in ds else set(axis_names(ds))
     return [
-        str(each) for each in ds.data_vars
-        if set(ds[each].dims) == dims and ds[each].dtype.kind in "if" and each not in (REGIME.name, REASON.name)
+        str(name) for name in ds.data_vars
+        if set(ds[name].dims) == dims and ds[name].dtype.kind in "if" and name not in (REGIME.name, REASON.name)
     ]  # fmt: skip

@@ -11,6 +11,7 @@ from scipy import ndimage
 from atlas.errors import InputError
 from atlas.query import machine
 from atlas.query.plane import PlaneAxis
+from atlas.spec.system import system_of
 from workers.model.elements import STOP, Contact
 from workers.model.expression import Expression
 from workers.model.oscillator import Mode, Oscillator
@@ -40,7 +41,7 @@ def grazing_lines(ds: "xr.Dataset", x: PlaneAxis, y: PlaneAxis) -> list[Array]:
     InputError where the system is unknown or its impact-free motion is no linear one, and where a mode has no stiffness
     in any corner of the plane.
     """
-    system = machine.known_system(ds, "overlay 'grazing'")
+    system = system_of(ds.attrs, "overlay 'grazing'")
     alone = with_one_stop(system)[0]
     same, ends = machine.fixed(ds, system), machine.corners({x.name: x.values, y.name: y.values})
     if all(np.all(drifts(osc) | ~there) for _, osc, there in machine.oscillators(alone, same, ends)):
@@ -68,7 +69,7 @@ def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array],
 
 def _ratios(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
     """The ratio of ``grazing_ratio`` at points (N,) of some parameters."""
-    return np.maximum.reduce([_ratios_of_one(each, fixed, points) for each in with_one_stop(system)])
+    return np.maximum.reduce([_ratios_of_one(alone, fixed, points) for alone in with_one_stop(system)])
 
 
 def with_one_stop(system: System) -> tuple[System, ...]:
@@ -84,8 +85,8 @@ def with_one_stop(system: System) -> tuple[System, ...]:
         )
     if not system.has_modes:
         return (system,)
-    rigid = [Contact(STOP, each.gap, Expression("1.0"), each.upper, each.lower) for each in own.contacts]
-    return tuple(replace(system, definition=replace(own, contacts=(each,), measures=())) for each in rigid)
+    rigid = [Contact(STOP, contact.gap, Expression("1.0"), contact.upper, contact.lower) for contact in own.contacts]
+    return tuple(replace(system, definition=replace(own, contacts=(contact,), measures=())) for contact in rigid)
 
 
 def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:

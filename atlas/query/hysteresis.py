@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SAME, MIRRORED, DIFFERENT = range(3)
-"""What two cells may be to each other."""
+"""Relations of the motions of two cells."""
 
 COUNTS = ("period", "impacts_upper", "impacts_lower")
 INVARIANT = ("symmetric", "impacts_per_period", "min_impact_speed", "stuck_fraction")
@@ -43,7 +43,7 @@ _LEAST_SAMPLES = 16
 
 
 def compare(first: "xr.Dataset", second: "xr.Dataset") -> NDArray[np.int8]:
-    """What the motions of two sweeps are to each other, cell by cell: SAME, MIRRORED or DIFFERENT.
+    """The relation of the motions of two sweeps, cell by cell: SAME, MIRRORED or DIFFERENT.
 
     Motions of different regimes are DIFFERENT, and so are motions whose largest exponents differ by more than four of
     their errors. Orbits that close are the SAME if their section states are; they are MIRRORED, one the other's x(t)
@@ -112,18 +112,18 @@ def _sections_apart(first: "xr.Dataset", second: "xr.Dataset", closed: NDArray[n
     """Cells whose stored section states show two different motions."""
     apart = np.zeros(closed.shape, bool)
     both = (first, second)
-    if all(SECTION.name in each and each[SECTION.name].size for each in both):
-        samples = [each[SECTION.name].values for each in both]
+    if all(SECTION.name in ds and ds[SECTION.name].size for ds in both):
+        samples = [ds[SECTION.name].values for ds in both]
     elif "state" in first:
-        samples = [each["state"].values[:, None] for each in both]
+        samples = [ds["state"].values[:, None] for ds in both]
     else:
         return apart
     periods = first["period"].values if "period" in first else np.full(closed.shape, samples[0].shape[1])
-    everything = np.concatenate([each.reshape(-1, each.shape[-1]) for each in samples])
+    everything = np.concatenate([cells.reshape(-1, cells.shape[-1]) for cells in samples])
     finite = everything[np.isfinite(everything).all(axis=1)]
     scale = np.ptp(finite, axis=0).max() if finite.size else 1.0
     for i in range(closed.size):
-        one, two = (each[i][np.isfinite(each[i]).all(axis=-1)] for each in samples)
+        one, two = (cells[i][np.isfinite(cells[i]).all(axis=-1)] for cells in samples)
         if closed[i] and min(len(one), len(two)) >= periods[i] > 0:
             distance = np.abs(one[-periods[i] :, None] - two[-periods[i] :][None]).max(axis=-1)
             nearest = max(distance.min(axis=0).max(), distance.min(axis=1).max())

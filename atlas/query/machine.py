@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
 from atlas.spec.system import stored_system
 from workers.model.oscillator import COLUMN, Oscillator
 from workers.model.system import System
@@ -19,14 +18,6 @@ Array = NDArray[np.float64]
 
 AT_ONCE = 4096
 """Points whose oscillators are made at a time: together they take some megabytes."""
-
-
-def known_system(ds: "xr.Dataset", who: str) -> System:
-    """The atlas's system; InputError, for ``who`` needs it, where it names none that is known."""
-    system = stored_system(ds.attrs)
-    if system is None:
-        raise InputError(f"{who}: the atlas does not name a system that is known here")
-    return system
 
 
 def fixed(ds: "xr.Dataset", system: System) -> dict[str, float]:
@@ -66,11 +57,11 @@ def twins_everywhere(ds: "xr.Dataset", axes: Mapping[str, Array]) -> bool:
 def corners(axes: Mapping[str, Array]) -> dict[str, Array]:
     """The four corners of a plane of two axes, as points (4,) of their parameters."""
     ends = np.meshgrid(*(values[[0, -1]] for values in axes.values()))
-    return {name: each.ravel() for name, each in zip(axes, ends, strict=True)}
+    return {name: points.ravel() for name, points in zip(axes, ends, strict=True)}
 
 
 def why_no_twins(system: System, values: Mapping[str, float]) -> str:
-    """What keeps the machine of these parameters from having mirror images of its motions."""
+    """The reason why motions of the machine of these parameters have no mirror images."""
     osc = system.build(values)
     if system.has_modes:
         return "mirror images are known of machines with one rigid contact alone"

@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import machine
 from atlas.query.plane import Cells, Plane
+from atlas.spec.system import system_of
 from atlas.text import motion_name
-from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME, Variable
 
 if TYPE_CHECKING:
     import xarray as xr
 
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
-OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "no impact", LOCKING: "locking"}
-"""The names of regions of other motions."""
+OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "", LOCKING: ""}
+"""The names of regions of other motions, if not those of their regimes."""
 
 
 class MotionName(NamedTuple):
@@ -36,21 +37,30 @@ class MotionName(NamedTuple):
         return motion_name(*self) if self.p >= 0 else "periodic, sticks"
 
 
+STICKS = MotionName(0, -1, -1)
+"""All motions that rest on a stop."""
+
+
+def motion_keys(period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]) -> NDArray[np.int64]:
+    """n, p and q (..., 3) of cells with a period; those of STICKS where impacts are infinitely many."""
+    keys = np.stack([period, upper, lower], axis=-1).astype(np.int64)
+    keys[(keys[..., 1:] < 0).any(axis=-1)] = STICKS
+    return keys
+
+
 def motions(
     regime: NDArray[np.int8], period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]
 ) -> tuple[list[MotionName], NDArray[np.intp]]:
     """The motions of periodic cells in rising order, and the number of each cell's motion; -1 where it has none."""
     counted = (regime == PERIODIC) & (period >= 1)
-    rests = counted & (upper < 0)
-    counts = np.stack([np.where(rests, 0, period), np.where(rests, -1, upper), np.where(rests, -1, lower)], axis=-1)
-    kinds, which = np.unique(counts[counted], axis=0, return_inverse=True)
+    kinds, which = np.unique(motion_keys(period, upper, lower)[counted], axis=0, return_inverse=True)
     number = np.full(regime.shape, -1)
     number[counted] = which.ravel()
     return [MotionName(*map(int, kind)) for kind in kinds], number
 
 
-def regions(plane: Plane, twins: bool) -> Iterator[tuple[str, Cells]]:
-    """The name of every class of motion and its cells (y, x).
+def regions(plane: Plane, twins: bool, regimes: Variable = REGIME) -> Iterator[tuple[str, Cells]]:
+    """The name of every class of motion and its cells (y, x); ``regimes`` has the words of its machine.
 
     Where motions have mirror images, which of the two a cell holds depends on the start: both are one class, named
     with the larger number of impacts above. With as many above as below, the motion that is its own mirror image has
@@ -68,7 +78,7 @@ def regions(plane: Plane, twins: bool) -> Iterator[tuple[str, Cells]]:
         elif motion.p >= 0:
             yield motion.label, cells
     for code, name in OTHERS.items():
-        yield name, plane.regime == code
+        yield name or regimes.meaning(code).text, plane.regime == code
 
 
 def broken_cells(ds: "xr.Dataset", plane: Plane) -> Cells:
@@ -76,7 +86,7 @@ def broken_cells(ds: "xr.Dataset", plane: Plane) -> Cells:
 
     InputError where there are periodic cells, but none of a machine whose motions have mirror images.
     """
-    system, symmetric = machine.known_system(ds, "kind 'symmetry'"), plane["symmetric"].astype(bool)
+    system, symmetric = system_of(ds.attrs, "kind 'symmetry'"), plane["symmetric"].astype(bool)
     same, periodic = machine.fixed(ds, system), plane.regime == PERIODIC
     rows, columns = np.nonzero(periodic & ~symmetric)
     found = np.zeros(periodic.shape, bool)

@@ -20,7 +20,7 @@ Cells = NDArray[np.bool_]
 
 
 class Meaning(NamedTuple):
-    """What a coordinate means: in words, its symbol as mathtext, its CF unit; empty where unknown."""
+    """A coordinate's meaning: words, symbol as mathtext, CF unit; empty where unknown."""
 
     words: str
     symbol: str
@@ -28,7 +28,7 @@ class Meaning(NamedTuple):
 
     @classmethod
     def of(cls, ds: "xr.Dataset", name: str) -> "Meaning":
-        """What the coordinate's attributes say, or, where it lacks one, the atlas's system."""
+        """The meaning by the coordinate's attributes, or, where it lacks one, by the atlas's system."""
         system, own = stored_system(ds.attrs), ds[name].attrs
         known = next((p for p in system.parameters if p.name == name), None) if system else None
         names = (("long_name", "meaning"), ("symbol", "symbol"), ("units", "unit"))
@@ -106,5 +106,5 @@ class Plane:
     def finer(self, times: int) -> "Plane":
         """The plane with each cell cut into ``times`` x ``times``."""
         whole = {**self.values, REGIME.name: self.regime}
-        cut = {name: each.repeat(times, axis=0).repeat(times, axis=1) for name, each in whole.items()}
+        cut = {name: values.repeat(times, axis=0).repeat(times, axis=1) for name, values in whole.items()}
         return Plane(self.x.finer(times), self.y.finer(times), cut.pop(REGIME.name), cut)

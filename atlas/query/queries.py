@@ -24,13 +24,11 @@ from atlas.query.window import (
     cell_widths,
     columns,
     inside,
-    is_log,
     known_axis,
     nearest,
     within,
 )
 from atlas.spec.axis import number
-from atlas.spec.cells import is_uniform
 from atlas.spec.system import stored_system
 from workers.model.parameter import OMEGA
 from workers.results import (
@@ -52,21 +50,7 @@ from workers.results import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "at",
-    "axis_names",
-    "boundary",
-    "cell_edges",
-    "codes_of",
-    "fractions",
-    "is_log",
-    "is_uniform",
-    "per_unit_time",
-    "reasons",
-    "where_regime",
-]
-
-_CODES = {each.name: each.code for each in REGIME.codes}
+_CODES = {regime.name: regime.code for regime in REGIME.codes}
 _EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
 
 BOUNDARY_CELLS = 2000
@@ -98,7 +82,7 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     cell = ds[whole].isel(index).load()
     found: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}
     found["distance"] = {name: abs(found[name] - float(point[name])) for name in names}
-    found |= in_words({each.name: cell[each.name] for each in (REGIME, REASON) if each.name in whole})
+    found |= in_words({variable.name: cell[variable.name] for variable in (REGIME, REASON) if variable.name in whole})
     found |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
     return found | ({"coexisting": listed(every.isel(index).load())} if of_all(every) else {})
 
@@ -139,7 +123,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
         return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
     counts = StoreTotals(part).reasons().tolist()
     count_reads(part.chunks_read)
-    return {each.text: n for each, n in zip(REASON.codes, counts, strict=True) if n and each.code != NO_REASON}
+    return {reason.text: n for reason, n in zip(REASON.codes, counts, strict=True) if n and reason.code != NO_REASON}
 
 
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":

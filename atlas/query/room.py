@@ -159,7 +159,7 @@ def crowded_parts(
         return
     found, lengths = zip(*map(dense, places), strict=True)
     everywhere, length = np.concatenate(found), np.concatenate(lengths)
-    line = np.repeat(np.arange(len(lines)), [len(each) for each in found])
+    line = np.repeat(np.arange(len(lines)), [len(points) for points in found])
     near = np.zeros(len(everywhere), dtype=bool)
     one, two = KDTree(everywhere).query_pairs(distance, output_type="ndarray").T
     beside = (line[one] != line[two]) | (np.abs(length[one] - length[two]) > 3.0 * distance)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _MIXED = REGIMES[-1].code + 1
 _NOTHING = _MIXED + 1
-"""What a tile is instead of all one regime: of several or unknown ones; without a requested cell."""
+"""Tiles without a single regime: of several or unknown ones; without a requested cell."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator
             piece = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in ends)
             cells = tuple(slice(p.start - c.start, p.stop - c.start) for p, c in zip(piece, part.cells, strict=True))
             values = {} if state == PENDING else {name: part.pyramid.read(0, name, piece) for name in names}
-            values = {name: part.as_given(each) for name, each in values.items()}
+            values = {name: part.as_given(stored) for name, stored in values.items()}
             if state == _MIXED:
                 regime = part.pyramid.read(0, REGIME.name, piece)
             else:

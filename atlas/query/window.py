@@ -1,6 +1,5 @@
 """The axes of an opened atlas, its cells along them, and windows of these."""
 
-import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from atlas.spec import cells
 from atlas.spec.cells import edges_of, is_uniform
 from atlas.spec.points import POINT
 from atlas.spec.spec import MOST_AXES
+from atlas.spec.system import stored_spec
 from workers.results import ATTRACTOR, REGIME
 
 if TYPE_CHECKING:
@@ -96,11 +96,9 @@ def is_log(ds: "xr.Dataset", name: str) -> bool:
 
 
 def spec_of_axis(ds: "xr.Dataset", name: str) -> dict[str, Any]:
-    """What the atlas's spec says of an axis; empty where it has no spec, or none of this axis."""
-    try:
-        return next(axis for axis in json.loads(ds.attrs["spec"])["axes"] if axis["name"] == name)
-    except (KeyError, TypeError, ValueError, StopIteration):
-        return {}
+    """The entry of an axis in the atlas's spec; empty without one."""
+    axes = stored_spec(ds.attrs).get("axes", ())
+    return next((axis for axis in axes if isinstance(axis, dict) and axis.get("name") == name), {})
 
 
 def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:

@@ -110,8 +110,8 @@ def motions(view: View) -> Layers:
     legend += [Entry(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
     rests = Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(names) if motion.p >= 0]
-    beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
-    return layered(regime, numbered=(number, colors), legend=legend, textures=[rests], beside=beside, names=named)
+    key = words.motion_key(view.ds)
+    return layered(regime, numbered=(number, colors), legend=legend, textures=[rests], beside=key, names=named)
 
 
 def color_of(motion: MotionName) -> str:

@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 STABLE = ("#dcebf5", "#c9dff0", "#b3d2ea", "#9bc3e3", "#81b3db", "#64a1d2")
 CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
 """Colours of exponents below and above zero, in increasing order. They darken monotonically: every exponent has its own
-grey, also without red, green or blue receptors. None is as pale as cells without data, which are white.
-
-They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too. None
-is as pale as cells without data, which are white."""
+grey, also without red, green or blue receptors. None is as pale as cells without data, which are white."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +100,7 @@ TABLE = {
         Kind("error", 2, (ERROR.name,), "error of the exponent",
              Scale(rf"error of $\lambda_1$ {_PER_PERIOD}", log=True)),
         Kind("cost", 2, ("periods_used",), "forcing periods simulated",
-             Scale("forcing periods simulated", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
+             Scale("", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
                    ("#dddddd", "none needed"), log=True)),
         Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick",
              Scale("share of the time at rest", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),

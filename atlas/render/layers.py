@@ -45,20 +45,24 @@ class View:
 
 @dataclass(frozen=True)
 class Entry:
-    """A legend entry: a colour with its texture, or one that darkens to a share of its brightness."""
+    """A legend entry: a colour with its texture, or one that darkens to a share of its brightness.
+
+    ``regime``: the code of the regime that it explains.
+    """
 
     color: ColorType
     label: str
     hatch: str | None = None
     ink: str = style.TEXTURE
     dark: float = 1.0
+    regime: int | None = None
 
     @classmethod
     def of_regime(cls, code: int) -> "Entry":
         """The entry of cells in the colour of this regime; impact-free cells in another colour get a texture."""
         hatch = None if code == NO_IMPACT else style.HATCH.get(code)
         ink = style.HATCH_INK.get(code, style.TEXTURE)
-        return cls(style.COLORS[code], REGIME.meaning(code).text, hatch, ink)
+        return cls(style.COLORS[code], REGIME.meaning(code).text, hatch, ink, regime=code)
 
     def drawn(self) -> Patch:
         """The entry as a matplotlib artist."""

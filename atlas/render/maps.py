@@ -16,10 +16,10 @@ from atlas.query.resample import view as in_view
 from atlas.query.room import places
 from atlas.render import overlays, raster, scales, style, words
 from atlas.render.kinds import Kind
-from atlas.render.layers import Entry, Layers, View
+from atlas.render.layers import Layers, View
 from atlas.render.page import DrawnPage
 from atlas.render.wanted import Wanted
-from workers.results import ATTRACTOR, LARGEST, PENDING, REGIME
+from workers.results import ATTRACTOR, LARGEST, PENDING
 
 LABEL_SIZE = 7.5
 """Points of the type of names on a map."""
@@ -66,7 +66,7 @@ def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> list[Artist]
     for at, look in layers.points:
         ax.plot(*at.T, zorder=4, scalex=False, scaley=False, **style.mark(*look))
     entries: list[Artist] = [
-        (replace(entry, label=f"{entry.label},\nsingle cells enlarged") if entry.label in enlarged else entry).drawn()
+        (replace(entry, label=f"{entry.label},\nsingle cells enlarged") if entry.regime in enlarged else entry).drawn()
         for entry in layers.entries
     ]
     if layers.point_entry is not None:
@@ -79,16 +79,11 @@ def explained(layers: Layers, ds: xr.Dataset) -> Layers:
     """Layers whose legend has the words of the atlas's machine for regimes, and a note that cells without a result may
     have too few attractors for the selected one.
     """
-    own = words.regime(ds)
-    said = {each.text: own.meaning(each.code).text for each in REGIME.codes}
+    own = {meaning.code: meaning.text for meaning in words.regime(ds).codes}
     if ds.attrs.get(ATTRACTOR, 0):
-        said[REGIME.meaning(PENDING).text] = f"not more than {ds.attrs[ATTRACTOR]}"
-
-    def in_words(entry: Entry) -> Entry:
-        return replace(entry, label=said.get(entry.label, entry.label))
-
-    textures = [texture._replace(entry=texture.entry and in_words(texture.entry)) for texture in layers.textures]
-    return replace(layers, legend=[in_words(entry) for entry in layers.legend], textures=textures)
+        own[PENDING] = f"not more than {ds.attrs[ATTRACTOR]}"
+    legend = [entry if entry.regime is None else replace(entry, label=own[entry.regime]) for entry in layers.legend]
+    return replace(layers, legend=legend)
 
 
 def name_regions(

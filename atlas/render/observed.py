@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import machine
 from atlas.render import words
-from atlas.spec.system import stored_system
+from atlas.spec.system import stored_spec, stored_system
 from atlas.text import plural
 from workers.model.observables import Observable, observables_of
 from workers.model.system import System
@@ -42,7 +42,9 @@ class PlottedPoints:
             return cls(common[0]) if common else None
         for held in stored:
             if asked not in [observable.name for observable in held]:
-                possible = f"it holds {', '.join(each.name for each in held)}" if held else "see [solve] observe"
+                possible = (
+                    f"it holds {', '.join(observable.name for observable in held)}" if held else "see [solve] observe"
+                )
                 raise InputError(f"observe: this atlas does not hold {asked!r}; {possible}")
         return cls(next(observable for observable in stored[0] if observable.name == asked))
 
@@ -80,9 +82,7 @@ class PlottedPoints:
 
 def held_by(ds: "xr.Dataset") -> tuple[Observable, ...]:
     """The observables of an atlas, from its spec."""
-    import json
-
-    system, asked = stored_system(ds.attrs), json.loads(ds.attrs.get("spec", "{}")).get("solve", {}).get("observe", "")
+    system, asked = stored_system(ds.attrs), stored_spec(ds.attrs).get("solve", {}).get("observe", "")
     if system is None or not asked:
         return ()
     return tuple(observable for observable in observables_of(asked, system.definition) if observable.variable in ds)
@@ -92,6 +92,6 @@ def shown_label(observable: Observable | None, system: System | None) -> str:
     """The axis label of an observable, its words in two lines and its unit, or of section values."""
     if observable is None:
         return words.gap_label(system)
-    first, _, second = observable.words.partition(" at " if observable.kind.startswith("impact") else " of ")
     link = "at" if observable.kind.startswith("impact") else "of"
+    first, _, second = observable.words.partition(f" {link} ")
     return (f"{first}\n{link} {second}" if second else first) + words.unit_ending(observable.unit)

@@ -17,7 +17,7 @@ from atlas.render.observed import shown_label
 from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.sweep import color_of
 from workers.model.observables import Observable, observables_of
-from workers.results import CYCLE_PERIOD, PER_PERIOD, PER_TIME, REGIME, UNDETERMINED
+from workers.results import PER_PERIOD, PER_TIME, REGIME, UNDETERMINED
 
 Array = NDArray[np.float64]
 
@@ -135,11 +135,6 @@ def _history(ax: Axes, orbit: CellOrbit, shown: Shown) -> None:
     ax.set_ylabel(shown.label)
 
 
-def _cycle(orbit: CellOrbit) -> float:
-    """The period of a cycle without a force; NaN for other motions."""
-    return float(orbit.cell.get(CYCLE_PERIOD.name, np.nan))
-
-
 def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
     """The distance from the stop during a chatter, whose flights become ever shorter and lower."""
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
@@ -184,7 +179,7 @@ def _section(ax: Axes, orbit: CellOrbit) -> None:
             reach = 0.55 * float(np.ptp(values)) or 1.0
             middle = 0.5 * float(values.min() + values.max())
             ax.set(**{name: (middle - reach, middle + reach)})
-    ax.set_xlabel(f"{shown.label} at {'its event' if np.isfinite(_cycle(orbit)) else '$t = kT$'}")
+    ax.set_xlabel(f"{shown.label} at {'its event' if orbit.cycle is not None else '$t = kT$'}")
     ax.set_ylabel(shown.rate, labelpad=1.0)
     ax.ticklabel_format(useOffset=False)
 

@@ -78,7 +78,7 @@ def lines_of_grazing(view: View) -> list[Array]:
 
 
 def grazing_label(view: View, lines: list[Array]) -> str:
-    """What a legend says of these lines."""
+    """The legend entry of these lines."""
     x, y = view.plane.x, view.plane.y
     symmetric = machine.twins_everywhere(view.ds, {x.name: x.values, y.name: y.values})
     label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from atlas.arguments import checked_path
+from atlas.arguments import checked_path, checked_suffix
 from atlas.errors import InputError
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name
@@ -37,12 +37,7 @@ class Provenance(NamedTuple):
 
 def check_path(path: str | Path) -> str:
     """The format of a picture's file; InputError for an unknown suffix: to be called before long work."""
-    suffix = checked_path(path).suffix
-    if suffix.lower().removeprefix(".") not in FORMATS:
-        found = f"found {suffix!r}" if len(suffix) > 1 else "found none"
-        possible = f".{', .'.join(FORMATS)}"
-        raise InputError(f"{Path(path).name}: the suffix chooses the format, {found}; possible: {possible}")
-    return suffix.lower().removeprefix(".")
+    return checked_suffix(checked_path(path), [f".{name}" for name in FORMATS]).removeprefix(".")
 
 
 def save(drawn: "Figure", target: Path, provenance: Provenance, page: "DrawnPage") -> None:

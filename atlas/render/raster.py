@@ -17,7 +17,7 @@ from atlas.query.tidy import borders, runs, specks
 from atlas.render import style, words
 from atlas.render.layers import Layers, paint
 from atlas.render.page import DrawnPage
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIME, UNDETERMINED
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
 
 VISIBLE = 2.0
 """Points below which a single cell is invisible."""
@@ -27,8 +27,8 @@ _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT
 MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
-def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[str]:
-    """Draw the cells of a map from edge to edge, as pixels also in vector files; returns names of enlarged regimes.
+def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[int]:
+    """Draw the cells of a map from edge to edge, as pixels also in vector files; returns codes of enlarged regimes.
 
     An image for equal cells, else quadrilaterals. Colours are never blended between cells. A cell with the look of its
     regime has the regime's texture; those without a result that would be invisible get a mark of visible size.
@@ -42,13 +42,13 @@ def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[s
     else:
         ax.pcolormesh(x.edges, y.edges, paint(layers), rasterized=True)
     scale_axes(ax, x=x, y=y)
-    enlarged = set()
+    enlarged = set[int]()
     for code in (*_WITH_TEXTURE, UNDETERMINED):
         shown = layers.as_regime(code)
         if code in _WITH_TEXTURE:
             hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
         if code in MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):
-            enlarged.add(REGIME.meaning(code).text)
+            enlarged.add(code)
     return enlarged
 
 

@@ -23,7 +23,6 @@ _FINE = 1.0
 """Points between the places tried for a name."""
 _CORNER = 3.0 * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
 """Half size in points covered by the mark of a point of codimension two."""
-_TITLE = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
 _SIDES = "\ns: symmetric, u: unsymmetric"
 
 
@@ -42,7 +41,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
             *overlays.draw_curves(ax, curves, view),
             *overlays.draw(ax, replace(view, wanted=rest)),
         ]
-        title = _TITLE + (_SIDES if wanted.names and sides and twins else "")
+        title = words.motion_key(ds) + (_SIDES if wanted.names and sides and twins else "")
         page.legend(drawn, entries, beside=title, handlelength=2.6)
         if not wanted.names:
             return drawn
@@ -53,6 +52,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
         places = [dense(raster.in_points(ax, line, size))[0] for curve in curves for line in curve.stable_lines]
         places += [raster.in_points(ax, at, size) + _CORNER for at in marked]
         covered = crossed(places, size, fine.regime.shape)
-        named = [(filled(cells, times) & ~covered, name, "white") for name, cells in regions(fine, twins)]
+        motions = regions(fine, twins, words.regime(ds))
+        named = [(filled(cells, times) & ~covered, name, "white") for name, cells in motions]
         maps.name_regions(ax, fine, named, [points * page.scale for points in _TYPE], _MOST, ~covered)
     return drawn

@@ -34,7 +34,6 @@ from workers.results import (
     PENDING,
     PERIODIC,
     QUASIPERIODIC,
-    REGIME,
 )
 
 Array = NDArray[np.float64]
@@ -80,13 +79,11 @@ def exponent(view: View, norm: TwoSlopeNorm | None = None) -> Layers:
     """
     regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
-    layers = _scaled(
-        regime, Field(EXPONENT, norm, largest, words.in_its_unit(view.ds, kinds.TABLE["exponent"].scale.label))
-    )
+    layers = _scaled(view, Field(EXPONENT, norm, largest, words.in_its_unit(view.ds, view.kind.scale.label)))
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
     if not quiet.any():
         return layers
-    color, name = EXPONENT(norm(np.median(largest[quiet]))), REGIME.meaning(NO_IMPACT).text
+    color, name = EXPONENT(norm(np.median(largest[quiet]))), words.regime(view.ds).meaning(NO_IMPACT).text
     texture = Texture.on(color, quiet, style.HATCH[NO_IMPACT], name, without_dust(quiet))
     return replace(layers, textures=[texture, *layers.textures])
 
@@ -111,21 +108,22 @@ def combined(view: View) -> Layers:
 
 def number(view: View) -> Layers:
     """A number of each cell of known class of motion, on the scale of its kind."""
-    return _numbers(view, view.plane.known(*view.kind.variables))
+    return _numbers(view, view.plane.known(*view.kind.variables), view.kind.scale.label)
 
 
 def cost(view: View) -> Layers:
     """The forcing periods simulated, also of undetermined cells, which cost the most."""
     solved = ~np.isin(view.plane.regime, (PENDING, INVALID, FAILED))
-    return _numbers(view, np.where(solved, view.plane["periods_used"].astype(float), np.nan))
+    label = words.variable_label(view.ds, "periods_used")
+    return _numbers(view, np.where(solved, view.plane["periods_used"].astype(float), np.nan), label)
 
 
-def _numbers(view: View, values: Array) -> Layers:
+def _numbers(view: View, values: Array, label: str) -> Layers:
     """Numbers (y, x) on the scale of their kind; if all are a named 0, there is no bar."""
     scale = view.kind.scale
     norm, others = color_norm(values, scale.log, view.page), [(values == 0.0, *scale.zero)] if scale.zero else []
     shown = scale.zero is None or bool(np.any(values > 0.0))
-    return _scaled(view.plane.regime, Field(colormap_of(scale.colors), norm, values, scale.label, bar=shown), others)
+    return _scaled(view, Field(colormap_of(scale.colors), norm, values, label, bar=shown), others)
 
 
 def scalar(view: View) -> Layers:
@@ -149,17 +147,17 @@ def scalar(view: View) -> Layers:
     meaning = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
     signs, shown = None if log else (colormap_of(scale.colors), both_signs(scale.colors)), np.isfinite(values).any()
     field = Field(signed_colormap(norm, scale.colors), norm, values, label, signs=signs, bar=bool(shown))
-    return _scaled(regime, field, [(zero | none, NEUTRAL, meaning)])
+    return _scaled(view, field, [(zero | none, NEUTRAL, meaning)])
 
 
-def _scaled(regime: NDArray[np.int8], field: Field, others: Sequence[Class] = ()) -> Layers:
+def _scaled(view: View, field: Field, others: Sequence[Class] = ()) -> Layers:
     """Numbers (y, x) on a scale, other cells in their colours; cells without a number have the look of their regime.
 
     Exponents of -inf, below any scale, have a texture over its lowest colour.
     """
-    lost, name = np.isneginf(field.values), r"$-\infty$: rest on a stop erases disturbances"
+    lost, name = np.isneginf(field.values), rf"$-\infty$: {words.rest(view.ds)} erases disturbances"
     textures = [Texture.on(field.colormap(0.0), lost, style.LOST_HATCH, name)] if lost.any() else []
-    return layered(regime, others, [field], textures=textures)
+    return layered(view.plane.regime, others, [field], textures=textures)
 
 
 def color_norm(values: Array, log: bool, page: DrawnPage = STANDARD) -> Normalize:

@@ -60,28 +60,29 @@ _FEW, _MANY = 2.2, 1.5
 
 def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The sweep as a figure, each panel if the atlas holds its variable; InputError if it holds neither."""
-    shown = PlottedPoints.of(wanted.observe, ds)
-    panels: dict[str, Panel] = {} if shown is None else {shown.name: _panel_of_points(shown)}
-    panels |= dict.fromkeys(held([LARGEST.name], ds), _draw_largest)
-    if not panels:
-        raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
-    more = () if shown is None else shown.reads
-    read = line(ds, [*panels, *more, *held([ERROR.name], ds)])  # an atlas of another origin may lack error bars
-    legend = regime_legend(read[0][REGIME.name].values, read[0]) + ([] if shown is None else shown.notes(read[0]))
-    return stack(ds, read, panels, legend, wanted, shown)
+    return _of_one(ds, wanted, dict.fromkeys(held([LARGEST.name], ds), _draw_largest))
 
 
 def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
     """The sweep with all exponents as a figure; InputError if the atlas lacks them."""
     TABLE["spectrum"].require(ds, [SPECTRUM.name])
+    numbers = range(ds[SPECTRUM.name].shape[-1])
+    entries = [Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$") for i in numbers]
+    return _of_one(ds, wanted, {SPECTRUM.name: _draw_spectrum}, entries)
+
+
+def _of_one(ds: xr.Dataset, wanted: Wanted, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()) -> Figure:
+    """The plotted points of a sweep over a panel of its exponents, which has these entries in the legend."""
     shown = PlottedPoints.of(wanted.observe, ds)
-    panels: dict[str, Panel] = {} if shown is None else {shown.name: _panel_of_points(shown)}
-    panels[SPECTRUM.name] = _draw_spectrum
-    read = line(ds, [*panels, *(() if shown is None else shown.reads)])
-    legend = regime_legend(read[0][REGIME.name].values, read[0]) if len(panels) > 1 else []
-    for i in range(read[0][SPECTRUM.name].shape[-1]):
-        legend.append(Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$"))
-    return stack(ds, read, panels, legend + ([] if shown is None else shown.notes(read[0])), wanted, shown)
+    panels = ({} if shown is None else {shown.name: _panel_of_points(shown)}) | dict(exponents)
+    if not panels:
+        raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
+    more = () if shown is None else shown.reads
+    errors = held([ERROR.name], ds) if LARGEST.name in panels else []  # an atlas of another origin may lack error bars
+    read = line(ds, [*panels, *more, *errors])
+    regimes = [] if [*panels] == [SPECTRUM.name] else regime_legend(read[0][REGIME.name].values, read[0])
+    notes = [] if shown is None else shown.notes(read[0])
+    return stack(ds, read, panels, [*regimes, *entries, *notes], wanted, shown)
 
 
 def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
@@ -264,7 +265,7 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedPoin
             values = _values(here, x, name, shown)
             for cells, color in _groups(here, known):
                 draw_points(ax, x, values, color, size, "o", cells=cells)
-        ax.set_ylabel(LARGEST_LABEL)
+        ax.set_ylabel(words.in_its_unit(ds, LARGEST_LABEL))
 
     return draw
 

@@ -26,7 +26,7 @@ from atlas.render.layers import Entry, Field, Layers, layered
 from atlas.render.page import STANDARD, DrawnPage
 from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
-from workers.results import LARGEST, PENDING
+from workers.results import LARGEST, PENDING, PER_PERIOD
 
 KINDS = ("exponent", "period")
 """The kinds of map for side-by-side drawing."""
@@ -55,9 +55,10 @@ def difference(compared: Comparison, page: DrawnPage = STANDARD) -> Figure:
         here, there = compared.planes(own.map_pixels)
         page.head(drawn, _title(compared) + _coarseness(max(reads.block)))
         pending = (here.regime == PENDING) | (there.regime == PENDING)
-        shown = [(there, "another regime", _changes(here, there, pending))]
+        shown = [(there, "another regime", _changes(here, there, pending, compared.other))]
         if compared.has_exponents:
-            shown.append((here, "difference of exponents", _difference(here, there, pending, page)))
+            label = words.in_its_unit(compared.one, rf"change of $\lambda_1$ [{PER_PERIOD}]")
+            shown.append((here, "difference of exponents", _difference(here, there, pending, page, label)))
         entries: list[Artist] = []
         for ax, (plane, title, layers) in zip(reversed(panels), shown, strict=True):
             entries += maps.lay(ax, plane, layers, own)
@@ -88,13 +89,14 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: Wanted, names: Sequence[
         if chosen.name == "exponent":
             known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
             norm = scales.two_sided(page, *scale_ends(known))
-            bars = [Field(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")]
+            label = words.in_its_unit(shown[0], rf"$\lambda_1$ [{PER_PERIOD}]")
+            bars = [Field(scales.EXPONENT, norm, known, label)]
         entries: dict[str, Artist] = {}
         letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
         for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
             title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
-            layers = PAINTERS[chosen.name](view, *(bar.norm for bar in bars))
+            layers = maps.explained(PAINTERS[chosen.name](view, *(bar.norm for bar in bars)), view.ds)
             for entry in maps.lay(ax, view.plane, layers, own):
                 entries.setdefault(str(entry.get_label()), entry)
         _label_outside(panels)
@@ -176,15 +178,14 @@ def _coarseness(block: int) -> str:
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
-def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> Layers:
-    """The differences of exponents, with their scale."""
+def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage, label: str) -> Layers:
+    """The differences of exponents, with their scale under this label."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
     known = change[~np.isnan(change)]
     most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
     # The scale is symmetric: one given end decides the other.
     wanted = [end for end in (page.vmax, page.vmin) if end is not None]
     end = abs(wanted[0]) if wanted else most or 1.0
-    label = r"change of $\lambda_1$ [per forcing period]"
     norm = scales.two_sided(page, -end, end)
     change = np.where(pending, np.nan, change)
     unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
@@ -194,11 +195,11 @@ def _difference(here: Plane, there: Plane, pending: Cells, page: DrawnPage) -> L
     return replace(layers, legend=[entry for entry in layers.legend if entry.color == WITHOUT])
 
 
-def _changes(here: Plane, there: Plane, pending: Cells) -> Layers:
-    """The regimes there of cells with another regime here."""
+def _changes(here: Plane, there: Plane, pending: Cells, ds: xr.Dataset) -> Layers:
+    """The regimes there, in the words of that atlas, of cells with another regime here."""
     same = (here.regime == there.regime) & ~pending, SAME, "same regime"
-    layers = layered(np.where(pending, np.int8(PENDING), there.regime), [same])
-    own, none = Entry(*same[1:]), Entry.of_regime(PENDING)
+    layers = maps.explained(layered(np.where(pending, np.int8(PENDING), there.regime), [same]), ds)
+    own = Entry(*same[1:])
     others = [entry for entry in layers.legend if entry != own]
-    named = [entry if entry == none else replace(entry, label=f"{entry.label} instead") for entry in others]
+    named = [e if e.regime == PENDING else replace(e, label=f"{e.label} instead") for e in others]
     return replace(layers, legend=[own, *named])

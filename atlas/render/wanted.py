@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.arguments import Window, checked_atlas, checked_flag, checked_name, checked_pixels, checked_window
-from atlas.errors import InputError, check_names
-from atlas.query.extremes import numbers_of_cells
+from atlas.errors import InputError
+from atlas.query.extremes import check_number
 from atlas.query.window import axis_names
 from atlas.render.kinds import AXES, BASINS, CLASSES, CURVES, KINDS, OVERLAYS, SCALAR, TABLE, Kind, found_axes
 from atlas.render.options import MapLook, names_in
@@ -98,10 +98,7 @@ def _check_scalar(ds: "xr.Dataset", wanted: Wanted) -> None:
         raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
     if len(axis_names(ds)) != 2:
         raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")
-    possible = numbers_of_cells(ds)
-    if name in ds and name not in possible:
-        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
-    check_names("variable", [name], possible)
+    check_number(ds, name)
 
 
 def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:

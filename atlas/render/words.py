@@ -36,8 +36,8 @@ def axis_label(name: str, meaning: Meaning) -> str:
 
     For a parameter without a meaning its symbol suffices.
     """
-    symbol, said = shown_symbol(meaning.symbol, name), meaning.words.split(":")[0]
-    return f"{said if said != name else ''} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
+    symbol, text = shown_symbol(meaning.symbol, name), meaning.words.split(":")[0]
+    return f"{text if text != name else ''} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
 
 
 def variable_label(ds: xr.Dataset, name: str) -> str:
@@ -64,6 +64,18 @@ def regime(ds: xr.Dataset) -> Variable:
     """The regime of an atlas's cells, whose codes have the words for its machine."""
     system = stored_system(ds.attrs)
     return REGIME if system is None else system.regime
+
+
+def motion_key(ds: xr.Dataset) -> str:
+    """Title of a legend that explains the names n-p-q of motions."""
+    return f"$n$-$p$-$q$: $n$ {'passages' if is_unforced(ds) else 'periods'},\n$p$ impacts above, $q$ below"
+
+
+def rest(ds: xr.Dataset) -> str:
+    """The rest of an atlas's machine that erases disturbances: on a rigid stop, or in stick where it has none."""
+    system = stored_system(ds.attrs)
+    rigid = system is None or any(contact.restitution is not None for contact in system.definition.contacts)
+    return "rest on a stop" if rigid else "stick"
 
 
 def unit_ending(*units: str) -> str:

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 from atlas.query.attractors import attractors_listed
+from atlas.robustness.norm import weights_of
 from atlas.spec.attractors import cell_attractors, resolved_search
 from atlas.spec.spec import checked_parameters, given_settings, given_values
 from atlas.spec.system import checked_system
@@ -16,6 +17,7 @@ from workers.results import ATTRACTOR, REASON, REGIME, in_words
 
 if TYPE_CHECKING:
     from workers.attractors.basins import AttractorTable
+    from workers.model.oscillator import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,10 @@ class AttractorSearch:
         """System, parameters, settings and search in full, as plain JSON."""
         return resolved_search(self.record, self.parameters, self.settings, self.starts)
 
+    def weights(self, norm: Mapping[str, float] | None) -> "Array":
+        """The weights (2n,) of a norm in which those of some components of the state are given."""
+        return weights_of(norm or {}, self.record, float(self.table.oscillators.period[0]))
+
     @cached_property
     def table(self) -> "AttractorTable":
         """The attractors themselves, the largest share first."""
@@ -63,7 +69,7 @@ class AttractorSearch:
         arrays = result_arrays(variables, self.settings, 1, size, self.starts.keep, self.record.exponents)
         self.table.write(arrays)
         cell = {name: array[0] for name, array in arrays.items()}
-        many = [each.name for each in variables if ATTRACTOR in each.extra]
+        many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
         found = {name: values.tolist() for name, values in cell.items() if name not in many}
         listed = attractors_listed(cell, many)
         if not listed:
@@ -93,7 +99,7 @@ def attractors(
 
     >>> import atlas
     >>> found = atlas.attractors(omega=4.0, b=0.1, starts=8)
-    >>> [(each["regime"], each["period"], each["share"]) for each in found["coexisting"]]
+    >>> [(one["regime"], one["period"], one["share"]) for one in found["coexisting"]]
     [('periodic', 1, 0.625), ('periodic', 3, 0.375)]
     """
     asked = AttractorSearch.of(given_values(given, named), system, settings, starts)

@@ -1,4 +1,4 @@
-"""Measuring some cells of a tile on a worker: the message, its execution, its receipt."""
+"""Measuring some cells of a tile on a worker: the message and its execution."""
 
 import io
 import time
@@ -17,26 +17,26 @@ from atlas.spec.system import must_have_force
 from atlas.store.groups import STABILITY
 from atlas.store.store import Atlas
 from atlas.task.compile import compile_once
-from atlas.task.site import Site, file_errors, stored_part
+from atlas.task.site import PartReceipt, Site, file_errors, stored_part
 from atlas.task.solving import kernels_of
 from workers.results import LARGEST, REGIME
 
 NEEDED = (REGIME.name, "period", LARGEST.name, "state")
-"""What of a cell its measures depend on, besides its parameters."""
+"""Results that the measures of a cell depend on, besides its parameters."""
 AT_ONCE = {LINEAR: 2048, SHOCKS: 4}
 """Cells of a job: a second or a few of work, up to minutes for shocks."""
 
 
 def group_of(family: str) -> str:
-    """Where the parts of a family lie while it is measured, by themselves: another request needs others of them."""
+    """The group of a family's parts while it is measured; another request has other parts."""
     return f"{STABILITY}/{family}"
 
 
 @dataclass(frozen=True)
 class MeasureJob:
-    """Some cells of a tile, in C order from ``first`` to before ``last``, and the part that is to hold their measures.
+    """Some cells of a tile, in C order from ``first`` to before ``last``, and the name of the part for their measures.
 
-    ``measure_and_keep`` does it by hand.
+    ``measure_and_keep`` runs it locally.
     """
 
     index: tuple[int, ...]
@@ -49,25 +49,15 @@ class MeasureJob:
     site: Site
 
 
-@dataclass(frozen=True)
-class MeasureReceipt:
-    """What a finished job reports: its part, its cells, and the seconds of the worker's processor."""
-
-    index: tuple[int, ...]
-    name: str
-    cells: int
-    processor_seconds: float
-
-
 def pieces(handle: Atlas, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
     """Name, tile and cells, from the first to before the last, of each part that the measures of a family take."""
-    for tile in (each.index for each in handle.tiling.tiles()):
+    for tile in (one.index for one in handle.tiling.tiles()):
         count, most = int(np.prod(handle.tiling.at(tile).shape)), AT_ONCE[family]
         for first in range(0, count, most):
             yield f"{family}/{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
 
 
-def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
+def measure_and_keep(job: MeasureJob) -> PartReceipt:
     """Measure some cells and keep the measures as a part of the store."""
     handle = job.site.handle()
     with file_errors(job.site.store):
@@ -79,7 +69,7 @@ def measure_and_keep(job: MeasureJob) -> MeasureReceipt:
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **found)
     job.site.keep(handle, STABILITY, job.name, file.getvalue())
-    return MeasureReceipt(job.index, job.name, job.last - job.first, time.thread_time() - begin)
+    return PartReceipt(job.index, job.name, time.thread_time() - begin, job.last - job.first)
 
 
 def read_measured(handle: Atlas, name: str) -> Arrays:
@@ -97,7 +87,7 @@ def check_store(handle: Atlas) -> None:
         )
     must_have_force(spec.record, "stability measures")
     check_names(handle)
-    held = {each.name for each in handle.variables}
+    held = {variable.name for variable in handle.variables}
     if lacking := [name for name in NEEDED if name not in held]:
         raise InputError(f"{handle.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
     must_be_finished(handle)

@@ -65,12 +65,15 @@ class Phases(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """The measures of an orbit, NaN if unknown, and the reason; ``after``: the m of the amplification."""
+    """The measures of an orbit, NaN or -1 if unknown, and the reason; ``amplified_after``: the m of the amplification.
+
+    Their names are those of a store's table.
+    """
 
     return_time: float = np.nan
     reactivity: float = np.nan
     amplification: float = np.nan
-    after: int = -1
+    amplified_after: int = -1
     reason: str = ""
 
 

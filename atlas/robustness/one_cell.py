@@ -8,7 +8,7 @@ import numpy as np
 from atlas.arguments import checked_flag
 from atlas.errors import InputError
 from atlas.robustness.attractors import AttractorSearch
-from atlas.robustness.norm import checked_weights, weights_of
+from atlas.robustness.norm import checked_weights
 from atlas.spec.spec import given_values
 from atlas.spec.system import must_have_force
 from workers import Settings
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from workers.model.oscillator import Array
 
 COUNTS = ("attractors", "starts", "undecided", "unseen_share", "periods_used")
-"""What is said of the cell."""
+"""Results of the cell that are listed."""
 SHOWN = (REGIME.name, "share", "share_low", "share_high", "period", LARGEST.name)
-"""What is said of an attractor before its measures."""
+"""Results of an attractor that are listed before its measures."""
 
 
 def stability(
@@ -56,7 +56,7 @@ def stability(
 
     >>> import atlas
     >>> found = atlas.stability(omega=4.0, b=0.1, starts=8)
-    >>> [(each["period"], round(each["return_time"], 3)) for each in found["coexisting"]]
+    >>> [(one["period"], round(one["return_time"], 3)) for one in found["coexisting"]]
     [(1, 4.245), (3, 4.276)]
     """
     checked_flag("shocks", shocks)
@@ -64,32 +64,25 @@ def stability(
     must_have_force(asked.record, "stability measures")
     if asked.settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
-    weights = checked_weights(norm, asked.record)
-    w = weights_of(weights, asked.record, float(asked.table.oscillators.period[0]))
+    w = asked.weights(checked_weights(norm, asked.record))
     found = {"norm": dict(zip(asked.record.states, w.tolist(), strict=True))}
     found |= {name: asked.results[name] for name in (*COUNTS, REGIME.name, REASON.name) if name in asked.results}
-    each = [
+    entries = [
         {name: entry[name] for name in SHOWN}
         | _measured(asked.table, place, w)
         | {"state": entry["state"]}
         | (_shocked(asked.table, place, w) if shocks else {})
         for place, entry in enumerate(asked.results["coexisting"])
     ]
-    return asked.described | found | {"coexisting": each}
+    return asked.described | found | {"coexisting": entries}
 
 
 def _measured(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:
     """The linear measures of the attractor in this place of the table."""
     from atlas.robustness.linear import measures_of
 
-    linear = measures_of(table.cell.oscillator, table.attractors[place], weights)
-    return {
-        "return_time": linear.return_time,
-        "reactivity": linear.reactivity,
-        "amplification": linear.amplification,
-        "amplified_after": linear.after,
-        **({"reason": linear.reason} if linear.reason else {}),
-    }
+    found = measures_of(table.cell.oscillator, table.attractors[place], weights)._asdict()
+    return found if found["reason"] else {name: value for name, value in found.items() if name != "reason"}
 
 
 def _shocked(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:

@@ -9,7 +9,7 @@ from atlas.arguments import checked_ends, checked_flag, checked_kind
 from atlas.errors import InputError
 from atlas.query.basins import of_basins
 from atlas.robustness.attractors import AttractorSearch
-from atlas.robustness.norm import checked_weights, weights_of
+from atlas.robustness.norm import checked_weights
 from atlas.spec.spec import given_values
 from atlas.spec.system import must_offer
 from workers import Settings
@@ -60,7 +60,7 @@ def saddles(
 
     >>> import atlas
     >>> found = atlas.saddles(system="gear-mesh", starts=8)
-    >>> [(each["period"], each["between"]) for each in found["saddles"]]
+    >>> [(one["period"], one["between"]) for one in found["saddles"]]
     [(1, [0, 1])]
     """
     checked_flag("manifolds", manifolds)
@@ -79,17 +79,17 @@ def saddles_between(
     if manifolds and len(record.states) != 2:
         raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
     table = asked.table
-    w = weights_of(norm or {}, record, float(table.oscillators.period[0]))
+    w = asked.weights(norm)
     tracked = saddles_of(table, w)
-    each = [_described(saddle) for saddle in tracked.saddles]
+    entries = [_described(saddle) for saddle in tracked.saddles]
     if manifolds:
         ends = _box(table, box)
-        for entry, saddle in zip(each, tracked.saddles, strict=True):
+        for entry, saddle in zip(entries, tracked.saddles, strict=True):
             branches = manifold_of(table, saddle, ends)
             entry["manifold"] = [(piece / w).tolist() for branch in branches for piece in branch.pieces]
             entry["ends"] = [branch.end for branch in branches]
     found = {"norm": dict(zip(record.states, w.tolist(), strict=True)), "attractors": len(table.attractors)}
-    return asked.described | found | {"saddles": each, "troubles": tracked.troubles}
+    return asked.described | found | {"saddles": entries, "troubles": tracked.troubles}
 
 
 def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], list[Array]]":
@@ -106,15 +106,15 @@ def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], 
     wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
     asked = AttractorSearch(spec.record, values, spec.settings, spec.attractors)
     found = saddles_between(asked, manifolds=True, box=wide)["saddles"]
-    lines = [np.array(line)[:, order] for each in found for line in each["manifold"] if len(line) > 1]
-    return [np.array(each["states"])[:, order] for each in found], lines
+    lines = [np.array(line)[:, order] for entry in found for line in entry["manifold"] if len(line) > 1]
+    return [np.array(entry["states"])[:, order] for entry in found], lines
 
 
 def _described(saddle: "Saddle") -> dict[str, Any]:
     return {
         "period": saddle.period,
         "between": sorted(saddle.sides),
-        "multipliers": [[float(each.real), float(each.imag)] for each in saddle.multipliers],
+        "multipliers": [[float(multiplier.real), float(multiplier.imag)] for multiplier in saddle.multipliers],
         "residual": saddle.residual,
         "states": saddle.states.tolist(),
         "normal": saddle.normal.tolist(),
@@ -127,7 +127,7 @@ def _box(table: "AttractorTable", given: Box | None) -> tuple["Array", "Array"]:
     from workers.attractors.starts import boxes
 
     names = table.record.states
-    low, high = (each[0].copy() for each in boxes(table.starts, table.oscillators, table.record))
+    low, high = (side[0].copy() for side in boxes(table.starts, table.oscillators, table.record))
     for name, ends in ({} if given is None else checked_kind("box", given, Mapping, "(low, high) by state")).items():
         first, last = checked_ends(f"box.{name}", ends)
         if name not in names or not first < last:

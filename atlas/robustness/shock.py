@@ -94,7 +94,7 @@ def shock_of(table: AttractorTable, own: int, weights: Array) -> Shock | None:
     The nearest states known to reach another attractor are the initial states of the table and the section states of
     the other attractors.
     """
-    count = max(CHAOS_STATES, *(each.period for each in table.attractors))
+    count = max(CHAOS_STATES, *(attractor.period for attractor in table.attractors))
     sections = section_points(table, count)
     of_each = [points[: a.period or CHAOS_STATES] for a, points in zip(table.attractors, sections, strict=True)]
     others = [k for k in range(len(of_each)) if k != own]
@@ -144,7 +144,11 @@ class _Search:
 
     def fatal(self, states: Array) -> NDArray[np.bool_]:
         """Which states (..., 2n) reach another attractor, as is known."""
-        return ~np.isin(self.labels(states), (self.own, UNKNOWN_LABEL, NO_MOTION))
+        return self.others(self.labels(states))
+
+    def others(self, labels: Labels) -> NDArray[np.bool_]:
+        """Which labels are those of another attractor, as is known."""
+        return ~np.isin(labels, (self.own, UNKNOWN_LABEL, NO_MOTION))
 
     def shocks_to(self, states: Array) -> _Shocks:
         """The shocks from the nearest phases to these states (K, 2n), the smallest first."""
@@ -171,10 +175,10 @@ class _Search:
             sizes = (size[:, None] * (1.0 - cuts))[:, None] * np.ones((1, near.shape[1], 1))
             fatal = self.fatal(self.at(phase[:, None, None], near[:, :, None], sizes))
             best = np.where(fatal, sizes, np.inf).reshape(len(rows), -1)
-            place, each = best.argmin(axis=1), np.arange(len(rows))
-            better = np.isfinite(best[each, place])
-            shocks.direction[rows[better]] = near[each, place // sizes.shape[2]][better]
-            shocks.size[rows[better]] = best[each, place][better]
+            place, row = best.argmin(axis=1), np.arange(len(rows))
+            better = np.isfinite(best[row, place])
+            shocks.direction[rows[better]] = near[row, place // sizes.shape[2]][better]
+            shocks.size[rows[better]] = best[row, place][better]
             angle[rows[~better]] *= 0.5
         return shocks.taken(np.array([np.argmin(shocks.size)]))
 
@@ -202,7 +206,7 @@ class _Search:
         phase = np.arange(len(ball)) % len(self.states)
         states = self.at(phase, ball, np.full(len(ball), size))
         labels = self.labels(states)
-        fatal = ~np.isin(labels, (self.own, UNKNOWN_LABEL, NO_MOTION))
+        fatal = self.others(labels)
         if not np.any(fatal):
             return None, int(np.sum(labels == self.own))
         sizes = size * np.linalg.norm(ball[fatal], axis=1)

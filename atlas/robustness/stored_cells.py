@@ -48,8 +48,9 @@ def linear_measures(
             period=int(cells["period"][at]),
         )
         linear = measures_of(one, orbit, weights_of(norm, record, float(one.period[0])))
-        found["return_time"][at], found["reactivity"][at] = linear.return_time, linear.reactivity
-        found["amplification"][at], found["amplified_after"][at] = linear.amplification, linear.after
+        for name, value in linear._asdict().items():
+            if name in found:
+                found[name][at] = value
         if linear.reason:
             found["unmeasured"][at] = UNMEASURED[linear.reason]
     return found
@@ -73,7 +74,9 @@ def shock_measures(
         if len(table.attractors) < 2:
             continue
         weights = weights_of(norm, record, float(table.oscillators.period[0]))
-        places = [_place(each, {name: values[n] for name, values in cells.items()}) for each in table.attractors]
+        places = [
+            _place(attractor, {name: values[n] for name, values in cells.items()}) for attractor in table.attractors
+        ]
         for label, place in enumerate(places):
             shock = shock_of(table, label, weights) if place >= 0 else None
             if shock is not None:

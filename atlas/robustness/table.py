@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import ChunkError, InputError
+from atlas.errors import InputError
 from atlas.orbits.curves.table import KINDS
+from atlas.orbits.finished import current_group
 from atlas.robustness.linear import FLAGS
-from atlas.store.groups import STABILITY, read_group, write_table
+from atlas.store.groups import STABILITY, write_table
 from atlas.store.schema import StoredArray, variable_attributes
 from atlas.store.store import Atlas
 from workers import SOLVER_VERSION
@@ -59,21 +60,21 @@ _FAMILIES = {
     ),
 }
 MEASURES = {
-    each.name: replace(each, family=family, of_cell=family == MARGIN)
+    measure.name: replace(measure, family=family, of_cell=family == MARGIN)
     for family, some in _FAMILIES.items()
-    for each in some
+    for measure in some
 }
 """All measures by name."""
 
 
 def of_family(family: str) -> list[Measure]:
     """The measures that are computed together."""
-    return [each for each in MEASURES.values() if each.family == family]
+    return [measure for measure in MEASURES.values() if measure.family == family]
 
 
 def empty(measures: Iterable[Measure], shape: tuple[int, ...]) -> Arrays:
     """Arrays of one shape in which no measure is known."""
-    return {each.name: np.full(shape, each.fill, dtype=each.dtype) for each in measures}
+    return {measure.name: np.full(shape, measure.fill, dtype=measure.dtype) for measure in measures}
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +87,7 @@ class Stored:
 
 def read_measures(handle: Atlas) -> Stored:
     """The measures of a store; none if it has none, or damaged ones, or those of another version."""
-    try:
-        found = read_group(handle, STABILITY)
-    except ChunkError:
-        found = None  # they are computed anew
-    if found is None or found[1].get("version") != VERSION or found[1].get("solver_version") != SOLVER_VERSION:
-        return Stored({}, {})
-    arrays, attributes = found
+    arrays, attributes = current_group(handle, STABILITY, VERSION) or ({}, {})
     requests = {family: dict(attributes[family]) for family in FAMILIES if family in attributes}
     return Stored({name: arrays[name] for name in MEASURES if name in arrays}, requests)
 

@@ -81,7 +81,7 @@ class Tracked(NamedTuple):
 
 def saddles_of(table: AttractorTable, weights: Array) -> Tracked:
     """The saddles between the basins of the attractors of a table, found from each pair of them, either way."""
-    count = max([CHAOS_STATES, *(each.period for each in table.attractors)])
+    count = max([CHAOS_STATES, *(attractor.period for attractor in table.attractors)])
     points = section_points(table, count)
     saddles, troubles = list[Saddle](), list[str]()
     if len(table.attractors) < 2:
@@ -92,7 +92,7 @@ def saddles_of(table: AttractorTable, weights: Array) -> Tracked:
         found = tracker.track(points[own, 0], points[other, 0])
         if isinstance(found, str):
             troubles.append(f"from {own} towards {other}: {found}")
-        elif not any(_same(found, each) for each in saddles):
+        elif not any(_same(found, known) for known in saddles):
             saddles.append(found)
     return Tracked(saddles, troubles)
 
@@ -183,8 +183,8 @@ class _Tracker:
         multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
         if np.sum(np.abs(multipliers) > 1.0) != 1 or not_smooth(self.map.oscillator, states):
             return None
-        normal, along = zip(*(self._directions(each, period) for each in states), strict=True)
-        aside = ASIDE * max(self.size(each) for each in states) * normal[0] / self.weights
+        normal, along = zip(*(self._directions(one, period) for one in states), strict=True)
+        aside = ASIDE * max(self.size(one) for one in states) * normal[0] / self.weights
         low, high = reached(self.table, np.stack([z - aside, z + aside])).tolist()
         if low == high or {low, high} & {UNKNOWN_LABEL, NO_MOTION}:
             return None

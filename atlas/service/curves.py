@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from atlas.arguments import checked_kind
 from atlas.errors import ChunkError
 from atlas.orbits.curves.finish import edge_share, finished
-from atlas.orbits.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
+from atlas.orbits.curves.job import CurveJob, do_and_keep, read_part
 from atlas.orbits.curves.plane import plane_of
 from atlas.orbits.curves.search import CurveSearch
 from atlas.orbits.curves.settings import CurveSettings
@@ -23,6 +23,7 @@ from atlas.store.location import Given
 from atlas.store.parts import drop_parts, kept_parts, part_names
 from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, kernels_for
+from atlas.task.site import PartReceipt
 from atlas.text import duration, plural
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ class _Coordinator:
     handle: Atlas
     search: CurveSearch
     digest: str
-    crew: Crew[CurveJob, CurveReceipt]
+    crew: Crew[CurveJob, PartReceipt]
 
     def run(self) -> CurvesSummary:
         """Do the stages that are due, and write the curves."""

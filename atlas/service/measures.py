@@ -13,7 +13,6 @@ from atlas.errors import InputError, RunError
 from atlas.robustness.job import (
     NEEDED,
     MeasureJob,
-    MeasureReceipt,
     check_store,
     group_of,
     measure_and_keep,
@@ -44,6 +43,7 @@ from atlas.store.location import Given
 from atlas.store.parts import drop_parts, kept_parts
 from atlas.store.store import Atlas
 from atlas.store.tiles import read_tile
+from atlas.task.site import PartReceipt
 from atlas.task.solving import kernels_of
 from atlas.text import duration, plural
 from workers import SOLVER_VERSION
@@ -182,7 +182,7 @@ class _Measuring:
     """Attractors being measured in a store that is claimed."""
 
     handle: Atlas
-    crew: Crew[MeasureJob, MeasureReceipt]
+    crew: Crew[MeasureJob, PartReceipt]
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
     done: int = 0
@@ -216,7 +216,7 @@ class _Measuring:
                 found[measured][here] = values if many else values[:, 0]
         return found
 
-    def _count(self, receipt: MeasureReceipt) -> None:
+    def _count(self, receipt: PartReceipt) -> None:
         self.done += receipt.cells
 
     def _progress(self) -> Progress:

@@ -42,27 +42,50 @@ def resolved_system(resolved: Mapping[str, Any]) -> System:
         raise InputError(str(error)) from None
 
 
+def stored_spec(attributes: Mapping[Any, Any]) -> Mapping[str, Any]:
+    """The resolved spec of the store with these root attributes; empty if they have none."""
+    return _of_text(str(attributes.get("spec", "")))[0]
+
+
+def system_of(attributes: Mapping[Any, Any], who: str = "") -> System:
+    """The system of the store with these root attributes.
+
+    InputError, in the name of ``who`` needs it, if they name none that this program can make.
+    """
+    found = _of_text(str(attributes.get("spec", "")))[1]
+    if isinstance(found, InputError):
+        raise InputError(f"{who}: {found}" if who else str(found))
+    return found
+
+
 def stored_system(attributes: Mapping[Any, Any]) -> System | None:
     """The system of the store with these root attributes, or None if they name no known system."""
-    return _of_text(str(attributes.get("spec", "")))
+    found = _of_text(str(attributes.get("spec", "")))[1]
+    return None if isinstance(found, InputError) else found
 
 
 def stored_name(attributes: Mapping[Any, Any]) -> str:
     """The name that a store has for its system, known or not; empty if it has none."""
-    try:
-        system = json.loads(attributes["spec"])["system"]
-        return str(system["name"] if isinstance(system, Mapping) else system)
-    except (KeyError, TypeError, ValueError):
-        return ""
+    system = stored_spec(attributes).get("system", "")
+    return str(system.get("name", "") if isinstance(system, Mapping) else system)
 
 
 @lru_cache(maxsize=16)
-def _of_text(text: str) -> System | None:
-    """Cached: a picture asks for the same system at every label."""
+def _of_text(text: str) -> tuple[Mapping[str, Any], System | InputError]:
+    """The spec in a text, and its system or why there is none. Cached: a picture asks for it at every label."""
+    lacking = InputError("this dataset lacks the spec of its atlas")
     try:
-        return resolved_system(json.loads(text))
-    except (InputError, KeyError, TypeError, ValueError):
-        return None
+        spec = json.loads(text)
+        if not isinstance(spec, Mapping):
+            return {}, lacking
+    except ValueError:
+        return {}, lacking
+    try:
+        return spec, resolved_system(spec)
+    except InputError as error:
+        return spec, error
+    except (KeyError, TypeError, ValueError):
+        return spec, lacking
 
 
 def impacts_of(record: System, cell: Mapping[str, Any]) -> str:

@@ -84,6 +84,16 @@ class Site:
         return place.behind(fence) if fences else place
 
 
+@dataclass(frozen=True)
+class PartReceipt:
+    """What a finished job reports: its part, the seconds of the worker's processor, and how many cells it measured."""
+
+    index: tuple[int, ...]
+    name: str
+    processor_seconds: float
+    cells: int = 0
+
+
 def prepare(site: Site, kernels: Sequence[str]) -> None:
     """Check the needs of any job on this worker, and make sure that its kernels are compiled."""
     site.handle()

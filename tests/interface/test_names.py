@@ -17,7 +17,7 @@ from atlas.errors import InputError
 from atlas.explore.chosen import ARGUMENTS
 from atlas.orbits.curves.export import columns
 from atlas.orbits.curves.table import Curves, as_arrays
-from atlas.orbits.labels.table import _MEANINGS, BRANCH
+from atlas.orbits.labels.table import BRANCH, OF_BRANCHES
 from atlas.overview.coarsen import SHARE, level_variables
 from atlas.overview.coordinates import bounds_name, coarse_name
 from atlas.render import figure, words
@@ -50,7 +50,7 @@ def own_names() -> Iterator[str]:
             yield from (variable.name, *variable.extra)
     for name, array in as_arrays(Curves(("omega", "b"), ())).items():
         yield from (name, *array.dims)
-    yield from _MEANINGS
+    yield from (variable.name for variable in OF_BRANCHES)
     yield from set(columns(("omega", "b"))) - {"omega", "b"}
     yield from (coarse_name("omega"), bounds_name(coarse_name("omega")))
     yield from ARGUMENTS

@@ -5,11 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from distributed import Client
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import atlas
 from atlas.cell.orbit import cell_orbit, describe
 from atlas.cell.shown import periods
 from atlas.errors import InputError
+from atlas.query.compare import Comparison
 from atlas.render.drawing import figure
 from atlas.spec.system import checked_system, must_offer
 from workers import trace
@@ -55,6 +58,29 @@ def test_a_plane_of_belts_is_solved_asked_and_drawn(tmp_path: Path, client: Clie
     said = [text.get_text() for legend in figure(ds, kind="period").legends for text in legend.get_texts()]
     assert "equilibrium" in said
     assert "no impact" not in said
+
+
+def texts_of(drawn: Figure) -> str:
+    """All labels, titles and legends of a figure."""
+    return "\n".join(text.get_text() for text in drawn.findobj(Text)).replace("\n", " ")
+
+
+def test_every_picture_without_a_force_has_the_units_and_the_words_of_its_machine(
+    tmp_path: Path, client: Client
+) -> None:
+    atlases = []
+    for r in (0.4, 0.5):
+        solve = {"max_periods": 2000, "survival": 0}
+        spec = atlas.Spec("belt", {"u": [0.3, 0.6, 1.1], "zeta": [0.02, 0.1]}, {"r": r}, solve)
+        atlas.run(spec, tmp_path / f"belt-{r}.zarr", client=client)
+        atlases.append(atlas.open(tmp_path / f"belt-{r}.zarr"))
+    both = [figure(atlases), figure(Comparison.of(*atlases))]
+    for drawn in (*both, figure(atlases[0])):
+        assert "per unit time" in texts_of(drawn) and "per forcing period" not in texts_of(drawn)
+        assert "no impact" not in texts_of(drawn)
+    assert "equilibrium" in texts_of(both[0]) and ": stick erases disturbances" in texts_of(both[0])
+    assert "natural periods simulated" in texts_of(figure(atlases[0], kind="cost"))
+    assert "$n$ passages" in texts_of(figure(atlases[0], kind="impacts"))
 
 
 def test_what_is_not_there_without_a_force_is_refused_in_a_line() -> None:

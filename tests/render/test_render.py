@@ -14,7 +14,7 @@ from atlas import render
 from atlas.errors import InputError
 from atlas.query import ends
 from atlas.query.plane import Meaning
-from atlas.query.queries import cell_edges
+from atlas.query.window import cell_edges
 from atlas.render import scales, style, words
 from atlas.render.layers import paint
 from tests.pictures import NAN, atlas, colour, every_regime, labels, layers, pixel, section, sweep

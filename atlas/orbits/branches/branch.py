@@ -38,7 +38,7 @@ def tree_from(seed: Seed, along: str, window: tuple[float, float], switch: bool 
 
 
 def observed_of(seed: Seed, observe: str | None) -> Observable | None:
-    """What is observed of a cell's machine, by its text; InputError for what it does not have."""
+    """The observable of this name; InputError if the cell's machine does not have it."""
     if observe is None:
         return None
     try:

@@ -1,6 +1,5 @@
 """The proven orbit of a cell, solved here or stored in an atlas: the start of a branch."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,7 +8,7 @@ import numpy as np
 
 from atlas.errors import InputError
 from atlas.spec.spec import checked_parameters, given_settings
-from atlas.spec.system import checked_system, must_offer, resolved_system
+from atlas.spec.system import checked_system, must_offer, system_of
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import CYCLE_PERIOD, NO_IMPACT, PERIODIC, REASON, REGIME, in_words
@@ -50,38 +49,21 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
     Of an atlas of all attractors it is the one with the largest share, unless one of them was selected.
     """
     from atlas.query.attractors import leading
+    from atlas.query.cell import values_of
     from atlas.query.queries import at
     from atlas.query.window import axis_names
 
     ds = leading(ds)
     cell = at(ds, point)
-    record = system_of(ds)
-    where = {name: cell[name] for name in axis_names(ds)}
-    known = {p.name for p in record.parameters}
-    values = {name: float(cell[name] if name in cell else ds[name]) for name in known if _has_value(ds, name, cell)}
-    row = ds.sel(where)
+    record = system_of(ds.attrs)
+    row = ds.sel({name: cell[name] for name in axis_names(ds)})
     stored = ["regime", "reason", "period", "symmetric", "sticks", "state"]
     stored += [CYCLE_PERIOD.name] if record.definition.unforced else []
     missing = [name for name in stored if name not in ds and name != REASON.name]
     if missing:
         raise InputError(f"a branch starts from the variable {missing[0]!r} of a cell, which this atlas does not hold")
     found = {name: row[name].values[()] for name in stored if name in ds}
-    return seed_of(found, record, checked_parameters(record, values))
-
-
-def _has_value(ds: "xr.Dataset", name: str, cell: Mapping[str, Any]) -> bool:
-    """Whether a parameter has one value in this cell: on an axis, in a column of points, or fixed."""
-    return name in cell or (name in ds.coords and ds[name].ndim == 0)
-
-
-def system_of(ds: "xr.Dataset") -> System:
-    """The system of an atlas; InputError where it does not name one that is known."""
-    try:
-        return resolved_system(json.loads(ds.attrs["spec"]))
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError):
-        raise InputError("this dataset lacks the spec of its atlas") from None
+    return seed_of(found, record, checked_parameters(record, values_of(ds, record, cell)))
 
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:
@@ -94,7 +76,7 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     regime = int(cell[REGIME.name])
     if regime not in (PERIODIC, NO_IMPACT):
         why = in_words(cell).get(REASON.name)
-        found = REGIME.meaning(regime).text + (f" ({why})" if why else "")
+        found = record.regime.meaning(regime).text + (f" ({why})" if why else "")
         raise InputError(f"this cell is {found}: a branch starts from a periodic one")
     if bool(cell["sticks"]) and not record.has_modes:
         raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.branches.seed import seed_of, system_of
+from atlas.orbits.branches.seed import seed_of
 from atlas.orbits.branches.table import pattern
 from atlas.orbits.branches.tree import Branch, Tree
+from atlas.query import machine
 from atlas.query.window import axis_names, axis_values, columns
-from atlas.spec.system import must_offer
+from atlas.spec.system import must_offer, system_of
 from workers.continuation import Point
 from workers.results import CYCLE_PERIOD, PERIODIC, REGIME
 
@@ -38,7 +39,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
     stop are passed over. Raises InputError where no parameter is swept, and where an atlas does not hold states.
     """
     ds = sweeps[0]
-    system, (along,) = system_of(ds), axis_names(ds)
+    system, (along,) = system_of(ds.attrs), axis_names(ds)
     must_offer(system, "branches", unforced=True)
     for other in sweeps[1:]:
         if axis_names(other) != (along,):
@@ -50,12 +51,12 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
         if name not in ds:
             raise InputError(f"branches start from the variable {name!r} of cells, which this atlas does not hold")
     defaults = {p.name: p.default for p in system.parameters}
-    fixed = {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
+    fixed = machine.fixed(ds, system)
     low, high = float(axis_values(ds, along).min()), float(axis_values(ds, along).max())
     if low == high:
         raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
     tree: Tree | None = None
-    for cell in (cell for each in sweeps for cell in _cells(each, along, stored, system.has_modes, longest)):
+    for cell in (cell for ds in sweeps for cell in _cells(ds, along, stored, system.has_modes, longest)):
         value = float(cell[along])
         if tree is not None and (len(tree.branches) >= MOST or _is_covered(tree, cell, value)):
             continue
@@ -83,7 +84,7 @@ def _cells(
     moves = ~columns["sticks"].astype(bool) & (impacts > 0) | with_modes
     fits = (columns[REGIME.name] == PERIODIC) & moves & (impacts <= longest)
     classes = np.stack([np.where(fits, columns[name], -2) for name in _STORED[1:5]], axis=1).tolist()
-    runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda each: each[1])]
+    runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda numbered: numbered[1])]
     for run in sorted((run for run in runs if fits[run[0]]), key=len, reverse=True):
         middle = run[len(run) // 2]
         for k in [middle, *(k for k in run if k != middle)]:
@@ -96,11 +97,13 @@ def _is_covered(tree: Tree, cell: dict[str, Any], value: float) -> bool:
     state, halves = np.asarray(cell["state"], dtype=np.float64), {symmetric, int(tree.system.has_modes)}
     alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in halves}
     uncounted = p < 0 and tree.system.has_modes  # impacts of a cell that rests on a stop are not
-    same = [each for each in tree.branches if uncounted or alike & {pattern(one) for one in set(each.itineraries)}]
-    return any(_is_near(each, state, value) for each in same) or any(
+    same = [
+        branch for branch in tree.branches if uncounted or alike & {pattern(one) for one in set(branch.itineraries)}
+    ]
+    return any(_is_near(branch, state, value) for branch in same) or any(
         tree.is_orbit(state, Point(np.array([value]), orbit, np.zeros(0), np.zeros(0, np.complex128), 0))
-        for each in same
-        for orbit in each.orbits_at(tree.family, value)
+        for branch in same
+        for orbit in branch.orbits_at(tree.family, value)
     )
 
 

@@ -30,7 +30,7 @@ class Branches:
 
     ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
     themselves, impact by impact. ``untried`` are events whose branch was requested and is missing. ``observable`` is
-    what a picture shows of them in place of the gap coordinate at sections, and what their points have besides.
+    plotted in place of the gap coordinate at sections, and the points have its values too.
     """
 
     system: System
@@ -43,8 +43,8 @@ class Branches:
 
     def __repr__(self) -> str:
         low, high = self.window
-        points = sum(len(each.run.points) for each in self.traced)
-        events = sum(len(each.run.events) for each in self.traced)
+        points = sum(len(branch.run.points) for branch in self.traced)
+        events = sum(len(branch.run.events) for branch in self.traced)
         counts = (plural(len(self.traced), "branch", "branches"), plural(points, "point"), plural(events, "event"))
         reach = f"{self.system.name} along {self.along} from {low:g} to {high:g}"
         return f"<{type(self).__name__} of {reach}: {', '.join(counts)}>"
@@ -136,7 +136,7 @@ class Branches:
                 yield np.einsum("ni,nki->nk", rows, states[..., : rows.shape[1]])
 
     def shown_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
-        """What a picture shows of a branch, and of its mirror image where there is one: values (N, K), NaN for none.
+        """The plotted values (N, K) of a branch, and of its mirror image where there is one; NaN for none.
 
         Those of neighbouring points that belong to each other have the same place.
         """
@@ -158,7 +158,7 @@ class Branches:
                 yield aligned(found[self.observable.variable], self.observable.turn)
 
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
-        """Lines (N, 2) of what a picture shows over the parameter, of mirror images too, each after its stability."""
+        """Lines (N, 2) of the plotted values over the parameter, of mirror images too, each after its stability."""
         jump = math.inf if self.observable is None else 0.5 * self.observable.turn
         for branch in self.traced:
             for values in self.shown_values(branch):
@@ -234,8 +234,8 @@ def aligned(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
         before, here = (row[np.isfinite(row)] for row in found[k - 1 : k + 1])
         if len(here) == len(before) > 1:
             away = [np.roll(here, -r) - before for r in range(len(here))]
-            away = away if math.isinf(turn) else [np.remainder(each + 0.5 * turn, turn) - 0.5 * turn for each in away]
-            found[k, : len(here)] = np.roll(here, -int(np.argmin([np.sum(np.abs(each)) for each in away])))
+            away = away if math.isinf(turn) else [np.remainder(shift + 0.5 * turn, turn) - 0.5 * turn for shift in away]
+            found[k, : len(here)] = np.roll(here, -int(np.argmin([np.sum(np.abs(shift)) for shift in away])))
     return found
 
 

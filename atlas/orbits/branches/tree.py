@@ -249,7 +249,7 @@ class Tree:
             run = branch(self.family, start, beside, self.window)
         except ValueError:
             return False
-        origin = next((each for each in run.events if self._same(each, event)), None)
+        origin = next((met for met in run.events if self._same(met, event)), None)
         own = self.branches[number]
         self.branches[number] = replace(own, origins=(*own.origins, (len(self.branches), origin)))
         self._add(run, event.point.orbit.itinerary)

@@ -92,7 +92,7 @@ def margins(points: Array, chords: Chords) -> Margins:
     for rows in np.array_split(np.arange(len(points)), max(1, len(points) // TOGETHER)):
         reach = (nearest[rows] + float(half.max(initial=0.0))) * (1.0 + 1e-12)
         near = tree.query_ball_point(points[rows], reach)
-        counts = np.array([len(each) for each in near], dtype=np.int64)
+        counts = np.array([len(places) for places in near], dtype=np.int64)
         row, candidate = np.repeat(rows, counts), owner[np.concatenate([*near, []]).astype(np.int64)]
         away = distances(points[row], chords.first[candidate], chords.last[candidate])
         order = np.lexsort((candidate, away, row))

@@ -15,7 +15,6 @@ from atlas.query.open import handle_of
 from atlas.query.queries import at
 from workers.continuation import Event, Orbit
 from workers.continuation.events import GRAZING, LOST
-from workers.continuation.orbits import attract, continued_to, many_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -57,8 +56,8 @@ def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], he
     own = orbits.of(number)
     if own is None:
         raise InputError(f"the cell at {where} is {cell['regime']}: only a proven periodic orbit has events")
-    taken = continued_to(orbits.family, many_of([own], plane.values(np.array([number]))), here[None])
-    if not attract(orbits.family, taken)[0]:
+    taken = orbits.follow([own], plane.values(np.array([number])), here[None], attracting=True)
+    if not taken.found[0]:
         raise InputError(f"the orbit of the cell at {where} does not attract at the point itself; ask at the cell")
     return taken.orbit(0)
 

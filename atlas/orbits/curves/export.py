@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from atlas.errors import InputError
+from atlas.arguments import checked_suffix
 from atlas.orbits.curves.table import Curve, Curves
 from atlas.query.export import check_writable, written_whole
 
@@ -21,9 +21,9 @@ def export(found: Curves, path: str | Path) -> None:
     Raises InputError for another suffix and for a path that cannot be written.
     """
     target = Path(path)
-    check_path(target)
+    suffix = check_path(target)
     with written_whole(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        if target.suffix.lower() == ".csv":
+        if suffix == ".csv":
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(columns(found.axes))
             writer.writerows(rows(found))
@@ -32,12 +32,11 @@ def export(found: Curves, path: str | Path) -> None:
             file.write("\n")
 
 
-def check_path(path: Path) -> None:
-    """InputError unless the suffix is one that ``export`` knows, and a file can be written there."""
-    if path.suffix.lower() not in FORMATS:
-        shown = f"found {path.suffix!r}" if path.suffix else "found none"
-        raise InputError(f"{path.name}: the suffix chooses the format, {shown}; possible: {', '.join(FORMATS)}")
+def check_path(path: Path) -> str:
+    """The suffix of a file; InputError unless ``export`` knows it, and the file can be written."""
+    suffix = checked_suffix(path, FORMATS)
     check_writable(path)
+    return suffix
 
 
 def columns(axes: tuple[str, str]) -> list[str]:
@@ -49,7 +48,7 @@ def rows(found: Curves) -> Iterator[tuple[Any, ...]]:
     """The rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
     for number, curve in enumerate(found):
         corners, symmetric = _placed(curve), str(curve.symmetric).lower()
-        counts = (each.tolist() for each in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
+        counts = (column.tolist() for column in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
         for k, ((x, y), upper, lower, unstable) in enumerate(zip(curve.points.tolist(), *counts, strict=True)):
             orbit = (curve.period, upper, lower, symmetric)
             yield (number, curve.kind, *orbit, x, y, unstable)

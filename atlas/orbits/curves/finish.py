@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from atlas.orbits.curves.chords import feet
 from atlas.orbits.curves.following import Followed, lies_on
-from atlas.orbits.curves.search import BASIN, CURVE, NONE, OPEN, TRIED, CurveSearch
+from atlas.orbits.curves.groups import BASIN, CURVE, NONE, OPEN, TRIED
+from atlas.orbits.curves.search import CurveSearch
 from atlas.orbits.curves.table import KINDS, Corner, Curve, Curves
 
 

@@ -151,27 +151,25 @@ def _located(event: Event, values: Array) -> Located:
 
 
 def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
-    """The curve of an event through the plane's window, or why there is none."""
-    if event.condition.kind in OF_EQUILIBRIA:
-        return _follow_hopf(orbits, event, resolution, budget)
+    """The curve of an event through the plane's window, or why there is none; of equilibria Hopf points have one."""
+    still, name = event.condition.kind in OF_EQUILIBRIA, event.kind.replace("_", " ")
+    if still and event.kind != HOPF:
+        return f"the {name} of an equilibrium is not followed, Hopf points alone are"
+    family, where = orbits.family, (event.values, orbits.plane.window)
     try:
-        run = curve(
-            orbits.family,
-            event.as_event(),
-            event.values,
-            orbits.plane.window,
-            resolution=resolution,
-            budget=budget,
-        )
+        if still:
+            run = hopf_curve(family, event.orbit, *where, resolution=resolution, budget=budget)
+        else:
+            run = curve(family, event.as_event(), *where, resolution=resolution, budget=budget)
     except (ValueError, np.linalg.LinAlgError) as error:
         return str(error)
     if len(run.points) < 2:
-        return f"the {event.kind.replace('_', ' ')} is alone: no step along its curve converges"
-    own = with_own_ends(run.points)
+        return f"the {name} is alone: no step along its curve converges"
+    own = run.points if still else with_own_ends(run.points)
     grazes = min(len(point.contacts) for point in own)  # at another graze that one's time is added
-    conditions = _conditions(orbits, event, own)
+    conditions = [event.condition] * len(own) if still else _conditions(orbits, event, own)
     if conditions is None:
-        return f"the {event.kind.replace('_', ' ')} is lost on its way: its own event is not that of a neighbour"
+        return f"the {name} is lost on its way: its own event is not that of a neighbour"
     return Followed(
         of=event,
         values=np.array([point.values for point in run.points]),
@@ -180,28 +178,6 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
         conditions=conditions,
         unstable=np.array([point.unstable for point in run.points], dtype=np.int64),
         corners=[(met.kind, met.point.values) for met in run.events if len(met.conditions) == 2],
-        ends=run.ends,
-    )
-
-
-def _follow_hopf(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
-    """The curve of a Hopf point; other events of equilibria have none that is followed."""
-    if event.kind != HOPF:
-        return f"the {event.kind} of an equilibrium is not followed, Hopf points alone are"
-    given = orbits.family, event.orbit, event.values, orbits.plane.window
-    try:
-        run = hopf_curve(*given, resolution=resolution, budget=budget)
-    except ValueError as error:
-        return str(error)
-    points = run.points
-    return Followed(
-        of=event,
-        values=np.array([point.values for point in points]),
-        orbits=[point.orbit for point in points],
-        contacts=np.zeros((len(points), 0)),
-        conditions=[event.condition] * len(points),
-        unstable=np.array([point.unstable for point in points], dtype=np.int64),
-        corners=[],
         ends=run.ends,
     )
 

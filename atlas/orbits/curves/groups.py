@@ -15,9 +15,9 @@ AGAIN = 8
 FRUITLESS = 3
 """Looks without an event after which the border to cells of no known orbit is left, unless most looks found one."""
 
-OPEN, BASIN = 0, 1
-"""As in ``atlas.orbits.curves.search``: edges of which nothing is known, and those where an orbit exists on both
-sides."""
+OPEN, BASIN, CURVE, TRIED, NONE = range(5)
+"""The state of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
+its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
 
 BETWEEN, BESIDE, BASINS = range(3)
 """Borders in the order of their importance: between regions; of a region with other cells; where only basins end."""

@@ -1,4 +1,4 @@
-"""One task of a search on a worker: its message, its execution, its receipt."""
+"""One task of a search on a worker: its message and its execution."""
 
 import json
 import time
@@ -15,14 +15,14 @@ from atlas.orbits.curves.tasks import Task, do
 from atlas.store.groups import CURVES
 from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, compile_once, kernels_for
-from atlas.task.site import RefusedError, Site, stored_part
+from atlas.task.site import PartReceipt, RefusedError, Site, stored_part
 
 
 @dataclass(frozen=True)
 class CurveJob:
-    """A task of a search in a store, by the name of the part that is to hold its result.
+    """A task of a search in a store, with the name of the part for its result.
 
-    ``digest`` is that of the search: a worker whose store gives another one refuses. ``do_and_keep`` redoes it by hand.
+    ``digest`` is that of the search: a worker whose store has another digest refuses. ``do_and_keep`` runs it locally.
     """
 
     index: tuple[int, ...]
@@ -33,16 +33,7 @@ class CurveJob:
     site: Site
 
 
-@dataclass(frozen=True)
-class CurveReceipt:
-    """What a finished task reports: its part, and the seconds of the worker's processor."""
-
-    index: tuple[int, ...]
-    name: str
-    processor_seconds: float
-
-
-def do_and_keep(job: CurveJob) -> CurveReceipt:
+def do_and_keep(job: CurveJob) -> PartReceipt:
     """Do a task and keep its result as a part of the store."""
     handle = job.site.handle()
     compile_once(*kernels_for(handle.spec.record, ORBITS))
@@ -54,7 +45,7 @@ def do_and_keep(job: CurveJob) -> CurveReceipt:
         # One place at which a method breaks down must not end the search: it is counted, in words.
         found = {"trouble": f"{type(error).__name__}: {error}"}
     job.site.keep(handle, CURVES, job.name, json.dumps(found).encode())
-    return CurveReceipt(job.index, job.name, time.thread_time() - begin)
+    return PartReceipt(job.index, job.name, time.thread_time() - begin)
 
 
 def read_part(handle: Atlas, name: str) -> dict[str, Any]:

@@ -44,11 +44,11 @@ def passed(plane: CurvePlane, values: Array, at: Array) -> tuple[NDArray[np.int6
         share, way = feet(at[part][:, None], points[:-1], points[1:])
         distance = np.max(np.abs(way), axis=2)
         chord = np.argmin(distance, axis=1)
-        each = np.arange(len(part))
-        close = distance[each, chord] <= ONE_CELL
+        row = np.arange(len(part))
+        close = distance[row, chord] <= ONE_CELL
         rows.append(part[close])
         which.append(chord[close])
-        shares.append(share[each, chord][close])
+        shares.append(share[row, chord][close])
     if not rows:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
     return np.concatenate(rows), np.concatenate(which), np.concatenate(shares)

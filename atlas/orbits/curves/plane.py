@@ -1,23 +1,21 @@
 """The plane of a search: its cells as arrays, their regions, and the edges between these."""
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.finished import columns_of, must_be_finished
+from atlas.orbits.finished import Array, OrbitRows, columns_of, must_be_finished
 from atlas.spec.cells import edges_of
 from atlas.spec.system import must_offer
 from atlas.store.store import Atlas
 from workers.model.parameter import TAU
-from workers.model.system import System
 from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
 
-Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
 SMALL = 4
@@ -31,32 +29,20 @@ SPEED = "mean_impact_speed"
 NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", SPEED)
 
 
-@dataclass(frozen=True, eq=False)
-class CurvePlane:
-    """A finished plane. Cells are numbered row by row, x fastest.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CurvePlane(OrbitRows):
+    """A finished plane. Its cells, the rows, are numbered row by row, x fastest.
 
     axes, x, y      the names of its axes, x first, and the values of both
     log             which of them is logarithmic
-    regime, period, impacts_upper, impacts_lower, symmetric, speed (cells,), state (cells, 2n)   as the atlas has them,
-                    speed the mean one of impacts, NaN where it has none
-    cycle_period (cells,)   the periods of cycles, NaN of other motion; None where there is a force
-    fixed           all other parameters by name
+    speed (cells,)  the mean one of impacts, NaN where it has none
     """
 
-    system: System
     axes: tuple[str, str]
     x: Array
     y: Array
     log: tuple[bool, bool]
-    fixed: Mapping[str, float]
-    regime: NDArray[np.int64]
-    period: NDArray[np.int64]
-    impacts_upper: NDArray[np.int64]
-    impacts_lower: NDArray[np.int64]
-    symmetric: NDArray[np.bool_]
     speed: Array
-    state: Array
-    cycle_period: Array | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -119,11 +105,9 @@ class CurvePlane:
         """
         from scipy import ndimage  # not for every command: it takes longer to load than all else
 
-        kinds = np.stack([self.regime, self.period, self.impacts_upper, self.impacts_lower, self.symmetric], axis=1)
-        _, kind = np.unique(kinds, axis=0, return_inverse=True)
-        kind, numbers, count = kind.ravel(), np.zeros(len(self.regime), dtype=np.int64), 0
-        for each in np.unique(kind[self.proven]):
-            own, found = ndimage.label(((kind == each) & self.proven).reshape(self.shape))
+        numbers, count = np.zeros(len(self.regime), dtype=np.int64), 0
+        for kind in np.unique(self.kind[self.proven]):
+            own, found = ndimage.label(((self.kind == kind) & self.proven).reshape(self.shape))
             numbers += np.where(own > 0, own + count, 0).ravel()
             count += found
         return numbers
@@ -152,7 +136,7 @@ class CurvePlane:
         """Of all pairs of neighbours along an axis of the array, whether their orbit may be another one although of the
         same kind: the mean speed of impacts jumps, and does so nowhere else nearby.
         """
-        speed, region = (np.moveaxis(each.reshape(self.shape), axis, 0) for each in (self.speed, self.regions))
+        speed, region = (np.moveaxis(values.reshape(self.shape), axis, 0) for values in (self.speed, self.regions))
         inside = (region[1:] == region[:-1]) & (region[1:] > 0)
         steps = np.where(inside, np.nan_to_num(np.abs(np.diff(speed, axis=0))), 0.0)
         around = np.pad(steps, [(1, 1), (0, 0)])
@@ -191,7 +175,8 @@ def plane_of(handle: Atlas) -> CurvePlane:
             raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
     must_be_finished(handle)
     needed = (*NEEDED, CYCLE_PERIOD.name) if system.definition.unforced else NEEDED
-    (x, y), leading = spec.axes, {name: values[:, 0] for name, values in columns_of(handle, needed).items()}
+    leading: dict[str, Any] = {name: values[:, 0] for name, values in columns_of(handle, needed).items()}
+    x, y = spec.axes
     return CurvePlane(
         system=system,
         axes=(x.name, y.name),
@@ -199,12 +184,6 @@ def plane_of(handle: Atlas) -> CurvePlane:
         y=np.array(y.values),
         log=(x.scale == "log", y.scale == "log"),
         fixed={name: float(value) for name, value in spec.parameters.items()},
-        regime=leading[REGIME.name].astype(np.int64),
-        period=leading["period"].astype(np.int64),
-        impacts_upper=leading["impacts_upper"].astype(np.int64),
-        impacts_lower=leading["impacts_lower"].astype(np.int64),
-        symmetric=leading["symmetric"].astype(np.bool_),
-        speed=leading[SPEED].astype(np.float64),
-        state=leading["state"].astype(np.float64),
-        cycle_period=leading.get(CYCLE_PERIOD.name),
+        speed=leading.pop(SPEED),
+        **leading,
     )

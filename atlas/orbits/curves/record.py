@@ -41,7 +41,7 @@ def curve_as_json(found: Followed) -> dict[str, Any]:
     return {
         "of": event_as_json(found.of),
         "itineraries": [[list(itinerary), list(condition)] for itinerary, condition in shared],
-        "which": [shared.index(each) for each in own],
+        "which": [shared.index(pair) for pair in own],
         "values": found.values.tolist(),
         "times": [orbit.times.tolist() for orbit in found.orbits],
         "speeds": [orbit.speeds.tolist() for orbit in found.orbits],

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from atlas.orbits.curves.cells import CEASES, IS, PERSISTS, CellOrbits
 from atlas.orbits.curves.following import Followed, Located, lies_on
-from atlas.orbits.curves.groups import Groups
+from atlas.orbits.curves.groups import BASIN, CURVE, NONE, OPEN, TRIED, Groups
 from atlas.orbits.curves.near import ONE_CELL, middles, passed
 from atlas.orbits.curves.plane import CurvePlane
 from atlas.orbits.curves.record import curve_from_json, event_from_json
@@ -33,10 +33,6 @@ WAY = 1000
 
 SHORT, LONG = 2.0, 12.0
 """Cells that the orbit of a cell is followed over: past an edge where it ends; where only basins end, further on."""
-
-OPEN, BASIN, CURVE, TRIED, NONE = range(5)
-"""The state of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
-its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
 
 FAR = "no event of the orbits of its cells lies within a cell"
 SPENT = "the budget of curves or points is spent"
@@ -155,36 +151,36 @@ class CurveSearch:
         """Drop the events that lie on known curves, and follow the first one of each signature."""
         self.doing = "following curves"
         left, chosen, taken = [], list[_Event](), set[Any]()
-        for each in self._pending:
-            if any(lies_on(self.orbits, each.event, curve) for curve in self.curves):
-                self._explained(each)
-            elif each.event.signature in taken:
-                left.append(each)
+        for met in self._pending:
+            if any(lies_on(self.orbits, met.event, curve) for curve in self.curves):
+                self._explained(met)
+            elif met.event.signature in taken:
+                left.append(met)
             else:
-                taken.add(each.event.signature)
-                chosen.append(each)
+                taken.add(met.event.signature)
+                chosen.append(met)
         self._pending = left
         room = max(0, self.settings.curves - len(self.curves))
         chosen, over = chosen[:room], chosen[room:]
         points = max(0, self.settings.points - self.points)
         if not chosen or points < len(chosen):
             self.dropped += len(chosen) + len(over) + len(left)
-            self.why |= {each.edge: SPENT for each in self._pending + chosen + over if each.edge >= 0}
+            self.why |= {met.edge: SPENT for met in self._pending + chosen + over if met.edge >= 0}
             self._pending = []
             return
         budget = min(WAY, points // (2 * len(chosen)) or 1)
         self._pending = over + left
-        yield [Follow(each.part, each.number, budget) for each in chosen]
-        for each, name, result in zip(chosen, self._names, self._results, strict=True):
+        yield [Follow(met.part, met.number, budget) for met in chosen]
+        for met, name, result in zip(chosen, self._names, self._results, strict=True):
             self._note(result)
             if "curve" in result:
                 found = curve_from_json(result["curve"])
                 self.curves.append(found)
                 self.curve_names.append(name)
                 self.points += len(found.values)
-                self._explained(each)
-            elif each.edge >= 0:
-                self.why[each.edge] = f"no curve of its {each.event.kind.replace('_', ' ')}: {result.get('trouble')}"
+                self._explained(met)
+            elif met.edge >= 0:
+                self.why[met.edge] = f"no curve of its {met.event.kind.replace('_', ' ')}: {result.get('trouble')}"
 
     def _explain(self, known: int) -> Iterator[list[Any]]:
         """Find the edges that the curves from number ``known`` on pass, and of whose cells they are."""
@@ -213,9 +209,9 @@ class CurveSearch:
         uncounted = min(own) < 0
         return bool(plane.proven[cell]) and plane.period[cell] == itinerary.sections and (counts == own or uncounted)
 
-    def _explained(self, each: _Event) -> None:
-        if each.edge >= 0:
-            self.verdicts[each.edge] = CURVE
+    def _explained(self, met: _Event) -> None:
+        if met.edge >= 0:
+            self.verdicts[met.edge] = CURVE
 
     def _note(self, result: Result) -> None:
         if "trouble" in result:

@@ -32,10 +32,10 @@ class CurveSettings:
     least: int = SMALL
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
+        for limit in fields(self):
+            value = getattr(self, limit.name)
             if not is_whole(value) or value < 1:
-                raise InputError(f"{each.name}: found {shown(value)}, must be a whole number, 1 or more")
+                raise InputError(f"{limit.name}: found {shown(value)}, must be a whole number, 1 or more")
 
     def digest(self, plane: CurvePlane) -> str:
         """The digest of the cells and the budget."""

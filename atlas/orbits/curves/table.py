@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from atlas.errors import ChunkError, message_of
 from atlas.store.groups import CURVES, read_group, write_group
@@ -20,7 +20,7 @@ KINDS = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
     "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "hopf",
 )  # fmt: skip
-"""What a curve can be of; where an impact is lost the orbit without it grazes, and that is the curve kept."""
+"""Events with curves. Where an impact is lost, the orbit without it grazes: the curve of grazes is kept."""
 
 
 class Corner(NamedTuple):
@@ -89,7 +89,7 @@ class Curve:
     @property
     def stable_corners(self) -> list[Corner]:
         """The points of codimension two at or beside such a part."""
-        return [each for each in self.corners if self.bounding[max(0, each.after - 1) : each.after + 2].any()]
+        return [corner for corner in self.corners if self.bounding[max(0, corner.after - 1) : corner.after + 2].any()]
 
     @property
     def loose_ends(self) -> list[NDArray[np.float64]]:
@@ -145,58 +145,41 @@ def as_arrays(found: Curves) -> dict[str, StoredArray]:
     curves = found.curves
     corners = [(number, corner) for number, curve in enumerate(curves) for corner in curve.corners]
 
-    def text(values: list[str]) -> NDArray[Any]:
-        return np.array(values, dtype="T")
+    def words(values: list[str], dim: str, meaning: str) -> StoredArray:
+        return StoredArray(np.array(values, dtype="T"), (dim,), {"long_name": meaning})
 
-    def each(name: str, dtype: str) -> NDArray[Any]:
-        return np.array([getattr(curve, name) for curve in curves], dtype=dtype)
+    def numbers(values: ArrayLike, dtype: str, dim: str, meaning: str) -> StoredArray:
+        return StoredArray(np.array(values, dtype=dtype), (dim,), {"long_name": meaning, "units": "1"})
 
-    of_curve = {
-        "kind": (text([curve.kind for curve in curves]), "kind of event"),
-        "period": (each("period", "int32"), "forcing periods per orbit"),
-        "symmetric": (each("symmetric", "bool"), "orbit is its own mirror image"),
-        "first_end": (text([curve.ends[0] for curve in curves]), "why the curve ends at its first point"),
-        "last_end": (text([curve.ends[1] for curve in curves]), "why the curve ends at its last point"),
-        "row_size": (np.array([len(curve.points) for curve in curves], dtype="int64"), "points of the curve"),
-    }
-    points = np.concatenate([np.zeros((0, 2)), *(curve.points for curve in curves)])
-    of_point = {
-        "unstable": "unstable multipliers besides the event's own",
-        "impacts_upper": "impacts at the upper stop per orbit",
-        "impacts_lower": "impacts at the lower stop per orbit",
-    }
+    def of_points(name: str, meaning: str) -> StoredArray:
+        parts = [getattr(curve, name) for curve in curves]
+        return numbers(np.concatenate([np.zeros(0, dtype=np.int64), *parts]), "int32", "point", meaning)
 
-    def whole(name: str) -> NDArray[Any]:
-        return np.concatenate([np.zeros(0, "int64"), *(getattr(curve, name) for curve in curves)]).astype("int32")
+    def places(parts: list[Any], dim: str, meaning: str) -> StoredArray:
+        return StoredArray(np.concatenate([np.zeros((0, 2)), *parts]), (dim, "axis"), {"long_name": meaning})
 
-    places = np.array([(corner.x, corner.y) for _, corner in corners], dtype="float64").reshape(-1, 2)
-
-    def count(values: NDArray[Any], dim: str, what: str) -> StoredArray:
-        return StoredArray(values, (dim,), {"long_name": what, "units": "1"})
-
-    made = {
-        name: StoredArray(
-            values, ("curve",), {"long_name": what} | ({} if values.dtype.kind == "T" else {"units": "1"})
-        )
-        for name, (values, what) in of_curve.items()
-    }
-    made["row_size"].attributes["sample_dimension"] = "point"
-    made |= {name: count(whole(name), "point", what) for name, what in of_point.items()}
-    return made | {
-        "position": StoredArray(points, ("point", "axis"), {"long_name": "points of all curves, end to end"}),
-        "corner_curve": count(
-            np.array([number for number, _ in corners], dtype="int32"), "corner", "its curve, from 0"
+    sizes = numbers([len(curve.points) for curve in curves], "int64", "curve", "points of the curve")
+    sizes.attributes["sample_dimension"] = "point"
+    return {
+        "kind": words([curve.kind for curve in curves], "curve", "kind of event"),
+        "period": numbers([curve.period for curve in curves], "int32", "curve", "forcing periods per orbit"),
+        "symmetric": numbers([curve.symmetric for curve in curves], "bool", "curve", "orbit is its own mirror image"),
+        "first_end": words([curve.ends[0] for curve in curves], "curve", "why the curve ends at its first point"),
+        "last_end": words([curve.ends[1] for curve in curves], "curve", "why the curve ends at its last point"),
+        "row_size": sizes,
+        "unstable": of_points("unstable", "unstable multipliers besides the event's own"),
+        "impacts_upper": of_points("impacts_upper", "impacts at the upper stop per orbit"),
+        "impacts_lower": of_points("impacts_lower", "impacts at the lower stop per orbit"),
+        "position": places([curve.points for curve in curves], "point", "points of all curves, end to end"),
+        "corner_curve": numbers([number for number, _ in corners], "int32", "corner", "its curve, from 0"),
+        "corner_kind": words([corner.kind for _, corner in corners], "corner", "kind of point of codimension two"),
+        "corner_after": numbers(
+            [corner.after for _, corner in corners], "int64", "corner", "its curve's point that it follows, from 0"
         ),
-        "corner_kind": StoredArray(
-            text([corner.kind for _, corner in corners]), ("corner",), {"long_name": "kind of point of codimension two"}
+        "corner_position": places(
+            [[(corner.x, corner.y)] for _, corner in corners], "corner", "points of codimension two"
         ),
-        "corner_after": count(
-            np.array([corner.after for _, corner in corners], dtype="int64"),
-            "corner",
-            "its curve's point that it follows, from 0",
-        ),
-        "corner_position": StoredArray(places, ("corner", "axis"), {"long_name": "points of codimension two"}),
-        "axis": StoredArray(text(list(found.axes)), ("axis",), {"long_name": "axis of the plane"}),
+        "axis": words(list(found.axes), "axis", "axis of the plane"),
     }
 
 

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from atlas.orbits.labels.rows import Array, Attractors, Rows, with_images
-from atlas.orbits.stored import NEEDED, orbits_of
-from workers.continuation import Family, Orbit, branch, family_of, section_states
-from workers.continuation.orbits import Many, alike, continued_to, many_of
-from workers.model.family import NoOscillatorError
+from atlas.orbits.finished import Array, Rows
+from atlas.orbits.labels.rows import Attractors, with_images
+from atlas.orbits.stored import StoredOrbits
+from workers.continuation import Orbit, branch, section_states
+from workers.continuation.orbits import Many, many_of
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)
@@ -63,9 +63,10 @@ def followed(attractors: Attractors) -> Links:
     """
     # what machines with modes do without impact depends on where they slide
     still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0) & (not attractors.system.has_modes)
-    free, follower = np.flatnonzero(still), _Follower(attractors)
+    free, follower = np.flatnonzero(still), AttractorOrbits(attractors)
     cell, image = with_images(attractors)
-    known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)
+    follower.find(range(len(attractors)))
+    known = still | np.array([follower.of(row) is not None for row in range(len(attractors))], dtype=np.bool_)
     known |= (attractors.twin >= 0) & known[attractors.twin]
     pairs, change = np.stack([free[:-1], free[1:]], axis=1), np.zeros(max(0, len(free) - 1))
     one_way = np.zeros((0, 2), dtype=np.int64)
@@ -118,15 +119,12 @@ def _left_over(attractors: Attractors, pairs: Rows) -> Rows:
     return np.asarray(wanted[np.array(free, dtype=np.bool_)])
 
 
-class _Follower:
-    """The orbits of an atlas, each to be followed to other cells."""
+class AttractorOrbits(StoredOrbits):
+    """The orbits of an atlas of all attractors, each to be followed to other cells."""
 
     def __init__(self, attractors: Attractors) -> None:
+        super().__init__(attractors)
         self.attractors = attractors
-        self.family: Family = family_of(attractors.system, attractors.fixed, attractors.axes)
-        points, cells = attractors.values[attractors.cell], {name: getattr(attractors, name) for name in NEEDED}
-        found = orbits_of(self.family, points, cells)
-        self.orbits = [orbit if isinstance(orbit, Orbit) else None for orbit in found]
 
     def reach(self, pairs: Rows, away: int) -> tuple[NDArray[np.bool_], Array]:
         """Whether the first orbit of each pair (N, 2), followed to the second's cell, is that one; and its change.
@@ -134,21 +132,20 @@ class _Follower:
         away   cells from the one to the other
         """
         reached, change = np.zeros(len(pairs), dtype=np.bool_), np.full(len(pairs), np.nan)
-        orbits = [self.orbits[row] for row in pairs[:, 0].tolist()]
-        for rows in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
-            reached[rows], change[rows] = self._reach_alike(pairs[rows], [o for r in rows if (o := orbits[r])], away)
+        for rows, orbits in self.alike(pairs[:, 0]):
+            reached[rows], change[rows] = self._reach_alike(pairs[rows], orbits, away)
         return reached, change
 
     def _reach_alike(self, pairs: Rows, orbits: list[Orbit], away: int) -> tuple[NDArray[np.bool_], Array]:
         """``reach`` of orbits of one itinerary."""
         own = self.attractors
-        here, there = (own.values[own.cell[pairs[:, k]]] for k in (0, 1))
-        start = many_of(orbits, here)
-        arrived = self._follow(start, there, STEPS[0] * away)
+        here, there = (own.values(pairs[:, k]) for k in (0, 1))
+        arrived = self.follow(orbits, here, there, STEPS[0] * away)
+        arrived = arrived._replace(orbits=arrived.orbits.taken(np.arange(len(orbits))))  # a copy, which is changed
         for steps in STEPS[1:]:
             again = np.flatnonzero(~arrived.found)
             if len(again):
-                more = self._follow(many_of([orbits[r] for r in again], here[again]), there[again], steps * away)
+                more = self.follow([orbits[r] for r in again], here[again], there[again], steps * away)
                 for field, better in zip(arrived.orbits[1:], more.orbits[1:], strict=True):
                     field[again] = better
                 arrived.found[again] = more.found
@@ -160,7 +157,7 @@ class _Follower:
             states = section_states(own.system, fixed | values, [arrived.orbit(int(r)) for r in rows])
             apart = np.abs(states - own.state[pairs[rows, 1]][:, None]).max(axis=2).min(axis=1)
             reached[rows] = apart <= SAME * np.abs(states).max(axis=(1, 2))
-        return reached, _change(start, arrived, self.family.model(there).omega)
+        return reached, _change(many_of(orbits, here), arrived, self.family.model(there).omega)
 
     def along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
         """Which of these pairs (N, 2) are one orbit on a branch from cell to cell, and how much its state changes.
@@ -184,15 +181,13 @@ class _Follower:
 
     def _along_branch(self, row: int, cell: int) -> Array | None:
         """The section states (n, 2d) of an orbit at a neighbouring cell; None where its branch does not get there."""
-        own, orbit = self.attractors, self.orbits[row]
-        here, there = own.values[own.cell[row]], own.values[cell]
+        own, orbit = self.attractors, self.of(row)
+        here, there = own.points[own.cell[row]], own.points[cell]
         axis = int(np.flatnonzero(here != there)[0])
         begin, end = float(here[axis]), float(there[axis])
         window = (min(begin, end), max(begin, end))
-        others = {name: float(here[k]) for k, name in enumerate(own.axes) if k != axis}
         try:
-            family = family_of(own.system, {**own.fixed, **others}, (own.axes[axis],))
-            run = branch(family, orbit, begin, window, resolution=STEP) if orbit is not None else None
+            run = None if orbit is None else branch(self.along(axis, here), orbit, begin, window, resolution=STEP)
         except (ValueError, np.linalg.LinAlgError):
             return None
         if run is None:
@@ -201,19 +196,9 @@ class _Follower:
         last = run.points[-1 if end > begin else 0]
         if not len(steps) or np.any(steps < 0.0) or float(last.values[0]) != end:
             return None
-        values = {name: np.array([value]) for name, value in {**own.fixed, **others, own.axes[axis]: end}.items()}
+        given = {**own.fixed, **dict(zip(own.axes, there.tolist(), strict=True))}
+        values = {name: np.array([value]) for name, value in given.items()}
         return section_states(own.system, values, [last.orbit])[0]
-
-    def _follow(self, start: Many, there: Array, steps: int) -> Many:
-        """Orbits taken to other parameters in ``steps`` steps; none found where some have no oscillator on the way."""
-        here, at = start.values, start
-        try:
-            for k in range(1, steps + 1):
-                at = continued_to(self.family, at, here + (there - here) * (k / steps))
-        except (NoOscillatorError, ValueError):
-            unmoved = start.orbits.taken(np.arange(len(here)))
-            return start._replace(orbits=unmoved, found=np.zeros(len(here), dtype=bool))
-        return at
 
 
 def _change(before: Many, after: Many, omega: Array) -> Array:

@@ -7,63 +7,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.finished import columns_of, must_be_finished, params_of
+from atlas.orbits.finished import Array, OrbitRows, Rows, columns_of, must_be_finished, params_of
 from atlas.store.store import Atlas
 from workers.attractors.record import ON_ATTRACTOR
-from workers.model.system import System
 from workers.results import NO_IMPACT, PERIODIC, REGIME
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share", "mirror")
 
 
-@dataclass(frozen=True, eq=False)
-class Attractors:
-    """The orbits among the attractors of a finished atlas, A of them: those that can be followed to other parameters.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Attractors(OrbitRows):
+    """The orbits among the attractors of a finished atlas, A rows: those that can be followed to other parameters.
 
-    axes, fixed      names of the axes, those of the dimensions of ``shape``; all other parameters by name
+    axes             names of the axes, those of the dimensions of ``shape``
     shape, keep      cells along each dimension; places of a cell's attractors
-    values (C, axes) the parameters of every cell, in C order
+    points (C, axes) the parameters of every cell, in C order
     cell, place (A,) of each orbit, in the order of cells and places
-    regime, period, impacts_upper, impacts_lower, symmetric (A,), state (A, 2n), share (A,)   as the atlas has them
+    share (A,)       as the atlas has it
     twin (A,)        the orbit of its cell that is its mirror image, itself where it is symmetric; -1 where none is
     """
 
-    system: System
-    axes: tuple[str, ...]
-    fixed: dict[str, float]
     shape: tuple[int, ...]
     keep: int
-    values: Array
+    points: Array
     cell: Rows
     place: Rows
-    regime: Rows
-    period: Rows
-    impacts_upper: Rows
-    impacts_lower: Rows
-    symmetric: NDArray[np.bool_]
-    state: Array
     share: Array
     twin: Rows
 
     def __len__(self) -> int:
         return len(self.cell)
 
+    @property
+    def proven(self) -> NDArray[np.bool_]:
+        """All of them."""
+        return np.ones(len(self), dtype=np.bool_)
+
+    def values(self, rows: Rows) -> Array:
+        """The parameters (R, axes) of the cells of orbits."""
+        return np.asarray(self.points[self.cell[rows]])
+
     @cached_property
     def row(self) -> Rows:
         """The orbit (C, keep) of each cell and place, -1 where there is none."""
-        found = np.full((len(self.values), self.keep), -1)
+        found = np.full((len(self.points), self.keep), -1)
         found[self.cell, self.place] = np.arange(len(self))
         return found
-
-    @cached_property
-    def kind(self) -> Rows:
-        """A number (A,) for each kind: regime, period, impacts at either stop, symmetry."""
-        parts = (self.regime, self.period, self.impacts_upper, self.impacts_lower, self.symmetric)
-        _, found = np.unique(np.stack(parts, axis=1), axis=0, return_inverse=True)
-        return found.ravel()
 
     def beside(self, away: int = 1) -> Rows:
         """Pairs (N, 2) of orbits of one kind in cells ``away`` places from each other along a dimension."""
@@ -72,7 +61,7 @@ class Attractors:
 
     def of_neighbours(self, away: int = 1) -> Rows:
         """Pairs (N, 2) of orbits in cells ``away`` places from each other along a dimension."""
-        number = np.arange(len(self.values)).reshape(self.shape)
+        number = np.arange(len(self.points)).reshape(self.shape)
         found = [np.zeros((0, 2), dtype=np.int64)]
         for dim in range(number.ndim):
             along = np.moveaxis(number, dim, 0)
@@ -91,7 +80,7 @@ def with_images(attractors: Attractors) -> tuple[Rows, Rows]:
     image = np.where(own.symmetric, np.arange(count), own.twin)
     alone = np.flatnonzero(image < 0)
     values = {p.name: np.full(len(alone), own.fixed.get(p.name, p.default)) for p in own.system.parameters}
-    values |= {name: np.ascontiguousarray(own.values[own.cell[alone], k]) for k, name in enumerate(own.axes)}
+    values |= {name: np.ascontiguousarray(own.values(alone)[:, k]) for k, name in enumerate(own.axes)}
     unseen = alone[own.system.build_many(values)[0].symmetric > 0.0]
     image[unseen] = count + np.arange(len(unseen))
     return np.append(own.cell, own.cell[unseen]), np.append(image, unseen)
@@ -115,7 +104,7 @@ def attractors_of(handle: Atlas) -> tuple[Attractors, int]:
     cell, place = np.nonzero(known)
     row = np.full(known.shape, -1)
     row[cell, place] = np.arange(len(cell))
-    image = columns["mirror"][known]
+    image = columns.pop("mirror")[known]
     axes = tuple(axis.name for axis in reversed(spec.axes))
     found = Attractors(
         system=spec.record,
@@ -123,16 +112,10 @@ def attractors_of(handle: Atlas) -> tuple[Attractors, int]:
         fixed={name: float(value) for name, value in spec.parameters.items()},
         shape=spec.shape,
         keep=known.shape[1],
-        values=np.stack([points[name] for name in axes], axis=1),
+        points=np.stack([points[name] for name in axes], axis=1),
         cell=cell,
         place=place,
-        regime=regime[known].astype(np.int64),
-        period=period[known].astype(np.int64),
-        impacts_upper=columns["impacts_upper"][known].astype(np.int64),
-        impacts_lower=columns["impacts_lower"][known].astype(np.int64),
-        symmetric=columns["symmetric"][known].astype(np.bool_),
-        state=columns["state"][known],
-        share=columns["share"][known],
+        **{name: values[known] for name, values in columns.items()},
         twin=np.where(image >= 0, row[cell, np.maximum(image, 0)], -1),
     )
     return found, int(np.sum(np.isin(regime, ON_ATTRACTOR)))

@@ -5,27 +5,37 @@ Branches are numbered by the sum of their shares over all cells, the largest fir
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import ChunkError
+from atlas.orbits.finished import Array, Rows, current_group
 from atlas.orbits.labels.components import branches
 from atlas.orbits.labels.following import followed
-from atlas.orbits.labels.rows import Array, Rows, attractors_of
-from atlas.store.groups import LABELS, read_group, write_table
-from atlas.store.schema import StoredArray
+from atlas.orbits.labels.rows import attractors_of
+from atlas.store.groups import LABELS, write_table
+from atlas.store.schema import StoredArray, variable_attributes
 from atlas.store.store import Atlas
 from workers import SOLVER_VERSION
-from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
+from workers.results import ATTRACTOR, LABEL, REGIME, UNKNOWN_LABEL, Variable, result_named
 
 VERSION = 4
 """Of the way in which labels are found: raised whenever any may change."""
 
 BRANCH = "branch"
 """The dimension of the table, an entry a label."""
+
+OF_ALL = replace(LABEL, long_name="branch that the attractor is on; -1 if none")
+KINDS = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric")
+OF_BRANCHES = (
+    Variable("cells", "int32", 0, "cells that have an attractor on the branch"),
+    Variable("total_share", "float64", 0.0, "sum of their shares"),
+    Variable("mirror", "int32", -1, "label of the branch of mirror images; its own where it is symmetric; -1 if none"),
+    *map(result_named, KINDS),
+)
+"""The label of an attractor; the columns of the table, with the results that all orbits of a branch have in common."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +83,10 @@ def labels_of(handle: Atlas) -> Labels:
     branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
     number, total = _numbered(np.where(links.known, branch[: len(every)], -1), every.share)
     cells = np.bincount(number[number >= 0], minlength=len(total))
-    values = np.full((len(every.values), every.keep), UNKNOWN_LABEL, dtype=np.int64)
+    values = np.full((len(every.points), every.keep), UNKNOWN_LABEL, dtype=np.int64)
     values[every.cell, every.place] = number
     there = np.flatnonzero(number >= 0)
     first = there[np.unique(number[there], return_index=True)[1]]
-    names = ("regime", "period", "impacts_upper", "impacts_lower", "symmetric")
     count = Count(
         attractors=kept,
         orbits=len(every),
@@ -93,7 +102,7 @@ def labels_of(handle: Atlas) -> Labels:
         cells=cells,
         total=total,
         mirror=mirrors(number, branch, links.image),
-        kinds={name: getattr(every, name)[first] for name in names},
+        kinds={name: getattr(every, name)[first] for name in KINDS},
         count=count,
     )
 
@@ -127,43 +136,17 @@ def mirrors(number: Rows, branch: Rows, image: Rows) -> Rows:
 
 def write_labels(handle: Atlas, found: Labels) -> None:
     """Keep labels in the store, in the place of any before."""
-    dims = (*handle.spec.dims, ATTRACTOR)
+    rows = {"cells": found.cells, "total_share": found.total, "mirror": found.mirror} | dict(found.kinds)
+    label = StoredArray(found.values.astype(LABEL.dtype), (*handle.spec.dims, ATTRACTOR), variable_attributes(OF_ALL))
     about = {
-        name: StoredArray(values, (BRANCH,), {"long_name": _MEANINGS[name], "units": "1"})
-        for name, values in _rows(found).items()
+        variable.name: StoredArray(rows[variable.name].astype(variable.dtype), (BRANCH,), variable_attributes(variable))
+        for variable in OF_BRANCHES
     }
-    values = found.values.astype(LABEL.dtype)
-    label = StoredArray(values, dims, {"long_name": "branch that the attractor is on; -1 if none", "units": "1"})
     own = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
     write_table(handle, LABELS, {LABEL.name: label} | about, own | {"count": asdict(found.count)})
 
 
-_MEANINGS = {
-    "cells": "cells that have an attractor on the branch",
-    "total_share": "sum of their shares",
-    "mirror": "label of the branch of mirror images; its own where it is symmetric; -1 if none",
-    "regime": "regime of motion, as in the atlas",
-    "period": "forcing periods per orbit",
-    "impacts_upper": "impacts at the upper stop per orbit period",
-    "impacts_lower": "impacts at the lower stop per orbit period",
-    "symmetric": "orbits are symmetric under (x, t) -> (-x, t + T/2)",
-}
-
-
-def _rows(found: Labels) -> dict[str, NDArray[Any]]:
-    made = {"cells": found.cells.astype("int32"), "total_share": found.total, "mirror": found.mirror.astype("int32")}
-    types = {"regime": "int8", "symmetric": "bool"}
-    return made | {name: values.astype(types.get(name, "int32")) for name, values in found.kinds.items()}
-
-
 def stored_count(handle: Atlas) -> Count | None:
     """The report of the stored labels; None where there are none, or they would be found differently now."""
-    try:
-        stored = read_group(handle, LABELS)
-    except ChunkError:
-        return None  # they are found anew
-    if stored is None:
-        return None
-    known = stored[1]
-    found_so = (known.get("version"), known.get("solver_version")) == (VERSION, SOLVER_VERSION)
-    return Count(**known["count"]) if found_so else None
+    stored = current_group(handle, LABELS, VERSION)
+    return None if stored is None else Count(**stored[1]["count"])

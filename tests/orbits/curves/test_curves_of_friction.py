@@ -66,10 +66,11 @@ def plane_of_two_regions() -> CurvePlane:
     """Six by six cells, of period 1 at the left and 2 at the right: six edges between them."""
     x, y, cells = np.linspace(1.0, 2.0, 6), np.linspace(0.4, 0.9, 6), 36
     period, none = np.where(np.arange(cells) % 6 < 3, 1, 2), np.zeros(cells, dtype=np.int64)
-    kinds = (np.full(cells, PERIODIC), period, none, none, np.zeros(cells, dtype=np.bool_))
     return CurvePlane(
-        STICK_SLIP, ("omega", "u"), x, y, (False, False), {}, *kinds, np.full(cells, np.nan), np.zeros((cells, 2))
-    )
+        system=STICK_SLIP, axes=("omega", "u"), x=x, y=y, log=(False, False), fixed={}, regime=np.full(cells, PERIODIC),
+        period=period, impacts_upper=none, impacts_lower=none, symmetric=np.zeros(cells, dtype=np.bool_),
+        speed=np.full(cells, np.nan), state=np.zeros((cells, 2)),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("found", [{"events": [], "why": "no orbit is found"}, {"trouble": "no orbit is found"}])

@@ -19,7 +19,7 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.orbits.labels.components import branches
-from atlas.orbits.labels.following import Links, _Follower, followed
+from atlas.orbits.labels.following import AttractorOrbits, Links, followed
 from atlas.orbits.labels.rows import Attractors, attractors_of
 from atlas.orbits.labels.table import labels_of, mirrors
 from atlas.service.labels import label_attractors
@@ -191,13 +191,13 @@ def test_twins_are_linked_alike_where_newtons_method_finds_the_link_of_one_of_th
     unlabelled: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     every, _ = attractors_of(open_handle(unlabelled))
-    rng, reach = np.random.default_rng(5), _Follower.reach
+    rng, reach = np.random.default_rng(5), AttractorOrbits.reach
 
-    def unsure(self: _Follower, pairs: np.ndarray, away: int) -> tuple[np.ndarray, np.ndarray]:
+    def unsure(self: AttractorOrbits, pairs: np.ndarray, away: int) -> tuple[np.ndarray, np.ndarray]:
         reached, change = reach(self, pairs, away)
         return reached & (rng.random(len(pairs)) < 0.7), change
 
-    monkeypatch.setattr(_Follower, "reach", unsure)
+    monkeypatch.setattr(AttractorOrbits, "reach", unsure)
     links = followed(every)
     assert len(links.pairs) > 10 and equivariant(links)
 
@@ -239,11 +239,11 @@ def kept(every: Attractors, rows: np.ndarray) -> Attractors:
 
 def test_orbits_that_some_cells_have_missed_break_no_branch(unlabelled: Path) -> None:
     every, _ = attractors_of(open_handle(unlabelled))
-    found = every.values[every.cell, 1] != OMEGA[1]
+    found = every.points[every.cell, 1] != OMEGA[1]
     fewer = kept(every, found)
     links = followed(fewer)
     branch_of = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)[0][: len(fewer)]
-    omega = fewer.values[fewer.cell, 1]
+    omega = fewer.points[fewer.cell, 1]
     before, after = ({*branch_of[(omega == OMEGA[k]) & (fewer.period == 1)].tolist()} for k in (0, 2))
     assert len(before) >= 2 and before == after
 
