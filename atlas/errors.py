@@ -51,20 +51,25 @@ def shown(value: object) -> str:
 
 
 class ChunkError(RunError):
-    """Chunks of a store that are missing or damaged: ``faults`` has what is wrong by the chunk's key."""
+    """Chunks of a store that are missing or damaged: ``faults`` describes the damage, by the keys of the chunks."""
 
     def __init__(self, store: object, faults: Mapping[str, str]) -> None:
         super().__init__(store, faults)  # both, so that it can be pickled
         self.store, self.faults = str(store), dict(faults)
 
+    @property
+    def lines(self) -> list[str]:
+        """The damaged chunks, a line for each: its key and the damage."""
+        return [f"{key} {fault}" for key, fault in self.faults.items()]
+
     def __str__(self) -> str:
-        found = "; ".join(f"{key} {fault}" for key, fault in self.faults.items())
+        damage = "; ".join(self.lines)
         if self.store.lower().endswith(".zip"):
-            return f"{self.store}: {found}: {PACK}"
+            return f"{self.store}: {damage}: {PACK}"
         groups = {key.partition("/")[0] for key in self.faults}
         if len(groups) == 1 and groups <= MADE_BY.keys():
-            return f"{self.store}: {found}: {MADE_BY[groups.pop()]} {self.store} makes it anew"
-        return f"{self.store}: {found}: atlas verify --repair {self.store}, then run it again"
+            return f"{self.store}: {damage}: {MADE_BY[groups.pop()]} {self.store} makes it anew"
+        return f"{self.store}: {damage}: atlas verify --repair {self.store}, then run it again"
 
 
 def message_of(error: Exception) -> str:

@@ -6,29 +6,30 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from atlas.check.foreign import foreign_keys
-from atlas.check.groups import GroupReport, check_groups
+from atlas.check.groups import check_groups
 from atlas.check.metadata import coordinate_faults, metadata_faults
-from atlas.check.overviews import OverviewReport, check_overviews
+from atlas.check.overviews import check_overviews
 from atlas.check.records import record_faults, tile_faults
-from atlas.check.report import Report, StoreFault
+from atlas.check.report import COORDINATES, FOREIGN, METADATA, Report, StoreFault
 from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.check.rules import broken_rules
 from atlas.check.zoom import plane_faults
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
+from atlas.spec.spec import Spec
 from atlas.store.location import refused
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
 from atlas.store.origin import ALLOWANCES
 from atlas.store.place import Place
-from atlas.store.record import COVERED, Rows
+from atlas.store.record import COVERED, RECORDS, Rows
 from atlas.store.records import Records
 from atlas.store.spare import SPARE, nodes_of, read_spare, remedy, spare_faults
 from atlas.store.store import (
@@ -43,158 +44,136 @@ from atlas.store.store import (
     open_handle,
 )
 from atlas.store.tiles import is_blank, read_tile, record_of
-from atlas.store.tiling import Tiling
+from atlas.store.tiling import Index, Tiling
 from atlas.store.zoom import sheet_place, sheets
 from atlas.text import plural
 from workers import SOLVER_VERSION
 from workers.results import REGIME
 
-Index = tuple[int, ...]
-
 
 @dataclass(frozen=True)
 class Findings:
-    """The findings in a store: the report for people, and the parts that are faulty.
-
-    unread      its metadata are, and nothing was read through them
-    spareless   the spare of its metadata is
-    worn        its coordinates are
-    records     the records of its tiles, by the cells of each, where the stored ones are; None where they are sound
-    tiles       finished tiles
-    overviews, groups, foreign, zoom   the other parts; of the zoom levels sheets, planes and ()
-    """
+    """The findings in a store: the report for people, and the records that sound tiles should have, by their cells."""
 
     handle: Atlas
     report: Report
-    unread: bool = False
-    spareless: bool = False
-    worn: bool = False
-    records: Mapping[Index, Rows] | None = None
-    tiles: tuple[Index, ...] = ()
-    overviews: OverviewReport | None = None
-    groups: GroupReport | None = None
-    foreign: tuple[str, ...] = ()
-    zoom: tuple[tuple[str, ...], ...] = ()
+    rows: Mapping[Index, Rows] = field(default_factory=dict)
+
+    @property
+    def unread(self) -> bool:
+        """Whether the metadata are damaged, so that nothing was read through them."""
+        return any(fault.part == (METADATA,) for fault in self.report.faults)
 
 
 def find(place: Place, sample: int, seed: int, notify: Callable[[Progress], None]) -> Findings:
-    """All that is wrong in a store, see ``verify.verify``, by reading it whole. InputError where there is no store."""
+    """All faults of a store, see ``verify.verify``, by reading it whole. InputError where there is no store."""
     with refused(place, "read"):
         spare = read_spare(place)
     if spare is not None and (lost := spare_faults(place, spare)):
         handle = handle_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
-        return _unread(handle, seed, [f"{key} {what}: {remedy(place)}" for key, what in lost.items()])
-    handle = open_handle(place)
-    found = _with_zoom(_found(handle, sample, seed, notify), sample, notify)
+        return _unread(handle, seed, [f"{key} {damage}: {remedy(place)}" for key, damage in lost.items()])
+    findings = _read(open_handle(place), sample, seed, notify)
     if spare is not None:
-        return found
-    fault = StoreFault(None, f"{SPARE} is missing or damaged: {remedy(place)}")
-    return replace(found, spareless=True, report=replace(found.report, faults=(fault, *found.report.faults)))
+        return findings
+    fault = StoreFault(None, f"{SPARE} is missing or damaged: {remedy(place)}", (SPARE,))
+    return replace(findings, report=replace(findings.report, faults=(fault, *findings.report.faults)))
 
 
-def _unread(handle: Atlas, seed: int, faults: list[str]) -> Findings:
-    """A store with damaged metadata, through which nothing can be read."""
-    told = tuple(StoreFault(None, what) for what in faults)
-    return Findings(handle, replace(_begun(handle, seed), comparison="the metadata are damaged", faults=told), True)
+def _unread(handle: Atlas, seed: int, damage: list[str]) -> Findings:
+    """The findings in a store with damaged metadata, through which nothing can be read."""
+    faults = tuple(StoreFault(None, text, (METADATA,)) for text in damage)
+    return Findings(handle, replace(_empty_report(handle, seed), comparison="the metadata are damaged", faults=faults))
 
 
-def _begun(handle: Atlas, seed: int) -> Report:
+def _empty_report(handle: Atlas, seed: int) -> Report:
     """The report on a store before anything is read."""
     done = len(done_tiles(handle))
     return Report(str(handle.place), handle.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
 
 
-def _found(handle: Atlas, sample: int, seed: int, notify: Callable[[Progress], None]) -> Findings:
-    """The faults of a store, without its zoom levels."""
-    tiling = handle.tiling
+def _read(handle: Atlas, sample: int, seed: int, notify: Callable[[Progress], None]) -> Findings:
+    """The findings in a store with sound spare metadata."""
     notify(Progress("listing the tiles"))
     done = sorted(done_tiles(handle))
-    report = _begun(handle, seed)
-    if wrong := metadata_faults(handle):
-        return _unread(handle, seed, wrong)
+    if damage := metadata_faults(handle):
+        return _unread(handle, seed, damage)
     records = Records(handle, done)
-    worn = coordinate_faults(handle)
-    faults = [StoreFault(None, what) for what in worn]
-    foreign = tuple(foreign_keys(handle))
-    faults += [StoreFault(None, f"{key} is not a chunk of this atlas") for key in foreign]
+    faults = [StoreFault(None, text, (COORDINATES,)) for text in coordinate_faults(handle)]
+    faults += [StoreFault(None, f"{key} is not a chunk of this atlas", (FOREIGN, key)) for key in foreign_keys(handle)]
 
-    chunks = cells = 0
-    samples: list[Sample] = []
-    counted: dict[Index, Rows] = {}
-    for tile in _read_all(handle, records, done, draw_cells(tiling, done, sample, seed), notify):
-        faults += [StoreFault(tile.index, what) for what in tile.faults]
-        chunks, cells = chunks + tile.chunks, cells + tile.cells
-        samples += tile.samples
-        counted |= {tile.index: tile.row} if tile.row is not None else {}
+    drawn = draw_cells(handle.tiling, done, sample, seed)
+    tiles = list(_read_tiles(handle, records, done, drawn, notify))
+    faults += [StoreFault(tile.index, text) for tile in tiles for text in tile.faults]
     faults += [StoreFault(index, f"{chunk_key(handle.regime, index)} is missing") for index in records.lost]
 
-    comparison = _comparison(handle, sample, bool(done))
-    report = replace(report, chunks=chunks, cells_checked=cells, comparison=comparison)
-    doubts: list[StoreFault] = []
-    if report.comparison in ("bits", "error"):
-        exact = report.comparison == "bits"
-        notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
-        for k, one in enumerate(samples, 1):
-            notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
-            again = solve_again(handle.spec, one)
-            different = unequal(one.stored, again) if exact else beyond_error(handle.spec, one.stored, again)
-            if different:
-                found = StoreFault(one.tile, f"cell {place_in(handle.spec, one.cell)}: {different}")
-                (faults if exact else doubts).append(found)
-        report = replace(report, cells_solved=len(samples))
-    bad = sorted({fault.tile for fault in faults if fault.tile is not None})
-    overviews = check_overviews(handle, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
-    faults += [StoreFault(None, what) for what in overviews.faults]
+    comparison, solved, doubts = _comparison(handle, sample, bool(done)), 0, list[StoreFault]()
+    if comparison in ("bits", "error"):
+        samples = [one for tile in tiles for one in tile.samples]
+        different, solved = _solve_again(handle.spec, samples, comparison == "bits", notify), len(samples)
+        (faults if comparison == "bits" else doubts).extend(different)
+    bad = {fault.tile for fault in faults if fault.tile is not None}
+    chunks, wrong = check_overviews(handle, bad, lambda level: notify(Progress(f"checking overview {level}")))
     notify(Progress("checking tables and records"))
-    groups = check_groups(handle)
-    wrong = record_faults(handle, records, counted)
-    faults += [StoreFault(None, what) for what in (*groups.faults, *wrong)]
-    report = replace(report, overview_chunks=overviews.chunks, faults=tuple(faults), doubts=tuple(doubts))
-    return Findings(
-        handle,
-        report,
-        worn=bool(worn),
-        records={index: row for index, row in counted.items() if index not in bad} if wrong else None,
-        tiles=tuple(bad),
-        overviews=overviews,
-        groups=groups,
-        foreign=foreign,
+    rows = {tile.index: tile.row for tile in tiles if tile.row is not None}
+    contradictions = [StoreFault(None, text, (RECORDS,)) for text in record_faults(handle, records, rows)]
+    faults += [*wrong, *check_groups(handle), *contradictions]
+    sheet_count, zoom_faults, zoom_doubts = _check_zoom(handle, sample, seed, notify)
+    report = replace(
+        _empty_report(handle, seed),
+        chunks=sum(tile.chunks for tile in tiles),
+        cells_checked=sum(tile.cells for tile in tiles),
+        cells_solved=solved,
+        comparison=comparison,
+        overview_chunks=chunks,
+        sheets=sheet_count,
+        faults=(*faults, *zoom_faults),
+        doubts=(*doubts, *zoom_doubts),
     )
+    return Findings(handle, report, {index: row for index, row in rows.items() if index not in bad})
 
 
-def _with_zoom(found: Findings, sample: int, notify: Callable[[Progress], None]) -> Findings:
-    """The same with the faults of the zoom levels, whose sheets are stores themselves.
+def _solve_again(
+    spec: Spec, samples: list[Sample], exact: bool, notify: Callable[[Progress], None]
+) -> Iterator[StoreFault]:
+    """A fault for each cell of the sample whose results, solved again, differ: in any bit, or beyond their errors."""
+    notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
+    for k, one in enumerate(samples, 1):
+        notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
+        again = solve_again(spec, one)
+        different = unequal(one.stored, again) if exact else beyond_error(spec, one.stored, again)
+        if different:
+            yield StoreFault(one.tile, f"cell {place_in(spec, one.cell)}: {different}")
+
+
+def _check_zoom(
+    handle: Atlas, sample: int, seed: int, notify: Callable[[Progress], None]
+) -> tuple[int, list[StoreFault], list[StoreFault]]:
+    """The number of sheets of the zoom levels, which are stores themselves, and their faults and doubts.
 
     Of as many sheets as the sample has cells, one cell each is solved again.
     """
-    handle, report = found.handle, found.report
-    if found.unread:
-        return found
     known = sheets(handle)
-    planes = {} if handle.place.only_read else plane_faults(handle)
-    solved = set(random.Random(report.seed).sample(known, min(sample, len(known))))
-    faults, doubts = list(report.faults), list(report.doubts)
-    faults += [StoreFault(None, f"{key} {what}") for key, what in planes.items()]
-    bad: list[tuple[str, ...]] = [tuple(key.split("/")[1:-1]) for key in planes]
+    damage = {} if handle.place.only_read else plane_faults(handle)
+    solved = set(random.Random(seed).sample(known, min(sample, len(known))))
+    faults, doubts = list[StoreFault](), list[StoreFault]()
+    faults += [StoreFault(None, f"{key} {text}", (ZOOM, *key.split("/")[1:-1])) for key, text in damage.items()]
     for k, (plane, sheet) in enumerate(known, 1):
         notify(Progress(f"reading the zoom levels: sheet {k} of {len(known)}", passing=True))
+        part = (ZOOM, plane, sheet)
         try:
             place = sheet_place(handle, plane, sheet)
-            own = find(place, int((plane, sheet) in solved), report.seed, lambda _: None).report
+            report = find(place, int((plane, sheet) in solved), seed, lambda _: None).report
         except InputError as error:
-            faults.append(StoreFault(None, str(error)))
-            bad.append((plane, sheet))
+            faults.append(StoreFault(None, str(error), part))
             continue
-        bad += [(plane, sheet)] if own.faults else []
-        for all_of, some in ((faults, own.faults), (doubts, own.doubts)):
-            all_of += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
-    report = replace(report, sheets=len(known), faults=tuple(faults), doubts=tuple(doubts))
-    return replace(found, report=report, zoom=tuple(bad))
+        faults += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}", part) for fault in report.faults]
+        doubts += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}", part) for fault in report.doubts]
+    return len(known), faults, doubts
 
 
 @dataclass(frozen=True)
-class _Checked:
-    """A tile read: good chunks, cells checked by the rules, what is wrong, and the cells drawn from it.
+class _TileReport:
+    """A tile that was read: its good chunks, the cells checked by the rules, its faults, the cells drawn from it.
 
     ``row`` is its record, by the cells; None where they cannot be read.
     """
@@ -207,13 +186,13 @@ class _Checked:
     row: Rows | None = None
 
 
-def _read_all(
+def _read_tiles(
     handle: Atlas,
     records: Records,
     done: list[Index],
     drawn: dict[Index, list[int]],
     notify: Callable[[Progress], None],
-) -> Iterator[_Checked]:
+) -> Iterator[_TileReport]:
     """Read and check the finished tiles, several at once."""
     arrays, tiling = open_arrays(handle), handle.tiling
     _ = records.rows  # before several threads ask for them
@@ -224,7 +203,7 @@ def _read_all(
     stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
     notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check(handle, arrays, records, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check_tile(handle, arrays, records, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = unfinished + read
@@ -232,15 +211,15 @@ def _read_all(
             yield tile
 
 
-def _check(handle: Atlas, arrays: dict[str, Any], records: Records, index: Index, drawn: list[int]) -> _Checked:
+def _check_tile(handle: Atlas, arrays: dict[str, Any], records: Records, index: Index, drawn: list[int]) -> _TileReport:
+    """Read a finished tile, and check its chunks, its cells and its record; ``drawn`` are cells to be solved again."""
     tile = handle.tiling.at(index)
-    needed = {each.name for each in (*handle.variables, *ALLOWANCES)} | {*handle.record["attributes"][COVERED]}
+    needed = {variable.name for variable in (*handle.variables, *ALLOWANCES)} | {*handle.record["attributes"][COVERED]}
     stored = needed & arrays.keys()
     try:
         values = read_tile(handle, index, needed, arrays)
     except ChunkError as error:
-        bad = tuple(f"{key} {fault}" for key, fault in error.faults.items())
-        return _Checked(index, len(stored) - len(bad), 0, bad, ())
+        return _TileReport(index, len(stored) - len(error.lines), 0, tuple(error.lines), ())
     broken = broken_rules(handle.spec, tile.slices, values)
     faults = tuple(
         f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(handle.spec, _first(mask, tile.slices))}"
@@ -256,16 +235,16 @@ def _check(handle: Atlas, arrays: dict[str, Any], records: Records, index: Index
         samples.append(Sample(cell, index, {name: array[one].copy() for name, array in values.items()}))
     sparse = [v for v in (*handle.variables, *handle.allowances) if v.sparse and v.name in values]
     chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
-    return _Checked(index, chunks, tile.size, faults, tuple(samples), row)
+    return _TileReport(index, chunks, tile.size, faults, tuple(samples), row)
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
     """The first cell of a mask over a tile, as its index in the atlas."""
-    return tuple(part.start + int(found[0]) for part, found in zip(slices, np.nonzero(mask), strict=True))
+    return tuple(part.start + int(along[0]) for part, along in zip(slices, np.nonzero(mask), strict=True))
 
 
 def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
-    """So many cells of the finished tiles, each as likely as any other: flat indices within their tiles."""
+    """Draw ``count`` cells of the finished tiles, all with the same probability: flat indices within their tiles."""
     rng = random.Random(seed)
     ends = list(accumulate(tiling.at(index).size for index in done))
     total = ends[-1] if ends else 0
@@ -277,7 +256,7 @@ def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict
 
 
 def _comparison(handle: Atlas, sample: int, any_done: bool) -> str:
-    """How the cells that are solved again are to be compared, or why none is."""
+    """How cells that are solved again are compared, "bits" or "error", or the reason why no cell is."""
     if not sample:
         return "none asked for"
     if handle.solver_version != SOLVER_VERSION:

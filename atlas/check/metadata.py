@@ -16,18 +16,18 @@ from atlas.store.record import RECORD, TILES
 from atlas.store.schema import OVERVIEWS
 from atlas.store.spare import alone
 from atlas.store.store import ROOT, ZOOM, Atlas, arrays_by, open_arrays, own_nodes
-from atlas.store.tiles import covered_variables, encoded, object_shape
+from atlas.store.tiles import covered_variables, object_shape
 
 
 def metadata_faults(handle: Atlas) -> list[str]:
-    """Contradictions between a store's metadata and its spec, or within its metadata; each in a few words."""
+    """Contradictions between a store's metadata and its spec, or within its metadata, in a few words each."""
     spec = handle.spec
     faults = []
     try:
         if resolved_digest(handle.resolved) != handle.digest:
             faults.append(f"{ROOT}: the digest does not match the spec")
     except ChunkError as error:
-        return [_said_of_values(handle, key, fault) for key, fault in error.faults.items()]
+        return [_values_fault(key, fault) for key, fault in error.faults.items()]
     if handle.outline["axes"]:
         ends = [axis.outline() for axis in Spec.from_resolved(handle.resolved).axes]
         faults += [
@@ -36,7 +36,7 @@ def metadata_faults(handle: Atlas) -> list[str]:
     try:
         own, copied = arrays_by(handle, own_nodes(handle)), arrays_by(handle, handle.nodes)
     except ChunkError as error:
-        return [*faults, *(f"{key} {fault}" for key, fault in error.faults.items())]
+        return [*faults, *error.lines]
     sizes, variables = spec.extra_sizes, handle.variables
     shapes = {name: coordinate.values.shape for name, coordinate in handle.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
@@ -59,33 +59,34 @@ def metadata_faults(handle: Atlas) -> list[str]:
         where = f"{variable.name}/{ROOT}"
         stored = object_shape(array)
         if (array.dtype, stored[: len(handle.tile)]) != (np.dtype(variable.dtype), handle.tile):
-            found = f"{array.dtype} in chunks of {stored}"
-            faults.append(f"{where}: {found}, must be {variable.dtype} in tiles of {handle.tile}")
+            layout = f"{array.dtype} in chunks of {stored}"
+            faults.append(f"{where}: {layout}, must be {variable.dtype} in tiles of {handle.tile}")
         if not np.array_equal(array.fill_value, variable.fill, equal_nan=np.dtype(variable.dtype).kind == "f"):
             faults.append(f"{where}: fill value {array.fill_value}, must be {variable.fill}")
     return faults
 
 
-def _said_of_values(handle: Atlas, key: str, fault: str) -> str:
+def _values_fault(key: str, fault: str) -> str:
+    """The fault of values that the spec is read from: the values of an axis, or the root itself."""
     if key == ROOT:
         return f"{ROOT}: the digest does not match the spec"
     return f"coordinate {key} {fault}: it cannot be made again"
 
 
 def copy_faults(handle: Atlas) -> dict[str, dict[str, Any]]:
-    """The copies of metadata that differ from their originals, by the keys of these.
+    """Copies of metadata that differ from their originals, by the keys of the originals.
 
-    The root, each level of an overview and each table have copies of the metadata of all that lies in them. Of the
-    root's those of its arrays are left out, see ``metadata_faults``, and those of groups that are not there any more.
-    A level or a table whose copies are not those of the same arrays as the root's is found too.
+    The root, every level of an overview and every table hold copies of the metadata of their members. Among the
+    root's, copies of arrays are left to ``metadata_faults``, and copies of groups that no longer exist are ignored.
+    A level or a table counts as different too if its copies and the root's are of different arrays.
     """
-    found: dict[str, dict[str, Any]] = {}
+    different: dict[str, dict[str, Any]] = {}
     for where in ("", *(key.removesuffix(ROOT) for key in _groups_with_copies(handle))):
         group = _json(handle, f"{where}{ROOT}")
         copies = _copies_in(group)
         known = {name.removeprefix(where) for name in handle.nodes if where and name.startswith(where)}
         if group is not None and known and known != copies.keys():
-            found[f"{where}{ROOT}"] = group
+            different[f"{where}{ROOT}"] = group
             continue
         for name, copy in copies.items():
             top = f"{where}{name}".partition("/")[0]
@@ -95,18 +96,12 @@ def copy_faults(handle: Atlas) -> dict[str, dict[str, Any]]:
                 continue
             own = _json(handle, f"{where}{name}/{ROOT}")
             if not _same(own, copy, late="complete" if name == OVERVIEWS else ""):
-                found[f"{where}{name}/{ROOT}"] = copy
-    return found
-
-
-def restore(handle: Atlas, copies: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write metadata anew, by their copies."""
-    for key, copy in copies.items():
-        handle.place.put(key, json.dumps(alone(copy)).encode())
+                different[f"{where}{name}/{ROOT}"] = copy
+    return different
 
 
 def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """The copies of metadata in those of a group, by path; none where they cannot be read."""
+    """The copies of metadata within the metadata of a group, by path; empty if they cannot be read."""
     copies = (group or {}).get("consolidated_metadata")
     nodes = copies.get("metadata") if isinstance(copies, dict) else None
     return nodes if isinstance(nodes, dict) and all(isinstance(node, dict) for node in nodes.values()) else {}
@@ -119,27 +114,27 @@ def _groups_with_copies(handle: Atlas) -> list[str]:
 
 
 def _json(handle: Atlas, key: str) -> dict[str, Any] | None:
-    """Metadata as they are, None where there are none that can be read."""
+    """Stored metadata; None if they are missing or cannot be read."""
     try:
-        found = json.loads(handle.place.get(key) or b"")
+        metadata = json.loads(handle.place.get(key) or b"")
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return metadata if isinstance(metadata, dict) else None
 
 
 def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> bool:
-    """Whether a copy is that of these metadata; the attribute ``late`` may have been written after it was made."""
+    """Whether metadata equal their copy; the attribute ``late`` may have been written after the copy was made."""
     if own is None or not isinstance(own.get("attributes", {}), dict):
         return False
     one, other = alone(own), alone(copy)
-    attributes = [dict(each.get("attributes", {})) for each in (one, other)]
+    attributes = [dict(metadata.get("attributes", {})) for metadata in (one, other)]
     if late not in attributes[1]:
         attributes[0].pop(late, None)
     return one | {"attributes": attributes[0]} == other | {"attributes": attributes[1]}
 
 
 def coordinate_faults(handle: Atlas) -> list[str]:
-    """Coordinates and copies that cannot be read or are not the spec's to the bit; each in a few words."""
+    """Coordinates and copies that cannot be read, or differ from the spec's in any bit, in a few words each."""
     arrays = open_arrays(handle)
     faults = [f"{key} is damaged or missing" for key, data in handle.copies.items() if handle.place.get(key) != data]
     for name, coordinate in handle.coordinates.items():
@@ -153,11 +148,3 @@ def coordinate_faults(handle: Atlas) -> list[str]:
         if not np.array_equal(values, coordinate.values):
             faults.append(f"coordinate {name} is not the spec's, or missing")
     return faults
-
-
-def restore_coordinates(handle: Atlas) -> None:
-    """Write the coordinates and their copies again, from the spec."""
-    arrays, objects = open_arrays(handle), handle.copies
-    for name, coordinate in handle.coordinates.items():
-        objects |= encoded(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
-    handle.place.put_all(objects)

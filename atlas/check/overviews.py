@@ -2,24 +2,19 @@
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.check.report import CHUNK, GROUP, StoreFault
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import CODES, coarsen
 from atlas.overview.coordinates import level_coordinates
 from atlas.overview.levels import Index
-from atlas.overview.pyramid import (
-    GROUP,
-    MARKS,
-    Pyramid,
-    drop_all,
-    level_key,
-)
+from atlas.overview.pyramid import MARKS, Pyramid, level_key
 from atlas.query.source import Part
+from atlas.store.schema import OVERVIEWS
 from atlas.store.store import READERS, ROOT, Atlas
 from atlas.text import plural
 from workers.results import REGIME
@@ -28,103 +23,72 @@ ROUNDING = 1e-9
 """By how much numbers may differ, relatively or absolutely: widths of cells on log axes depend on the machine."""
 
 
-@dataclass(frozen=True)
-class OverviewReport:
-    """The faults of a store's overviews: chunks that were read whole, faults, each in a line.
+def check_overviews(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> tuple[int, list[StoreFault]]:
+    """Read every chunk of every level: the number of chunks read whole, and the faults.
 
-    unsound     chunks, by level and index, that must not stay: with faults, or over what is not sound
-    misformed   metadata or coordinates are damaged: no chunk was read, and none may stay
+    ``bad`` are the finished tiles with faults: chunks over them are not compared, since they go with the tiles.
+    ``on_level`` is called with each level before it is read. Where metadata or coordinates are damaged, no chunk is
+    read, and the group of all overviews is the faulty part.
     """
-
-    chunks: int
-    faults: tuple[str, ...]
-    unsound: tuple[tuple[int, Index], ...]
-    misformed: bool = False
-
-
-@dataclass(frozen=True)
-class _CheckedChunk:
-    """A chunk of a level that was read: its arrays that are whole, its faults, and whether it may stay."""
-
-    index: Index
-    arrays: int
-    faults: tuple[str, ...]
-    sound: bool
-
-
-def check_overviews(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> OverviewReport:
-    """Read every chunk of every level, from the first level on; ``bad`` are the finished tiles that are not sound.
-
-    ``on_level`` is called with each level before it is read.
-    """
-    if misformed := _form_faults(handle):
-        return OverviewReport(0, tuple(misformed), (), misformed=True)
-    chunks = 0
-    faults: list[str] = []
-    dropped: list[tuple[int, Index]] = []
-    for level, checked in _checked(handle, bad, on_level):
-        chunks += checked.arrays
-        faults += checked.faults
-        dropped += [] if checked.sound else [(level, checked.index)]
-    return OverviewReport(chunks, tuple(faults), tuple(dropped))
-
-
-def drop_unsound(handle: Atlas, report: OverviewReport) -> None:
-    """Drop what must not stay, and all that lies over it; the next run makes it anew."""
-    if report.misformed:
-        drop_all(handle)
-    Pyramid(handle).drop_chunks(report.unsound)
+    if damage := _form_faults(handle):
+        return 0, [StoreFault(None, text, (GROUP, OVERVIEWS)) for text in damage]
+    chunks, faults = 0, list[StoreFault]()
+    for whole, wrong in _checked(handle, bad, on_level):
+        chunks += whole
+        faults += wrong
+    return chunks, faults
 
 
 def _form_faults(handle: Atlas) -> list[str]:
-    """What of the metadata and coordinates of overviews cannot be read, or is not as new ones have it."""
+    """Faults of the metadata and coordinates of overviews: unreadable, or unlike those of new overviews."""
     pyramid, faults = Pyramid(handle), []
     levels = pyramid.levels
     for level in range(1, levels.count + 1) if pyramid.made else ():
-        shape = levels.shape_of(level)
-        shapes = {v.name: shape + (CODES.size,) * len(v.extra) for v in pyramid.variables}
+        cells = levels.shape_of(level)
+        shapes = {v.name: cells + (CODES.size,) * len(v.extra) for v in pyramid.variables}
         for name, expected in shapes.items():
             try:
-                found = pyramid.array(level, name).shape
-                if found != expected:
-                    faults.append(f"{GROUP}/{level}/{name}/{ROOT}: shape {found}, must be {expected}")
+                shape = pyramid.array(level, name).shape
+                if shape != expected:
+                    faults.append(f"{OVERVIEWS}/{level}/{name}/{ROOT}: shape {shape}, must be {expected}")
             except ChunkError as error:
-                faults += [f"{key} {what}" for key, what in error.faults.items()]
+                faults += error.lines
         for name, coordinate in level_coordinates(handle, level).items():
             try:
-                found = pyramid.read(level, name, tuple(slice(0, n) for n in coordinate.values.shape))
-                if not np.all(_same(found, coordinate.values)):
-                    faults.append(f"{GROUP}/{level}/{name} is not the spec's, or missing")
+                values = pyramid.read(level, name, tuple(slice(0, n) for n in coordinate.values.shape))
+                if not np.all(_same(values, coordinate.values)):
+                    faults.append(f"{OVERVIEWS}/{level}/{name} is not the spec's, or missing")
             except ChunkError as error:
-                faults += [f"{key} {what}" for key, what in error.faults.items()]
+                faults += error.lines
     return faults
 
 
-def _checked(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, _CheckedChunk]]:
+def _checked(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, list[StoreFault]]]:
+    """The chunks of all levels, from the first level on: arrays that are whole, and faults."""
     pyramid = Pyramid(handle)
     if not pyramid.made:
         return
-    whole = tuple(slice(0, n) for n in handle.spec.shape)
-    part = Part(handle, whole, pyramid)
+    part = Part(handle, tuple(slice(0, n) for n in handle.spec.shape), pyramid)
     unsound: set[Index] = set()
     with ThreadPoolExecutor(READERS) as readers:
         for level in range(1, pyramid.levels.count + 1):
             on_level(level)
             complete, shown = (pyramid.stored(level, mark) for mark in MARKS)
-            # Over what is not sound nothing can be computed, whether or not a chunk between the two is stored.
+            # A chunk over unsound cells cannot be computed, whether or not the chunks between the two are stored.
             over = {pyramid.levels.above(index) for index in unsound}
             if level == 1:
                 over = {pyramid.levels.over(tile) for tile in bad}
             indices = sorted(complete | shown)
             checks = [(part, level, index, index in complete, index in over) for index in indices]
             unsound = over
-            for checked in readers.map(lambda given: _check(*given), checks):
-                if not checked.sound:
-                    unsound.add(checked.index)
-                yield level, checked
+            for index, (whole, faults) in zip(indices, readers.map(lambda given: _check(*given), checks), strict=True):
+                if faults:
+                    unsound.add(index)
+                yield whole, [StoreFault(None, text, (CHUNK, level, index)) for text in faults]
 
 
-def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> _CheckedChunk:
+def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:
+    """The number of arrays of a chunk that are whole, and its faults."""
     levels = part.pyramid.levels
     place = levels.block(level, index)
     variables = part.pyramid.variables
@@ -135,7 +99,7 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
         try:
             stored[variable] = part.pyramid.read(level, variable.name, place)
         except ChunkError as error:
-            faults += [f"{key} {what}" for key, what in error.faults.items()]
+            faults += error.lines
     undone = part.undone(level, place)
     if undone:
         key = level_key(level, MARKS[0] if complete else MARKS[1], index)
@@ -149,7 +113,7 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
             if wrong:
                 key = level_key(level, variable, index)
                 faults.append(f"{key} differs from the cells below it: {plural(wrong, 'number')}")
-    return _CheckedChunk(index, len(stored), tuple(faults), sound=not faults and not over_unsound)
+    return len(stored), faults
 
 
 def _same(one: NDArray[Any], two: NDArray[Any]) -> NDArray[np.bool_]:

@@ -1,47 +1,56 @@
-"""Dropping faulty objects from a store, so that the next run, search or explorer makes them again.
+"""Dropping faulty parts of a store, so that the next run, search or explorer makes them again.
 
-What no run makes is written again: metadata, coordinates and records of tiles, which the spec and the cells decide.
+Parts that no run makes are written again: metadata, coordinates and records of tiles, which the spec and the cells
+determine.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from atlas.check.find import Findings, Index
-from atlas.check.groups import mend_groups
-from atlas.check.metadata import restore_coordinates
-from atlas.check.overviews import drop_unsound
-from atlas.check.report import Report
-from atlas.check.zoom import drop_zoom
-from atlas.overview.pyramid import Pyramid
+from atlas.check.find import Findings
+from atlas.check.metadata import copy_faults
+from atlas.check.report import CHUNK, COORDINATES, COPY, FOREIGN, GROUP, MACHINE, PART, Report
+from atlas.errors import MADE_BY
+from atlas.overview.pyramid import Pyramid, drop_all
+from atlas.store.groups import drop_group
+from atlas.store.machine import UNKNOWN
+from atlas.store.machines import record_machine, recorded_machine
 from atlas.store.place import Place
-from atlas.store.record import WIDTH, Rows
+from atlas.store.record import RECORDS, WIDTH
 from atlas.store.records import write_compaction
-from atlas.store.spare import SPARE, copy_metadata, mend_by_spare, packed_spare, read_spare, spare_faults
-from atlas.store.store import ROOT, ZOOM, Atlas
-from atlas.store.tiles import drop_tile
+from atlas.store.schema import OVERVIEWS
+from atlas.store.spare import SPARE, alone, copy_metadata, mend_by_spare, packed_spare, read_spare, spare_faults
+from atlas.store.store import ROOT, ZOOM, open_arrays
+from atlas.store.tiles import drop_tile, encoded
+from atlas.store.zoom import describe_planes, drop_sheet
 from atlas.text import plural
 
+Names = Sequence[tuple[Any, ...]]
+"""The names of faulty parts of one kind; the kind itself is left out."""
 
-def repair(found: Findings, again: Callable[[], Findings]) -> Report:
-    """Drop the faulty objects of a claimed store; without a fault nothing is written.
 
-    Where the metadata were, they are written again and the store is read ``again``: no cell was read through them.
+def repair(findings: Findings, again: Callable[[], Findings]) -> Report:
+    """Drop the faulty parts of a claimed store; without a fault nothing is written.
+
+    Damaged metadata are written again, and then the store is read ``again``: no cell was read through them.
     """
-    if not found.unread:
-        return _dropped(found)
-    written = _write_metadata(found.handle.place)
-    told, found = found.report.faults, again()
-    if found.unread:
-        return replace(found.report, faults=tuple(dict.fromkeys((*told, *found.report.faults))), repaired=())
-    report = _dropped(found)
-    return replace(report, faults=(*told, *report.faults), mended=(*written, *report.mended))
+    if not findings.unread:
+        return _repaired(findings)
+    written, first = _write_metadata(findings.handle.place), findings.report.faults
+    findings = again()
+    if findings.unread:
+        faults = tuple(dict.fromkeys((*first, *findings.report.faults)))
+        return replace(findings.report, faults=faults, repaired=())
+    report = _repaired(findings)
+    return replace(report, faults=(*first, *report.faults), mended=(*written, *report.mended))
 
 
 def _write_metadata(place: Place) -> list[str]:
-    """Write metadata as their spare has them, else the root's copies as the arrays have them; a line for each."""
+    """Write metadata as their spare has them, else the root's copies as the arrays have them; returns a line each."""
     spare = read_spare(place)
     if spare is not None and (lost := spare_faults(place, spare)):
         mend_by_spare(place, spare, lost)
@@ -50,40 +59,116 @@ def _write_metadata(place: Place) -> list[str]:
     return [f"{ROOT}: its consolidated metadata written again"]
 
 
-def _dropped(found: Findings) -> Report:
-    """The report after the faulty parts were dropped, overviews before the tiles that they are of."""
-    handle, report = found.handle, found.report
-    mended = list[str]()
-    if found.spareless:
-        handle.place.put(SPARE, packed_spare(handle.place.get(ROOT) or b""))
-        mended.append(f"{SPARE} written again")
-    if found.worn:
-        restore_coordinates(handle)
-    if found.overviews is not None:
-        drop_unsound(handle, found.overviews)
-    if found.tiles:
-        Pyramid(handle).drop(found.tiles)
-    for index in found.tiles:
+def _repaired(findings: Findings) -> Report:
+    """Drop or mend the faulty parts, overviews before the tiles below them; returns the report with the repairs."""
+    handle, faults = findings.handle, findings.report.faults
+    tiles = sorted({fault.tile for fault in faults if fault.tile is not None})
+    parts = list(dict.fromkeys(fault.part for fault in faults if fault.part))
+
+    def names(kind: str) -> Names:
+        return [part[1:] for part in parts if part[0] == kind]
+
+    pyramid = Pyramid(handle)
+    dropped = pyramid.drop_chunks({*names(CHUNK), *((1, pyramid.levels.over(tile)) for tile in tiles)})
+    for index in tiles:
         drop_tile(handle, index)
-    for key in found.foreign:
+    removed = tuple(str(key) for (key,) in names(FOREIGN))
+    for key in removed:
         handle.place.remove(key)
-    if found.groups is not None:
-        mended += mend_groups(handle, found.groups)
-    if found.records is not None:
-        mended += _records_written(handle, found.records)
-    if found.zoom:
-        drop_zoom(handle, found.zoom)
-        mended += [f"{ZOOM}/{ROOT} written again"] * (() in found.zoom)
-    if folders := {*found.zoom} - {()}:
-        mended.append(f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves them again")
-    dropped = 0 if found.overviews is None else len(found.overviews.unsound)
-    return replace(report, repaired=found.tiles, dropped=dropped, removed=found.foreign, mended=tuple(mended))
+    mended = [line for kind, mend in MENDERS.items() if names(kind) for line in mend(findings, names(kind))]
+    return replace(findings.report, repaired=tuple(tiles), dropped=dropped, removed=removed, mended=tuple(mended))
 
 
-def _records_written(handle: Atlas, sound: Mapping[Index, Rows]) -> Iterator[str]:
-    """Write the records of sound tiles by their cells, all together; a line about it."""
-    rows, settled = np.zeros((*handle.tiling.grid, WIDTH)), np.zeros(handle.tiling.grid, dtype=bool)
-    for index, row in sound.items():
+def _mend_spare(findings: Findings, _: Names) -> Iterator[str]:
+    place = findings.handle.place
+    place.put(SPARE, packed_spare(place.get(ROOT) or b""))
+    yield f"{SPARE} written again"
+
+
+def _mend_coordinates(findings: Findings, _: Names) -> Iterator[str]:
+    """Write the coordinates and their copies again, from the spec."""
+    handle = findings.handle
+    arrays, objects = open_arrays(handle), handle.copies
+    for name, coordinate in handle.coordinates.items():
+        objects |= encoded(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
+    handle.place.put_all(objects)
+    yield "coordinates written again"
+
+
+def _drop_groups(findings: Findings, names: Names) -> Iterator[str]:
+    handle = findings.handle
+    for (group,) in names:
+        if group == OVERVIEWS:
+            drop_all(handle)
+        else:
+            drop_group(handle, group)
+            handle.place.remove_all(list(handle.place.list_keys(f"{group}/")))
+        command = f"{MADE_BY[group]} {handle.place}" if group in MADE_BY else "the next run"
+        yield f"{group} dropped: {command} makes them anew"
+
+
+def _drop_parts(findings: Findings, names: Names) -> Iterator[str]:
+    place = findings.handle.place
+    for (key,) in names:
+        place.remove(key)
+        yield f"{key} dropped: {MADE_BY[key.split('/')[1]]} {place} finds it again"
+
+
+def _mend_copies(findings: Findings, names: Names) -> Iterator[str]:
+    """Write metadata of groups again, by their copies."""
+    copies = copy_faults(findings.handle)
+    for (key,) in names:
+        if key in copies:
+            findings.handle.place.put(key, json.dumps(alone(copies[key])).encode())
+        yield f"{key} written again, as its copy has it"
+
+
+def _mend_machines(findings: Findings, names: Names) -> Iterator[str]:
+    handle = findings.handle
+    for (key,) in names:
+        if recorded_machine(handle.place, key) is None:
+            record_machine(handle, UNKNOWN)  # verification still has to know that there was another machine
+            handle.place.remove(key)
+            yield f"{key} replaced by the record of an unknown machine"
+
+
+def _write_records(findings: Findings, _: Names) -> Iterator[str]:
+    """Write the records of sound tiles by their cells, all together."""
+    grid = findings.handle.tiling.grid
+    rows, settled = np.zeros((*grid, WIDTH)), np.zeros(grid, dtype=bool)
+    for index, row in findings.rows.items():
         rows[index], settled[index] = row, True
-    write_compaction(handle, rows, settled)
-    yield f"records of {plural(len(sound), 'tile')} collected"
+    write_compaction(findings.handle, rows, settled)
+    yield f"records of {plural(len(findings.rows), 'tile')} collected"
+
+
+def _drop_zoom(findings: Findings, names: Names) -> Iterator[str]:
+    """Remove sheets, named (plane, sheet), and planes (plane,) with all their sheets.
+
+    The metadata of the group of all planes, named (), are written again.
+    """
+    handle, folders = findings.handle, [name for name in names if name]
+    if () in names:
+        describe_planes(handle)
+        yield f"{ZOOM}/{ROOT} written again"
+    for plane, *sheets in folders:
+        if not sheets:
+            handle.place.remove(f"{ZOOM}/{plane}/{ROOT}")
+            sheets = sorted({key.split("/")[2] for key in handle.place.list_keys(f"{ZOOM}/{plane}/")})
+        for sheet in sheets:
+            drop_sheet(handle, plane, sheet)
+    if folders:
+        yield f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves them again"
+
+
+MENDERS: dict[str, Callable[[Findings, Names], Iterator[str]]] = {
+    SPARE: _mend_spare,
+    COORDINATES: _mend_coordinates,
+    GROUP: _drop_groups,
+    PART: _drop_parts,
+    COPY: _mend_copies,
+    MACHINE: _mend_machines,
+    RECORDS: _write_records,
+    ZOOM: _drop_zoom,
+}
+"""The function that drops or mends the faulty parts of a kind, in this order; its lines tell the user."""

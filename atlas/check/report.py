@@ -4,20 +4,28 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from atlas.errors import PACK
+from atlas.store.tiling import Index
 from atlas.text import html_table, plural
 
 SHOWN = 50
 """Faults that a terminal gets to see; ``--json`` has all."""
 
-Index = tuple[int, ...]
+METADATA, COORDINATES, CHUNK, GROUP, COPY, PART, FOREIGN, MACHINE = (
+    "metadata", "coordinates", "chunk", "group", "copy", "part", "foreign", "machine",
+)  # fmt: skip
+"""Kinds of faulty parts beside tiles, see ``repair.MENDERS``; others are named by their folder or object."""
 
 
 @dataclass(frozen=True)
 class StoreFault:
-    """A fault: its tile, None for the store as a whole, and a line that describes it."""
+    """A fault: its tile, None for the store as a whole, and a line that describes it.
+
+    ``part`` is the faulty part that a repair drops or writes again: its kind, then its name. Empty for a tile.
+    """
 
     tile: Index | None
     what: str
+    part: tuple[Any, ...] = ()
 
     def __str__(self) -> str:
         return self.what if self.tile is None else f"tile {self.tile}: {self.what}"
@@ -80,36 +88,31 @@ class Report:
     def rows(self) -> list[tuple[str, str]]:
         """The counts of checked objects, by name."""
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
-        found = [
-            (
-                "tiles",
-                f"{self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
-            ),
+        sample = f"not solved again: {self.comparison}"
+        if self.comparison in how:
+            sample = f"{plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
+        counts = [
+            ("tiles", f"{self.tiles_done} of {self.tiles} done" + "; atlas run completes it" * (not self.complete)),
             ("chunks", f"{self.chunks} read, checksums correct"),
             ("levels", f"{plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below"),
             ("cells", f"{self.cells_checked} checked against the rules"),
-            (
-                "sample",
-                f"{plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
-                if self.comparison in how
-                else f"not solved again: {self.comparison}",
-            ),
+            ("sample", sample),
         ]
         zoom = ("zoom", f"{plural(self.sheets, 'sheet')} of explored cells checked likewise")
-        return [*found, zoom] if self.sheets else found
+        return [*counts, zoom] if self.sheets else counts
 
     @property
     def findings(self) -> list[str]:
         """Faults and repairs, and the verdict at the end, in lines."""
         lines = []
-        for title, found in (("found", self.faults), ("in doubt", self.doubts)):
-            lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
-            lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []
+        for title, faults in (("found", self.faults), ("in doubt", self.doubts)):
+            lines += [f"{title}: {fault}" for fault in faults[:SHOWN]]
+            lines += [f"and {len(faults) - SHOWN} more {title}: --json lists them"] if len(faults) > SHOWN else []
         if self.faults and self.repaired is None:
             lines.append(f"remedy: {self.remedy}")
         if self.repaired is not None:
-            what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
-            lines.append(what if self.repaired else "no tile to drop")
+            dropped = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
+            lines.append(dropped if self.repaired else "no tile to drop")
             if self.dropped:
                 lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: the next run makes them again")
             lines += [f"removed: {key}" for key in self.removed]
@@ -126,4 +129,6 @@ class Report:
 
     def as_dict(self) -> dict[str, Any]:
         """The output of ``atlas verify --json``."""
-        return {"store": self.store, "fine": self.fine, "complete": self.complete} | asdict(self)
+        kept = {"store": self.store, "fine": self.fine, "complete": self.complete} | asdict(self)
+        faults, doubts = ([{"tile": f.tile, "what": f.what} for f in group] for group in (self.faults, self.doubts))
+        return kept | {"faults": faults, "doubts": doubts}

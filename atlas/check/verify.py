@@ -28,18 +28,18 @@ def verify(
     seed: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Report:
-    """Read a whole store, while no run is at work on it, and report all that is wrong in it.
+    """Read a whole store, while no run is at work on it, and report all its faults.
 
-    Metadata and coordinates are compared with the spec; every chunk of every finished tile is read, which checks its
-    checksum, and all of a tile against its record; every cell is checked by ``rules``, the sum law among them; every
-    chunk of an overview is compared with the cells below it. ``sample`` cells that ``seed`` draws, without failed ones,
-    are solved again: on the kind of machine that solved them the results have to be the same to the bit, elsewhere
-    within the errors. Tables, curves, records of machines and zoom levels are checked too.
-    ``repair``, which holds the store's claim throughout, drops what is faulty, so that the next run makes it again:
-    every tile with a fault becomes unfinished, and overviews, tables, curves, zoom levels and foreign names among the
-    chunks go. Damaged metadata and coordinates, which the spec decides, and records of tiles are written again. A tile
-    that is only in doubt stays; without a fault nothing is written.
-    Raises InputError where there is no store to verify, OSError where it cannot be read or repaired.
+    Metadata and coordinates are compared with the spec. Every chunk of every finished tile is read, which checks its
+    checksum, and every tile is compared with its record. Every cell is checked by ``rules``, the sum law among them.
+    Every chunk of an overview is compared with the cells below it. ``sample`` cells, drawn by ``seed``, are solved
+    again: on the kind of machine that solved them the results must be the same to the bit, elsewhere within the
+    errors. Tables, curves, records of machines and zoom levels are checked too.
+    ``repair`` holds the store's claim throughout and drops faulty parts, so that the next run makes them again: a tile
+    with a fault becomes unfinished; faulty overviews, tables, curves, zoom levels and foreign names among the chunks
+    are removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written again.
+    A tile that is only in doubt stays; without a fault nothing is written.
+    Raises InputError without a store to verify, OSError if it cannot be read or repaired.
 
     >>> import atlas
     >>> atlas.verify("plane.zarr", sample=2).fine
@@ -55,7 +55,7 @@ def verify(
         refuse_packed(place)
     with refused(place, "read"):
         if read_spare(place) is None:
-            open_handle(place)  # there is a store, before its claim is taken
+            open_handle(place)  # raises without a store, before its claim is taken
     drawn = random.SystemRandom().randrange(2**32) if seed is None else seed
     with reporting(on_progress) as report, ExitStack() as stack:
         if repair:

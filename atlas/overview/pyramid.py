@@ -176,11 +176,11 @@ class Pyramid:
         """Drop the overviews of these tiles, before any of them is written."""
         self.drop_chunks({(1, self.levels.over(tile)) for tile in tiles})
 
-    def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> None:
-        """Drop chunks of levels, given as pairs (level, index), and all chunks over them."""
-        wanted = set(chunks)
+    def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> int:
+        """Drop chunks of levels, given as pairs (level, index), and all chunks over them; the number dropped."""
+        wanted, dropped = set(chunks), set[tuple[int, Index]]()
         if not wanted or not self.made:
-            return
+            return 0
         over: set[Index] = set()
         for level in range(1, self.levels.count + 1):
             over = {self.levels.above(index) for index in over} | {index for n, index in wanted if n == level}
@@ -188,6 +188,8 @@ class Pyramid:
             for mark in MARKS:
                 for index in over & self.stored(level, mark):
                     self.handle.place.remove(level_key(level, mark, index))
+                    dropped.add((level, index))
+        return len(dropped)
 
     def _create_level(self, top: Any, level: int) -> None:
         spec, shape = self.handle.spec, self.levels.shape_of(level)

@@ -161,7 +161,7 @@ def test_overviews_are_of_the_attractor_with_the_largest_share(solved: Path, tmp
     handle = open_handle(shutil.copytree(solved, tmp_path / "out.zarr"))
     made = Overviews(handle, side=2, least=2)
     assert made.finish() > 0
-    assert not check_overviews(handle, set(), lambda _level: None).faults
+    assert not check_overviews(handle, set(), lambda _level: None)[1]
     coarse = xr.open_zarr(handle.path, group="overviews/1")
     assert coarse["share"].dims == ("R_coarse", "omega_coarse")
     largest = xr.open_zarr(handle.path)["share"].values[:2, :2, 0]
