@@ -11,6 +11,7 @@ from atlas.arguments import checked_suffix
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    Numbers,
     asked_cell,
     at_option,
     check_cell_options,
@@ -20,8 +21,7 @@ from atlas.cli.options import (
     look_options,
     maybe_store_argument,
     opened,
-    read_number,
-    read_pairs,
+    out_option,
     select_option,
     set_option,
     settings_options,
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from atlas.orbits.branches.seed import Seed
 
 TABLES = ("csv", "json")
-"""What branches can be written as, besides pictures."""
+"""Formats of files of branches, besides pictures."""
 
 
 @click.command(
@@ -78,12 +78,7 @@ TABLES = ("csv", "json")
     help="What a picture shows in place of section values and a file has besides, such as impact_phase:stop.",
 )
 @click.option("--budget", type=click.IntRange(min=1), default=MOST, show_default=True, help="Branches followed in all.")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help=f"Write the points to a .csv file, everything to .json, or a picture: .{', .'.join(FORMATS)}.",
-)
+@out_option(f"Write the points to a .csv file, everything to .json, or a picture: .{', .'.join(FORMATS)}.")
 @json_option
 @look_options("vmin", "vmax")
 @settings_options("exponents", "section_samples", "observe", "observe_values")
@@ -92,9 +87,9 @@ def branch(
     along: str,
     low: float,
     high: float,
-    given: tuple[str, ...],
-    point: tuple[str, ...],
-    select: tuple[str, ...],
+    given: Numbers,
+    point: Numbers,
+    select: Numbers,
     system: str,
     switch_branches: bool,
     budget: int,
@@ -118,31 +113,31 @@ def branch(
         if observable is not None:
             prepare_kernels(show, *kernels_for(seed.system, OBSERVED))
         show(Progress("following"))
-        found = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
+        branches = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
         if out is not None:
-            _write(found, out, look)
+            _write(branches, out, look)
     message = {"file": str(out)} if out is not None else {}
     if as_json:
-        click.echo(to_json(message | summary(found)))
+        click.echo(to_json(message | summary(branches)))
         return
-    _print(found)
+    _print(branches)
     if out is not None:
         click.echo(str(out))
 
 
-def summary(found: Branches) -> dict[str, Any]:
+def summary(branches: Branches) -> dict[str, Any]:
     """Branches as plain values, without their points."""
     return {
-        "system": found.system.name,
-        "parameters": dict(found.parameters),
-        "along": found.along,
-        "window": list(found.window),
-        "branches": _records(found.branches.reset_index()),
-        "events": _records(found.events),
+        "system": branches.system.name,
+        "parameters": dict(branches.parameters),
+        "along": branches.along,
+        "window": list(branches.window),
+        "branches": _records(branches.branches.reset_index()),
+        "events": _records(branches.events),
         "untried": [
-            {"branch": each.branch, "kind": each.event.kind, found.along: float(each.event.point.values[0]),
-             "why": each.why}
-            for each in found.untried
+            {"branch": untried.branch, "kind": untried.event.kind, branches.along: float(untried.event.point.values[0]),
+             "why": untried.why}
+            for untried in branches.untried
         ],
     }  # fmt: skip
 
@@ -150,80 +145,68 @@ def summary(found: Branches) -> dict[str, Any]:
 def _seed(
     show: Callable[[Progress], None],
     store: str | None,
-    given: tuple[str, ...],
-    point: tuple[str, ...],
-    select: tuple[str, ...],
+    given: Numbers,
+    point: Numbers,
+    select: Numbers,
     system: str,
     options: dict[str, Any],
 ) -> "Seed":
     """The orbit of the requested cell."""
     check_cell_options(store)
-    at = read_pairs("--at", point, read_number)
     if store is None:
         record, pairs, settings = asked_cell(given, system, options)
         prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)
-    ds = opened(store, read_pairs("--select", select, read_number))
+    ds = opened(store, select)
     prepare_kernels(show, *kernels_for(system_of(ds.attrs), ORBITS))
-    return seed_of_cell(ds, at)
+    return seed_of_cell(ds, point)
 
 
-def _print(found: Branches) -> None:
+def _print(branches: Branches) -> None:
     """A table of events, and how each branch ends."""
-    cycles = [CYCLE_PERIOD.name] if found.system.definition.unforced else []
-    events = [event for traced in found.traced for event in traced.run.events]
+    cycles = [CYCLE_PERIOD.name] if branches.system.definition.unforced else []
+    events = [event for traced in branches.traced for event in traced.run.events]
     rows = [
         (
-            str(each["branch"]),
-            each["kind"].replace("_", " "),
-            f"{each[found.along]:.12g}",
-            *(f"{each[name]:.10g}" for name in cycles),
-            orbit_name(event.point.orbit.itinerary, found.system),
-            str(each["unstable"]),
-            str(each["leaving"]) if each["leaving"] >= 0 else "",
+            str(row["branch"]),
+            row["kind"].replace("_", " "),
+            f"{row[branches.along]:.12g}",
+            *(f"{row[name]:.10g}" for name in cycles),
+            orbit_name(event.point.orbit.itinerary, branches.system),
+            str(row["unstable"]),
+            str(row["leaving"]) if row["leaving"] >= 0 else "",
         )
-        for each, event in zip(_records(found.events), events, strict=True)
+        for row, event in zip(_records(branches.events), events, strict=True)
     ]
+    periods = [name.replace("_", " ") for name in cycles]
     if rows:
-        print_table(
-            "",
-            [
-                "branch",
-                "event",
-                found.along,
-                *(name.replace("_", " ") for name in cycles),
-                "orbit",
-                "unstable",
-                "leaving",
-            ],
-            rows,
-        )
-    for number, each in enumerate(_records(found.branches)):
-        left = f", leaves branch {each['leaves']}" if each["leaves"] >= 0 else ""
-        traced = found.traced[number]
-        (first, *_, last), name = traced.values, orbit_name(traced.itinerary, found.system)
-        ends = [f"{first:.10g} ({each['first_end']})", f"{last:.10g} ({each['last_end']})"]
+        print_table("", ["branch", "event", branches.along, *periods, "orbit", "unstable", "leaving"], rows)
+    for number, branch in enumerate(_records(branches.branches)):
+        left = f", leaves branch {branch['leaves']}" if branch["leaves"] >= 0 else ""
+        traced = branches.traced[number]
+        (first, *_, last), name = traced.values, orbit_name(traced.itinerary, branches.system)
+        ends = [f"{first:.10g} ({branch['first_end']})", f"{last:.10g} ({branch['last_end']})"]
         reach = " to ".join(ends).replace("_", " ")
-        click.echo(f"branch {number}: {name}{left}, {each['points']} points, {found.along} {reach}")
-    for event in found.untried:
-        kind, value = event.event.kind.replace("_", " "), event.event.point.values[0]
-        click.echo(f"not followed: branch {event.branch}, {kind} at {value:.10g}: {event.why}")
-    click.echo(f"{plural(len(rows), 'event')} on {plural(len(found.traced), 'branch', 'branches')}")
+        click.echo(f"branch {number}: {name}{left}, {branch['points']} points, {branches.along} {reach}")
+    for untried in branches.untried:
+        kind, value = untried.event.kind.replace("_", " "), untried.event.point.values[0]
+        click.echo(f"not followed: branch {untried.branch}, {kind} at {value:.10g}: {untried.why}")
+    click.echo(f"{plural(len(rows), 'event')} on {plural(len(branches.traced), 'branch', 'branches')}")
 
 
 def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = frame.to_dict("records")
-    return found
+    rows: list[dict[str, Any]] = frame.to_dict("records")
+    return rows
 
 
-def _write(found: Branches, out: Path, look: dict[str, Any]) -> None:
+def _write(branches: Branches, out: Path, look: dict[str, Any]) -> None:
     """The points as CSV, everything as JSON, or a picture."""
     suffix = out.suffix.lower()
     if suffix == ".csv":
-        write_rows(out, _records(found.points))
+        write_rows(out, _records(branches.points))
     elif suffix == ".json":
         with written_whole(out) as unfinished:
-            unfinished.write_text(to_json(summary(found) | {"points": _records(found.points)}) + "\n")
+            unfinished.write_text(to_json(summary(branches) | {"points": _records(branches.points)}) + "\n")
     else:
-        render(found, out, **look)
+        render(branches, out, **look)

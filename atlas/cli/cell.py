@@ -11,6 +11,7 @@ import click
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    Numbers,
     asked_cell,
     at_option,
     check_cell_options,
@@ -21,8 +22,6 @@ from atlas.cli.options import (
     maybe_store_argument,
     opened,
     picture_option,
-    read_number,
-    read_pairs,
     select_option,
     set_option,
     settings_options,
@@ -55,7 +54,7 @@ from workers.model.system import System, find_system, system_names
 @starts_option
 @settings_options()
 @json_option
-def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
+def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
     """Solve one cell and print all its results, or with --attractors all its attractors."""
     from atlas.cell.point import point as solve_point
     from atlas.robustness.attractors import attractors
@@ -65,10 +64,10 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
     record, pairs, settings = asked_cell(given, system, solve)
     with solving(record, *((ATTRACTORS,) if every else ()), settings=settings):
         if every:
-            found = attractors(pairs, system=record, settings=settings, starts=starts)
+            results = attractors(pairs, system=record, settings=settings, starts=starts)
         else:
-            found = solve_point(pairs, system=record, settings=settings)
-    click.echo(to_json(found)) if as_json else print_cell(found, record.name)
+            results = solve_point(pairs, system=record, settings=settings)
+    click.echo(to_json(results)) if as_json else print_cell(results, record.name)
 
 
 @click.command(
@@ -87,9 +86,9 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
 @settings_options("exponents", "section_samples")
 def portrait(
     store: str | None,
-    given: tuple[str, ...],
-    point: tuple[str, ...],
-    select: tuple[str, ...],
+    given: Numbers,
+    point: Numbers,
+    select: Numbers,
     system: str,
     out: Path,
     **options: Any,
@@ -109,8 +108,7 @@ def portrait(
         if store is None:
             cell = SolvedCell(*asked_cell(given, system, options))
         else:
-            ds = opened(store, read_pairs("--select", select, read_number))
-            cell = solved_cell(ds, read_pairs("--at", point, read_number))
+            cell = solved_cell(opened(store, select), point)
         prepare_kernels(show, *kernels_for(cell.system, PATHS, settings=cell.settings))
         show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
@@ -121,12 +119,12 @@ def portrait(
 @click.argument("name", required=False, shell_complete=of_names(completion.systems, files=True))
 @json_option
 def systems(name: str | None, as_json: bool) -> None:
-    """The systems that can be solved, or all about one: its NAME, or the path of a .toml file."""
+    """List the systems that can be solved, or describe one: its NAME, or the path of a .toml file."""
     if name is not None:
-        found = checked_system(name)
-        click.echo(to_json(found.table())) if as_json else _print_system(found)
+        system = checked_system(name)
+        click.echo(to_json(system.table())) if as_json else _print_system(system)
         return
-    records = [find_system(each) for each in system_names()]
+    records = [find_system(known) for known in system_names()]
     if as_json:
         titles = {record.name: record.title for record in records}
         click.echo(to_json({"systems": titles, "examples": example_names()}))
@@ -143,9 +141,9 @@ def example(name: str | None) -> None:
     if name is not None:
         click.echo(example_text(name), nl=False)
         return
-    # What an example is stands in its first comment, up to the colon.
-    firsts = {each: " ".join(example_text(each).split("\n\n")[0].replace("#", " ").split()) for each in example_names()}
-    print_table("", ["example", ""], [(each, first.partition(":")[0]) for each, first in firsts.items()])
+    # The first comment of an example begins with its title and a colon.
+    firsts = {key: " ".join(example_text(key).split("\n\n")[0].replace("#", " ").split()) for key in example_names()}
+    print_table("", ["example", ""], [(key, first.partition(":")[0]) for key, first in firsts.items()])
     click.echo("\nprint one: atlas example NAME")
 
 

@@ -7,12 +7,12 @@ import click
 
 from atlas.cli.options import (
     STORES,
+    Bounds,
     examples,
     input_errors,
     json_option,
     look_options,
-    read_bounds,
-    read_pairs,
+    out_option,
     say,
     store_argument,
     window_option,
@@ -28,12 +28,10 @@ from atlas.text import plural
 @store_argument
 @click.argument("other", shell_complete=STORES)
 @window_option
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Draw both maps of it; the suffix chooses the format."
-)
+@out_option("Draw both maps of it; the suffix chooses the format.")
 @json_option
 @look_options()
-def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, as_json: bool, **look: Any) -> None:
+def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: bool, **look: Any) -> None:
     """Compare STORE with OTHER, of the same axes: cells by their regimes in both, differences of exponents.
 
     Differences are OTHER's minus STORE's.
@@ -41,14 +39,13 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
     from atlas.query.attractors import leading
     from atlas.query.compare import Comparison
 
-    bounds = read_pairs("--window", window, read_bounds)
     given = [f"no-{name}" if value is False else name for name, value in look.items() if value not in (None, True)]
     if out is not None:
         check_path(out)
     elif given:
         raise InputError(f"--{given[0].replace('_', '-')} needs -o, the picture")
     with input_errors():
-        compared = Comparison.of(leading(open_atlas(store)), leading(open_atlas(other)), bounds)
+        compared = Comparison.of(leading(open_atlas(store)), leading(open_atlas(other)), window)
         message = compared.as_dict()
         if out is not None:
             say("drawing")

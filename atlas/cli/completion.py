@@ -1,7 +1,7 @@
 """Completion by the Tab key: systems, kinds, variables, parameters, axes, classes, files.
 
-``eval "$(_ATLAS_COMPLETE=bash_source atlas)"`` switches it on; zsh_source and fish_source are for these shells. What
-cannot be known, such as the axes of a store that does not open, is not offered and raises nothing.
+``eval "$(_ATLAS_COMPLETE=bash_source atlas)"`` switches it on; zsh_source and fish_source are for these shells. Names
+that cannot be known, such as the axes of a store that does not open, are left out without an error.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,17 +15,18 @@ if TYPE_CHECKING:
     from atlas.spec.spec import Spec
 
 Completed = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+Names = Callable[[click.Context], Iterable[str]]
 
 
-def of_names(names: Callable[[click.Context], Iterable[str]], files: bool = False) -> Completed:
-    """Completes to those of some names that begin as the word does, and to files."""
+def of_names(names: Names, files: bool = False) -> Completed:
+    """A completion by the names that begin with the word; ``files`` adds files."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, word: str) -> list[CompletionItem]:
         try:
-            found = [CompletionItem(name) for name in names(ctx) if name.startswith(word)]
-        except Exception:  # while one types, anything may be wrong with what is there already
-            found = []
-        return [*found, CompletionItem(word, type="file")] if files else found
+            items = [CompletionItem(name) for name in names(ctx) if name.startswith(word)]
+        except Exception:  # a command line that is still being typed may have any error
+            items = []
+        return [*items, CompletionItem(word, type="file")] if files else items
 
     return complete
 
@@ -45,28 +46,28 @@ def examples(ctx: click.Context) -> Iterable[str]:
 
 
 def parameters(ctx: click.Context) -> Iterable[str]:
-    """The parameters of the system that the command line names, each with the sign before its value."""
+    """The parameters of the system on the command line, with an equals sign."""
     from atlas.spec.system import checked_system
     from workers.model.system import DEFAULT
 
-    return [f"{each.name}=" for each in checked_system(ctx.params.get("system") or DEFAULT).parameters]
+    return [f"{parameter.name}=" for parameter in checked_system(ctx.params.get("system") or DEFAULT).parameters]
 
 
 def axes(ctx: click.Context) -> Iterable[str]:
-    """The axes of the store that the command line names, likewise."""
+    """The axes of the store on the command line, with an equals sign."""
     return [f"{axis.name}=" for axis in _spec(ctx).axes]
 
 
 def names_along(ctx: click.Context) -> Iterable[str]:
-    """The parameters of the store's system, or of the one that is named."""
+    """The parameters of the store's system; without a store, of the system on the command line."""
     if _store(ctx) is None:
         return [name.removesuffix("=") for name in parameters(ctx)]
-    return [each.name for each in _spec(ctx).record.parameters]
+    return [parameter.name for parameter in _spec(ctx).record.parameters]
 
 
 def variables(ctx: click.Context) -> Iterable[str]:
     """The results of the store's cells."""
-    return [each.name for each in _spec(ctx).variables]
+    return [variable.name for variable in _spec(ctx).variables]
 
 
 def kinds(ctx: click.Context) -> Iterable[str]:
@@ -84,7 +85,7 @@ def curves(ctx: click.Context) -> Iterable[str]:
 
 
 def classes(ctx: click.Context) -> Iterable[str]:
-    """What cells are classified by, and the regimes."""
+    """The classifications of cells, and the regimes."""
     from atlas.query.classes import BY
     from workers.results import REGIMES
 
@@ -92,19 +93,19 @@ def classes(ctx: click.Context) -> Iterable[str]:
 
 
 def nothing(ctx: click.Context) -> Iterable[str]:
-    """No name: files alone."""
+    """No names, for arguments that are files."""
     return ()
 
 
 def _store(ctx: click.Context) -> str | None:
     """The first store on the command line."""
     given = ctx.params.get("store") or ctx.params.get("stores") or ctx.params.get("subject")
-    # Behind an option that still lacks its value click has not yet told arguments from each other.
+    # After an option without its value click has not yet assigned the arguments.
     return ctx.args[0] if ctx.args else given[0] if isinstance(given, tuple) else given
 
 
 def _spec(ctx: click.Context) -> "Spec":
-    """The spec of that store."""
+    """The spec of the first store on the command line."""
     from atlas.spec.spec import Spec
     from atlas.store.store import open_handle
 

@@ -10,6 +10,7 @@ from atlas.cli.options import (
     crew_options,
     examples,
     json_option,
+    out_option,
     store_argument,
 )
 from atlas.cli.output import to_json
@@ -18,7 +19,7 @@ from atlas.orbits.curves.export import check_path, export
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.service.options import RunOptions
 
-_DEFAULTS = {each.name: each.default for each in fields(CurveSettings)}
+_DEFAULTS = {budget.name: budget.default for budget in fields(CurveSettings)}
 
 
 def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -29,7 +30,7 @@ def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., N
 
 @click.command("curves", epilog=examples("atlas find curves plane.zarr", "atlas find curves plane.zarr -o curves.csv"))
 @store_argument
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Also write them to this file, .csv or .json.")
+@out_option("Also write them to this file, .csv or .json.")
 @_budget("seeds", "Places beside edges where events are looked for, at most.")
 @_budget("curves", "Curves followed, at most.")
 @_budget("points", "Points of all curves, at most.")
@@ -47,15 +48,15 @@ def find_curves(
 ) -> None:
     """Find the exact curves that bound the regions of STORE, a finished plane: bifurcations and grazes of its orbits.
 
-    They are kept in STORE; where it has them already nothing is computed. Prints which share of the borders between
-    regions they explain. The same command resumes a search that was stopped.
+    The curves are kept in STORE; if it has them already, nothing is computed. Prints the share of the borders between
+    regions that the curves explain. The same command resumes a search that was stopped.
     """
-    from atlas.service import curves  # with it Numba
+    from atlas.service import curves  # imports Numba
 
     if out is not None:
         check_path(out)
     with resumable(ctx, options, "finished parts are kept; the same command resumes") as shown:
         summary = curves.find_curves(store, CurveSettings(**budget), options=shown)
     if out is not None:
-        export(summary.found, out)
+        export(summary.curves, out)
     click.echo(to_json(summary.as_dict()) if as_json else str(summary))

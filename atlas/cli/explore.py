@@ -6,19 +6,21 @@ import webbrowser
 from pathlib import Path
 
 import click
-from click.core import ParameterSource
 
 from atlas.cli.options import (
     INTERRUPTED,
     SPECS,
+    Bounds,
+    Numbers,
     check_workers,
     examples,
     input_errors,
     interruptible,
     opened,
+    options_given,
+    out_option,
+    pairs_option,
     read_bounds,
-    read_number,
-    read_pairs,
     say,
     scheduler_option,
     select_option,
@@ -46,13 +48,8 @@ GB = 10**9
 @click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED, shell_complete=SPECS)
 @storage_option
 @select_option
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Write the cells of STORE as one .html file that opens without a server, and end.",
-)
-@click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="With -o: only this part of an axis.")
+@out_option("Write the cells of STORE as one .html file that opens without a server, and end.")
+@pairs_option("--window", "NAME=LOW:HIGH", "With -o: only this part of an axis.", read_bounds)
 @scheduler_option
 @workers_option
 @click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
@@ -73,9 +70,9 @@ GB = 10**9
 def explore(
     ctx: click.Context,
     subject: str,
-    select: tuple[str, ...],
+    select: Numbers,
     out: Path | None,
-    window: tuple[str, ...],
+    window: Bounds,
     scheduler: str | None,
     workers: int | None,
     tolerance: float | None,
@@ -87,12 +84,10 @@ def explore(
 ) -> None:
     """Look anywhere in the plane of STORE, or of SPEC, at any depth, in the browser.
 
-    What is in view and not known is computed, coarse first. Default: the example omega-b. Ctrl-C ends it.
+    Unknown cells in view are computed, coarse first. Default: the example omega-b. Ctrl-C ends it.
     """
     if out is not None:
-        write(
-            ctx, subject, read_pairs("--select", select, read_number), read_pairs("--window", window, read_bounds), out
-        )
+        write(ctx, subject, select, window, out)
         return
     if window:
         raise InputError("--window needs -o; the page in the browser zooms")
@@ -100,7 +95,6 @@ def explore(
     from atlas.explore.subject import TOLERANCE
 
     check_workers(scheduler, workers)
-    chosen = read_pairs("--select", select, read_number)
 
     def prepare() -> None:
         if scheduler is None:
@@ -111,7 +105,7 @@ def explore(
         with interruptible():
             running = start(
                 subject,
-                chosen,
+                select,
                 scheduler=scheduler,
                 workers=workers,
                 tolerance=TOLERANCE if tolerance is None else tolerance,
@@ -139,15 +133,11 @@ def explore(
         ctx.exit(INTERRUPTED)
 
 
-def write(
-    ctx: click.Context, subject: str, chosen: dict[str, float], window: dict[str, tuple[float, float]], out: Path
-) -> None:
-    """Write the page of a store; InputError where an option of the explorer is given with it."""
-    for each in ctx.command.params:
-        if each.name not in ("subject", "storage_option", "select", "window", "out") and (
-            ctx.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE
-        ):
-            name = "/".join([each.opts[-1], *each.secondary_opts])
+def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out: Path) -> None:
+    """Write the page of a store; InputError for an option of the explorer in the browser."""
+    for option in options_given(ctx):
+        if option.name not in ("subject", "storage_option", "select", "window", "out"):
+            name = "/".join([option.opts[-1], *option.secondary_opts])
             raise InputError(f"{name} is for the explorer in the browser; with -o go --select and --window")
     from atlas.explore.static.page import check_path, write_page
     from atlas.query.window import within

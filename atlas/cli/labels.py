@@ -17,9 +17,9 @@ from atlas.service.options import RunOptions
 def label_attractors(ctx: click.Context, store: str, as_json: bool) -> None:
     """Label the attractors of STORE, a finished atlas of all attractors: one label a branch, from cell to cell.
 
-    Each orbit is followed to the neighbouring cells. Labels are kept in STORE; where it has them nothing is computed.
+    Each orbit is followed to the neighbouring cells. Labels are kept in STORE; if it has them, nothing is computed.
     """
-    from atlas.service import labels  # with it Numba
+    from atlas.service import labels  # imports Numba
 
     with interruptible(), reporter(sys.stderr) as show:
         summary = labels.label_attractors(store, RunOptions(on_progress=show, timing=timing_of(ctx)))

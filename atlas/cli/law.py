@@ -21,21 +21,23 @@ def check(spec: str, cells: int, as_json: bool) -> None:
     read = Spec.from_toml(spec)
     fine = finer(read)
     with solving(read.record):
-        found = check_law(read, fine, cells)
+        changes = check_law(read, fine, cells)
     if as_json:
-        click.echo(to_json(found.as_dict()))
+        click.echo(to_json(changes.as_dict()))
         return
-    for where, (here, there) in found.segments.items():
+    for where, (here, there) in changes.segments.items():
         click.echo(f"{where}: {here} segments at the defaults, compared with {there}")
-    invalid = f", {found.beyond} of them invalid" if found.beyond else ""
-    click.echo(f"{len(found.changed)} of {found.cells} cells change their class{invalid}")
-    if found.state is not None:
-        size, share, at = found.state
+    invalid = f", {changes.beyond} of them invalid" if changes.beyond else ""
+    click.echo(f"{len(changes.changed)} of {changes.cells} cells change their class{invalid}")
+    if changes.state is not None:
+        size, share, at = changes.state
         place = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         click.echo(f"states of periodic cells change by {size:.2g} at most, {share:.2g} of their size, at {place}")
-    if found.changed:
+    if changes.changed:
         click.echo()
-        rows = [(*(f"{value:.6g}" for value in at.values()), here, there) for at, here, there in found.changed[:SHOWN]]
-        print_table("", [*found.changed[0][0], "class", "with twice the segments"], rows)
-        if len(found.changed) > SHOWN:
-            click.echo(f"... and {len(found.changed) - SHOWN} more; --json lists all")
+        rows = [
+            (*(f"{value:.6g}" for value in at.values()), here, there) for at, here, there in changes.changed[:SHOWN]
+        ]
+        print_table("", [*changes.changed[0][0], "class", "with twice the segments"], rows)
+        if len(changes.changed) > SHOWN:
+            click.echo(f"... and {len(changes.changed) - SHOWN} more; --json lists all")

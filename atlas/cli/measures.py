@@ -3,12 +3,13 @@
 import click
 
 from atlas.cli.options import (
+    Numbers,
     crew_options,
     examples,
     json_option,
     norm_option,
+    pairs_option,
     read_number,
-    read_pairs,
     store_argument,
 )
 from atlas.cli.output import to_json
@@ -29,34 +30,31 @@ from atlas.service.options import RunOptions
 @norm_option
 @click.option("--shocks", is_flag=True, help="Also the smallest shock found of each attractor that leads to another.")
 @click.option("--margin", is_flag=True, help="Also the distance of each cell to the nearest curve of STORE.")
-@click.option(
-    "--scale", metavar="AXIS=UNIT", multiple=True, help="Unit of the margin along an axis; default: the plane's width."
-)
+@pairs_option("--scale", "AXIS=UNIT", "Unit of the margin along an axis; default: the plane's width.", read_number)
 @crew_options
 @json_option
 def measure_attractors(
     ctx: click.Context,
     /,
     store: str,
-    norm: tuple[str, ...],
+    norm: Numbers,
     shocks: bool,
     margin: bool,
-    scale: tuple[str, ...],
+    scale: Numbers,
     options: RunOptions,
     as_json: bool,
 ) -> None:
-    """Measure how stable the attractors of STORE, a finished atlas, are: return time, reactivity, amplification.
+    """Measure the stability of the attractors of STORE, a finished atlas: return time, reactivity, amplification.
 
-    The measures are kept in STORE, for atlas plot; what it has already is not computed again. The same command
-    resumes one that was stopped.
+    The measures are kept in STORE, for atlas plot; measures that it has already are not computed again. The same
+    command resumes work that was stopped.
     """
-    from atlas.service import measures  # with it Numba
+    from atlas.service import measures  # imports Numba
 
-    weights, units = read_pairs("--norm", norm, read_number), read_pairs("--scale", scale, read_number)
-    if units and not margin:
+    if scale and not margin:
         raise InputError("--scale needs --margin: it sets its unit")
     with resumable(ctx, options, "finished parts are kept; the same command resumes") as shown:
         summary = measures.measure_attractors(
-            store, shocks=shocks, margin=margin, norm=weights, scale=units or None, options=shown
+            store, shocks=shocks, margin=margin, norm=norm, scale=scale or None, options=shown
         )
     click.echo(to_json(summary.as_dict()) if as_json else str(summary))

@@ -9,13 +9,13 @@ from dataclasses import fields
 from functools import wraps
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import click
 from click.core import ParameterSource
 
 from atlas.cli import completion
-from atlas.cli.completion import of_names
+from atlas.cli.completion import Names, of_names
 from atlas.errors import ChunkError, InputError, NetworkError, shown
 from atlas.service.options import MOST_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
@@ -47,41 +47,16 @@ dashboard_option = click.option(
     default=True,
     help="Serve Dask's dashboard of the local workers; needs Bokeh.",
 )
-window_option = click.option(
-    "--window",
-    metavar="NAME=LOW:HIGH",
-    multiple=True,
-    shell_complete=of_names(completion.axes),
-    help="Only this part of an axis; repeatable.",
-)
-select_option = click.option(
-    "--select",
-    metavar="NAME=VALUE",
-    multiple=True,
-    shell_complete=of_names(completion.axes),
-    help="The plane of a stack, or the line, nearest to it.",
-)
+Numbers: TypeAlias = dict[str, float]
+Bounds: TypeAlias = dict[str, tuple[float, float]]
+"""The values of an option given as NAME=VALUE, and as NAME=LOW:HIGH."""
 spec_argument = click.argument("spec", shell_complete=SPECS)
-set_option = click.option(
-    "--set",
-    "given",
-    metavar="NAME=VALUE",
-    multiple=True,
-    shell_complete=of_names(completion.parameters),
-    help="A parameter that differs from its default.",
-)
 system_option = click.option(
     "--system",
     default=DEFAULT,
     show_default=True,
     shell_complete=of_names(completion.systems, files=True),
     help="A name, see: atlas systems; the path of a .toml file; or an example that describes its own system.",
-)
-norm_option = click.option(
-    "--norm",
-    metavar="NAME=WEIGHT",
-    multiple=True,
-    help="Weight of a component of the state; default: 1 for displacements, 1/omega for velocities.",
 )
 starts_option = click.option(
     "--starts",
@@ -90,17 +65,32 @@ starts_option = click.option(
     show_default=True,
     help="Initial states from which all attractors are found.",
 )
-picture_option = click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="The picture; the suffix chooses the format.",
-)
+
+
+def out_option(words: str, required: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """The option -o of a file or a folder to write."""
+    return click.option("-o", "--out", type=click.Path(path_type=Path), required=required, help=words)
+
+
+picture_option = out_option("The picture; the suffix chooses the format.", required=True)
+
+
+def pairs_option(
+    name: str, metavar: str, words: str, read: Callable[[str, str], Any], *dest: str, names: Names | None = None
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A repeatable option given as NAME=VALUE, which the command gets as a dict; ``names`` complete it."""
+
+    def callback(ctx: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
+        return read_pairs(name, given, read)
+
+    complete = None if names is None else of_names(names)
+    return click.option(
+        name, *dest, metavar=metavar, multiple=True, callback=callback, shell_complete=complete, help=words
+    )
 
 
 def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> None:
-    """Have the URLs of this command reached by these storage options."""
+    """Set the storage options of this command's URLs."""
     if given:
         ctx.with_resource(reached_by(read_pairs("--storage-option", given, lambda _, value: value)))
 
@@ -122,12 +112,12 @@ def store_argument(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def maybe_store_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """The argument STORE of a command that goes without, too."""
+    """The optional argument STORE."""
     return click.argument("store", required=False, shell_complete=STORES)(storage_option(command))
 
 
 def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """The options of a picture's size, type and scale, but not these."""
+    """The options of a picture's size, type and scale, ``without`` some."""
     options = {
         "width": click.option("--width", metavar="LENGTH", help="Of the picture: 85mm, 8.5cm, 3.35in; default: 7in."),
         "height": click.option("--height", metavar="LENGTH", help="The same; default: by the width."),
@@ -149,7 +139,7 @@ def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[...,
 
 
 def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """One option for each setting but these, from the record of settings itself."""
+    """An option for every setting, ``without`` some, from the record of settings itself."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         choices = {name: click.Choice(known) for name, known in CHOICES.items()}
@@ -176,51 +166,45 @@ def meanings(title: str, words: Mapping[str, str]) -> str:
 
 
 def _as_it_stands(title: str, lines: Iterable[str]) -> str:
-    return "\b\n" + "\n".join([title, *(f"  {line}" for line in lines)])  # \b: not to be filled anew
-
-
-def at_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The option --at of a command on one cell, of a STORE or not."""
-    words = "With STORE: its cell nearest to a point; one value for each axis."
-    complete = of_names(completion.axes)
-    return click.option("--at", "point", metavar="NAME=VALUE", multiple=True, shell_complete=complete, help=words)(
-        command
-    )
+    return "\b\n" + "\n".join([title, *(f"  {line}" for line in lines)])  # \b keeps click from filling the lines
 
 
 def check_cell_options(store: str | None) -> None:
-    """InputError where an option of the current command does not go with a cell of a STORE, or without one."""
+    """InputError for an option of the current command that contradicts a cell of a STORE, or needs one."""
     context = click.get_current_context()
     settings = {field.name for field in fields(Settings)}
     wrong = {"point", "select"} if store is None else {"given", "system"} | settings
-    for each in context.command.params:
-        if each.name in wrong and context.get_parameter_source(each.name) is ParameterSource.COMMANDLINE:
-            if store is None:
-                raise InputError(
-                    f"{each.opts[-1]} is for a cell of a STORE, and none is given; without one, give --set"
-                )
-            raise InputError(f"{each.opts[-1]} is for a cell without a STORE; a cell of a STORE has its own, give --at")
+    for option in options_given(context):
+        if option.name in wrong and store is None:
+            raise InputError(f"{option.opts[-1]} is for a cell of a STORE, and none is given; without one, give --set")
+        if option.name in wrong:
+            own = "a cell of a STORE has its own, give --at"
+            raise InputError(f"{option.opts[-1]} is for a cell without a STORE; {own}")
 
 
-def asked_cell(
-    given: tuple[str, ...], system: str, solve: Mapping[str, Any]
-) -> tuple[System, dict[str, float], Settings]:
-    """The system, the parameters of --set, checked, and the settings of a cell that is given on the command line."""
-    pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
-    record = checked_system(system)
-    checked_parameters(record, pairs)
-    return record, pairs, observable_settings(settings, record)
+def options_given(context: click.Context) -> Iterator[click.Parameter]:
+    """The options and arguments of a command that stand on the command line."""
+    for option in context.command.params:
+        if context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE:
+            yield option
+
+
+def asked_cell(given: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
+    """The system, the checked parameters and the settings of a cell that is given on the command line."""
+    settings, record = checked_settings(solve), checked_system(system)
+    checked_parameters(record, given)
+    return record, given, observable_settings(settings, record)
 
 
 def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
-    """The atlas of a STORE at these values of some of its axes; a message names the cell for a value between two."""
+    """The atlas of a STORE at these values of some axes; a message names the nearest cell of a value between two."""
     from atlas.query.open import open_atlas
     from atlas.query.window import select
 
     ds = select(open_atlas(store), place)
     for name, value in place.items():
-        if name in ds.coords and not math.isclose(found := float(ds[name]), value, rel_tol=1e-9):
-            say(f"{name} = {found:.10g}, the nearest to {value:.10g}")
+        if name in ds.coords and not math.isclose(nearest := float(ds[name]), value, rel_tol=1e-9):
+            say(f"{name} = {nearest:.10g}, the nearest to {value:.10g}")
     return ds
 
 
@@ -230,12 +214,12 @@ def say(text: str) -> None:
 
 
 def timing_of(ctx: click.Context) -> Timing:
-    """How long to wait: the ``obj`` that a caller in Python gives the command, or the defaults."""
+    """The waiting times: the ``obj`` that a caller in Python gives the command, or the defaults."""
     return ctx.find_object(Timing) or TIMING
 
 
 def crew_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Who does the work of a command, whose ``options`` they are: --scheduler, --workers, --dashboard."""
+    """The options of a command that needs workers, as ``RunOptions``: --scheduler, --workers, --dashboard."""
 
     @scheduler_option
     @workers_option
@@ -250,16 +234,16 @@ def crew_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def check_workers(scheduler: str | None, workers: int | None) -> None:
-    """InputError where both are given."""
+    """InputError if both are given."""
     if scheduler is not None and workers is not None:
         raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """End on Ctrl-C, or on the SIGTERM of a batch system: in order the first time, at once the second.
+    """End on Ctrl-C, or on the SIGTERM of a batch system: in order at the first signal, at once at the second.
 
-    Ending at once loses no more than the tiles under way: the next run sees that this process is gone.
+    Ending at once loses only the unfinished tiles: the next run sees that this process is gone.
     """
 
     def second(number: int, frame: FrameType | None) -> None:
@@ -271,7 +255,7 @@ def interruptible() -> Iterator[None]:
             signal.signal(caught, second)
         raise KeyboardInterrupt
 
-    # A job in the background starts with Ctrl-C ignored, and keeps it so.
+    # A job in the background starts with Ctrl-C ignored; that stays.
     wanted = [caught for caught in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(caught) != signal.SIG_IGN]
     before = {caught: signal.signal(caught, first) for caught in wanted}
     try:
@@ -283,7 +267,7 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def input_errors() -> Iterator[None]:
-    """Report what a query or a picture cannot answer as bad input: one line, exit code 2. A bad chunk is not."""
+    """Turn errors of queries and pictures into bad input: one line, exit code 2. A damaged chunk is no bad input."""
     try:
         yield
     except NetworkError:
@@ -300,20 +284,20 @@ def input_errors() -> Iterator[None]:
 
 
 def read_pairs(option: str, given: tuple[str, ...], read: Callable[[str, str], _T]) -> dict[str, _T]:
-    """The values of an option given as NAME=VALUE, by name; ``read`` gets where a value stands, and its text."""
-    found: dict[str, _T] = {}
+    """The values of an option given as NAME=VALUE, by name; ``read`` is called with the value's name and text."""
+    values: dict[str, _T] = {}
     for item in given:
         name, equals, value = item.partition("=")
         if not equals:
             raise InputError(f"{option} {item}: must be NAME=VALUE")
-        if name in found:
+        if name in values:
             raise InputError(f"{option} {name}: given twice")
-        found[name] = read(f"{option} {name}", value)
-    return found
+        values[name] = read(f"{option} {name}", value)
+    return values
 
 
 def read_number(where: str, value: str) -> float:
-    """The number that a text is."""
+    """The number in a text."""
     try:
         return float(value)
     except ValueError:
@@ -328,7 +312,7 @@ def read_factors(given: tuple[str, ...]) -> int | dict[str, int]:
 
 
 def read_whole(where: str, value: str) -> int:
-    """The whole number that a text is."""
+    """The whole number in a text."""
     try:
         return int(value)
     except ValueError:
@@ -336,7 +320,7 @@ def read_whole(where: str, value: str) -> int:
 
 
 def read_bounds(where: str, value: str) -> tuple[float, float]:
-    """The ends that LOW:HIGH gives."""
+    """The two numbers of LOW:HIGH."""
     low, colon, high = value.partition(":")
     if not colon:
         raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH")
@@ -344,3 +328,33 @@ def read_bounds(where: str, value: str) -> tuple[float, float]:
     if not bounds[0] <= bounds[1]:
         raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH with LOW <= HIGH")
     return bounds
+
+
+at_option = pairs_option(
+    "--at",
+    "NAME=VALUE",
+    "With STORE: its cell nearest to a point; one value for each axis.",
+    read_number,
+    "point",
+    names=completion.axes,
+)
+set_option = pairs_option(
+    "--set",
+    "NAME=VALUE",
+    "A parameter that differs from its default.",
+    read_number,
+    "given",
+    names=completion.parameters,
+)
+select_option = pairs_option(
+    "--select", "NAME=VALUE", "The plane of a stack, or the line, nearest to it.", read_number, names=completion.axes
+)
+window_option = pairs_option(
+    "--window", "NAME=LOW:HIGH", "Only this part of an axis; repeatable.", read_bounds, names=completion.axes
+)
+norm_option = pairs_option(
+    "--norm",
+    "NAME=WEIGHT",
+    "Weight of a component of the state; default: 1 for displacements, 1/omega for velocities.",
+    read_number,
+)

@@ -15,7 +15,7 @@ def to_json(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """The value in JSON's own types: NaN as None, infinities as "inf" and "-inf", arrays as lists, tuples too."""
+    """The value in JSON's types: NaN as None, infinities as "inf" and "-inf", arrays and tuples as lists."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -28,12 +28,12 @@ def plain(value: Any) -> Any:
 
 
 def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]]) -> None:
-    """A table on stdout, as wide as it needs to be where stdout is no terminal."""
+    """A table on stdout; it is as wide as it needs to be if stdout is no terminal."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    terminal = sys.stdout.isatty()  # a notebook asks for colours, and is no terminal all the same
+    terminal = sys.stdout.isatty()  # a notebook asks for colours, but is no terminal
     console = Console(highlight=False, force_terminal=terminal, width=None if terminal else 200)
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, show_header=any(columns))
     for column in columns:
@@ -44,7 +44,7 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
 
 
 def print_cell(found: Mapping[str, Any], name: str) -> None:
-    """The results of a cell of the system of this name as a table, and one of its attractors, if there are several."""
+    """Print the results of a cell as a table, and its attractors, if there are several, as another."""
     shown = {**found, "system": name}
     several = shown.pop("coexisting", [])
     print_table("", ["", ""], [(key, text(value)) for key, value in shown.items()])
@@ -52,10 +52,10 @@ def print_cell(found: Mapping[str, Any], name: str) -> None:
 
 
 def print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
-    """The attractors of one cell as a table, a column each."""
+    """Print the attractors of one cell as a table, one column for each."""
     if several:
-        names = dict.fromkeys(name for each in several for name, value in each.items() if not isinstance(value, list))
-        rows = [(name, *(text(each.get(name, "")) for each in several)) for name in names]
+        names = dict.fromkeys(name for one in several for name, value in one.items() if not isinstance(value, list))
+        rows = [(name, *(text(one.get(name, "")) for one in several)) for name in names]
         print_table("attractors", ["", *map(str, range(len(several)))], rows)
 
 

@@ -43,14 +43,14 @@ def figures(
 ) -> list[Path]:
     """Draw Figs 3 to 6 of Li & Tan, Chin. Phys. B 20 (2011) 040505, into a folder, and return the files' paths.
 
-    Fig. 6 is computed into ``fig6.zarr`` there, a ``sweep`` of fewer cells in its place where one is given; tiles that
-    are finished already are kept. ``client`` and ``options`` are those of ``atlas.run``, ``settings`` those of the
+    Fig. 6 is computed into ``fig6.zarr`` there, or a ``sweep`` of fewer cells in its place; finished tiles are kept.
+    ``client`` and ``options`` are those of ``atlas.run``, ``settings`` those of the
     cells of Figs 3 to 5.
     Raises InputError for a folder that cannot be written and for an unknown format.
     """
-    for each in formats:
-        if each not in FORMATS:
-            raise InputError(f"unknown format {each!r}; possible: {', '.join(FORMATS)}")
+    for name in formats:
+        if name not in FORMATS:
+            raise InputError(f"unknown format {name!r}; possible: {', '.join(FORMATS)}")
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -61,7 +61,7 @@ def figures(
     for name, parameters in CELLS.items():
         options.report(Progress(f"{name}: solving and drawing"))
         orbit = cell_orbit(parameters, settings=settings)
-        written += [render(orbit, target / f"{name}.{each}") for each in formats]
+        written += [render(orbit, target / f"{name}.{suffix}") for suffix in formats]
     store = target / f"{SWEEP}.zarr"
     options.report(Progress(f"{SWEEP}: computing the sweep into {store}"))
     summary = run(sweep or Spec.from_toml(SWEEP), store, client, options)
@@ -69,5 +69,5 @@ def figures(
         raise RunError(f"{SWEEP}: tile {summary.failures[0].index} failed: {summary.failures[0].message}")
     options.report(Progress(f"{SWEEP}: drawing"))
     drawn = open_atlas(store)
-    written += [render(drawn, target / f"{SWEEP}.{each}") for each in formats]
+    written += [render(drawn, target / f"{SWEEP}.{suffix}") for suffix in formats]
     return written

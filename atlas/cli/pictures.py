@@ -11,15 +11,15 @@ from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
     STORES,
+    Bounds,
+    Numbers,
     examples,
     input_errors,
     look_options,
     meanings,
     opened,
+    out_option,
     picture_option,
-    read_bounds,
-    read_number,
-    read_pairs,
     say,
     select_option,
     storage_option,
@@ -102,8 +102,8 @@ def plot(
     curves: str | None,
     names: bool,
     against: str | None,
-    window: tuple[str, ...],
-    select: tuple[str, ...],
+    window: Bounds,
+    select: Numbers,
     **look: Any,
 ) -> None:
     """Draw STORES, or a window of them: a map of two axes, a sweep of one, or the planes of a stack.
@@ -113,21 +113,20 @@ def plot(
     from atlas.query.reads import counted
 
     check_path(out)
-    bounds, at = read_pairs("--window", window, read_bounds), read_pairs("--select", select, read_number)
     single = {"overlay": overlay, "curves": curves, "no-names": not names, "against": against, "log": log}
     given = [name for name, value in {**single, "variable": variable, "observe": observe}.items() if value]
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} takes one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
-        atlases = [opened(store, at) for store in stores]
-        other = None if against is None else opened(against, at)
+        atlases = [opened(store, select) for store in stores]
+        other = None if against is None else opened(against, select)
         say("drawing")
         if len(atlases) > 1:
             stems = [os.path.basename(store.rstrip("/" + os.sep)) for store in stores]
-            draw(atlases, out, kind, bounds, titles=stems, **look)
+            draw(atlases, out, kind, window, titles=stems, **look)
         else:
             draw(
-                atlases[0], out, kind=kind, window=bounds, overlay=overlay, curves=curves, names=names, against=other,
+                atlases[0], out, kind=kind, window=window, overlay=overlay, curves=curves, names=names, against=other,
                 variable=variable, log=log, observe=observe, **look,
             )  # fmt: skip
     if reads.chunks:
@@ -136,7 +135,7 @@ def plot(
 
 
 @click.command(epilog=examples("atlas figures -o paper"))
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The folder to write them into.")
+@out_option("The folder to write them into.", required=True)
 @click.option(
     "--format",
     "formats",

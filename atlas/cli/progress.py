@@ -21,7 +21,7 @@ Report = Callable[[Progress], None]
 
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
-    """A progress bar where the stream is a terminal, a plain line every few seconds otherwise."""
+    """A progress bar if the stream is a terminal, else a plain line every few seconds."""
     return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
 
 
@@ -31,7 +31,7 @@ def resumable(
 ) -> Iterator[RunOptions]:
     """The options of work on a store whose progress is shown; an interruption ends the command with advice to resume.
 
-    ``of`` may change what is shown.
+    ``of`` may wrap the function that shows the progress.
     """
     try:
         with interruptible(), reporter(sys.stderr) as show:
@@ -51,14 +51,14 @@ def solving(record: System, *kernels: str, settings: Settings | None = None) -> 
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):
-    """Plain lines: every new stage at once, then one line every few seconds in which something has come."""
+    """Plain lines: every new stage at once, then a line every few seconds, if it is new."""
 
     def __init__(self, stream: IO[str], interval: float = LOG_INTERVAL) -> None:
         self._stream, self._interval = stream, interval
         self._stage, self._line, self._planned, self._last = "", "", False, 0.0
 
     def __call__(self, progress: Progress) -> None:
-        """Print the snapshot where it is new enough."""
+        """Print the snapshot if the last line is old enough."""
         if progress.passing:
             return
         if progress.plan and not self._planned:
@@ -131,6 +131,6 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the bar away: what was done is in the summary or in the error that follows."""
+        """Take the bar away: a summary or an error follows."""
         self._live.transient = True
         self._live.stop()

@@ -11,14 +11,14 @@ from atlas.arguments import checked_suffix
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    Bounds,
+    Numbers,
     at_option,
     examples,
     input_errors,
     json_option,
     opened,
-    read_bounds,
-    read_number,
-    read_pairs,
+    out_option,
     read_whole,
     say,
     select_option,
@@ -38,11 +38,9 @@ if TYPE_CHECKING:
     from atlas.query.window import Window
 
 SHOWN = 40
-"""Rows that a terminal gets to see; ``--json`` and ``-o`` have all."""
+"""Rows that a terminal shows; ``--json`` and ``-o`` have all."""
 _PATTERN = ("regime", "period", "impacts")
-_list_option = click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Write the whole list to a .csv file instead."
-)
+_list_option = out_option("Write the whole list to a .csv file instead.")
 
 
 @click.command(
@@ -53,18 +51,17 @@ _list_option = click.option(
 @window_option
 @select_option
 @json_option
-def query(store: str, point: tuple[str, ...], window: tuple[str, ...], select: tuple[str, ...], as_json: bool) -> None:
-    """The share of each regime in STORE or in a window of it; with --at all results of one cell.
+def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: bool) -> None:
+    """Print the share of each regime in STORE or in a window of it; with --at all results of one cell.
 
     Shares are of the area in the axes' own units. Also see: atlas find, export, plot.
     """
     if point and window:
         raise InputError("--at asks for one cell, --window for a part of the plane; give one of the two")
-    wanted = read_pairs("--at", point, read_number)
     with _asked(store, select, window, counted=not point and not as_json) as (ds, bounds):
         from atlas.query import queries as questions
 
-        found: dict[str, Any] = questions.at(ds, wanted) if point else dict(questions.fractions(leading(ds), bounds))
+        found: dict[str, Any] = questions.at(ds, point) if point else dict(questions.fractions(leading(ds), bounds))
         why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
         if as_json:
             click.echo(to_json(found | ({"reasons": why} if why else {})))
@@ -83,9 +80,9 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], select: t
 @store_argument
 @window_option
 @select_option
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The file: .csv, or .nc for netCDF.")
+@out_option("The file: .csv, or .nc for netCDF.", required=True)
 @json_option
-def export(store: str, window: tuple[str, ...], select: tuple[str, ...], out: Path, as_json: bool) -> None:
+def export(store: str, window: Bounds, select: Numbers, out: Path, as_json: bool) -> None:
     """Write the cells of STORE, or of a window of it, to a CSV or netCDF file."""
     from atlas.query.export import FORMATS
     from atlas.query.export import export as write
@@ -102,7 +99,7 @@ def export(store: str, window: tuple[str, ...], select: tuple[str, ...], out: Pa
 @window_option
 @select_option
 @json_option
-def basin_measures(store: str, window: tuple[str, ...], select: tuple[str, ...], as_json: bool) -> None:
+def basin_measures(store: str, window: Bounds, select: Numbers, as_json: bool) -> None:
     """Shares (basin stability), entropy and boundary dimension of the basins in STORE, a plane of initial states."""
     with _asked(store, select, window, counted=not as_json) as (ds, bounds):
         from atlas.query.basins import basins
@@ -128,8 +125,8 @@ def basin_measures(store: str, window: tuple[str, ...], select: tuple[str, ...],
 def regions(
     store: str,
     class_: str,
-    window: tuple[str, ...],
-    select: tuple[str, ...],
+    window: Bounds,
+    select: Numbers,
     min_cells: int,
     out: Path | None,
     as_json: bool,
@@ -149,7 +146,7 @@ def regions(
         from atlas.query import connected
 
         found = connected.regions(leading(ds), by, meant, bounds, min_cells)
-        rows = [connected.flat(each) for each in found]
+        rows = [connected.flat(region) for region in found]
         if not _answered({"by": by, "regions": found}, rows, out, as_json):
             _print_regions(found, by)
 
@@ -170,8 +167,8 @@ def extremes(
     store: str,
     variable: str,
     by: str,
-    window: tuple[str, ...],
-    select: tuple[str, ...],
+    window: Bounds,
+    select: Numbers,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -187,20 +184,18 @@ def extremes(
             click.echo(f"no cell has a value of {variable}")
             return
         columns = [key for key in found[0] if key != "cells"]
-        print_table("", columns, [tuple(text(each[key]) for key in columns) for each in found])
+        print_table("", columns, [tuple(text(row[key]) for key in columns) for row in found])
 
 
 @contextmanager
 def _asked(
-    store: str, select: tuple[str, ...], window: tuple[str, ...], counted: bool = False
+    store: str, select: Numbers, window: Bounds, counted: bool = False
 ) -> Iterator[tuple["xr.Dataset", "Window"]]:
-    """The dataset that a question is about and its window; with ``counted`` it ends by the number of chunks read."""
+    """The dataset and the window of a question; ``counted`` prints the number of chunks read at the end."""
     from atlas.query import reads
 
-    bounds = read_pairs("--window", window, read_bounds)
-    plane = read_pairs("--select", select, read_number)
     with input_errors(), reads.counted() as cost:
-        yield opened(store, plane), bounds
+        yield opened(store, select), window
     if counted:
         say(f"{plural(cost.chunks, 'chunk')} read from the store")
 

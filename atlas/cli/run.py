@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import click
-from click.core import ParameterSource
 
 from atlas.cli import progress
 from atlas.cli.options import (
@@ -16,6 +15,7 @@ from atlas.cli.options import (
     crew_options,
     examples,
     json_option,
+    options_given,
     read_factors,
     read_whole,
     say,
@@ -69,7 +69,7 @@ observe_option = click.option(
 def plan(
     spec: str, out: str, workers: int | None, probe: bool, points: str | None, observe: str | None, as_json: bool
 ) -> None:
-    """What SPEC will cost: cells, tiles, bytes, probed time."""
+    """Estimate the cost of SPEC: cells, tiles, bytes, probed time."""
     read = _read(spec, points, observe)
     made = make_plan(read, workers)
     place = place_of(out)
@@ -86,13 +86,13 @@ def plan(
 
 
 def _read(spec: str, points: str | None, observe: str | None) -> Spec:
-    """The spec of --points and --observe."""
+    """The spec, with the options --points and --observe."""
     read = Spec.from_toml(spec, points)
     return read if observe is None else read.observing(observe)
 
 
 def _out_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The store that is made or completed."""
+    """The option of the store that is made or completed."""
     words = "The store, a path or a URL: made, or completed."
     return click.option("-o", "--out", required=True, help=words)(storage_option(command))
 
@@ -151,7 +151,7 @@ def run(
     if leave:
         _check_submit(ctx, options.scheduler)
     read = _read(spec, points, observe)
-    index = None if tile is None else tuple(read_whole("--tile", each) for each in tile.split(","))
+    index = None if tile is None else tuple(read_whole("--tile", part) for part in tile.split(","))
     options = options.updated(tls=_tls(**tls), tile=index, performance_report=report)
     if leave:
         _submit(out, options, lambda shown: submit_spec(read, out, shown))
@@ -206,17 +206,16 @@ def retry(
 
 
 def _check_submit(ctx: click.Context, scheduler: str | None) -> None:
-    """InputError where a run that is left to a cluster has no cluster, or an option of a run in this process."""
+    """InputError if a submitted run has no cluster, or an option that only a run in this process has."""
     if scheduler is None:
         raise InputError("--submit leaves the work to a cluster: give its --scheduler too")
-    for each in ctx.command.params:
-        given = each.name in ("tile", "log", "report")
-        if given and ctx.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE:
-            raise InputError(f"{each.opts[0]} is for a run that this process coordinates; with --submit leave it out")
+    for option in options_given(ctx):
+        if option.name in ("tile", "log", "report"):
+            raise InputError(f"{option.opts[0]} is for a run that this process coordinates; with --submit leave it out")
 
 
 def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str]) -> None:
-    """Hand a run to a cluster, by a function that says who coordinates it there, and print that."""
+    """Hand a run to a cluster and print the coordinating worker; ``hand_over`` returns its address."""
     store = shlex.quote(out)
     advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
     try:
@@ -260,7 +259,7 @@ def extend(
 ) -> None:
     """Compute a larger or finer atlas into a new store, reusing all cells that STORE has.
 
-    SPEC may have other values on STORE's axes, and nothing else that differs. The same command resumes an extension
+    SPEC may differ from STORE's in the values on the axes alone. The same command resumes an extension
     that was stopped.
     """
     if (spec is None) == (not refine):
@@ -274,7 +273,7 @@ def extend(
 
 @contextmanager
 def _logged(path: str | None) -> Iterator[None]:
-    """Append what the package logs to a file; InputError if it cannot be written."""
+    """Append the log of the package to a file; InputError if it cannot be written."""
     if path is None:
         yield
         return
@@ -308,7 +307,7 @@ def _line(options: RunOptions, *words: str, **given: str | int | None) -> str:
 
 
 def _report(ctx: click.Context, summary: Summary) -> None:
-    """Print how a run ended, and exit with 1 where a tile failed."""
+    """Print the summary of a run, and exit with 1 if a tile failed."""
     click.echo(str(summary))
     for worker, reason in summary.refused.items():
         say(f"worker {worker} was excluded: {reason}")

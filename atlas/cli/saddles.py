@@ -6,13 +6,15 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
+    Bounds,
+    Numbers,
     asked_cell,
     examples,
     json_option,
     norm_option,
+    out_option,
+    pairs_option,
     read_bounds,
-    read_number,
-    read_pairs,
     set_option,
     settings_options,
     starts_option,
@@ -36,19 +38,17 @@ from atlas.task.compile import ATTRACTORS
 @system_option
 @norm_option
 @starts_option
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="For one mass, write the stable manifolds to this .csv file."
-)
-@click.option("--box", metavar="NAME=LOW:HIGH", multiple=True, help="With --out: the states in which they are grown.")
+@out_option("For one mass, write the stable manifolds to this .csv file.")
+@pairs_option("--box", "NAME=LOW:HIGH", "With --out: the states in which they are grown.", read_bounds)
 @settings_options("observe", "observe_values")
 @json_option
 def saddles(
-    given: tuple[str, ...],
+    given: Numbers,
     system: str,
-    norm: tuple[str, ...],
+    norm: Numbers,
     starts: int,
     out: Path | None,
-    box: tuple[str, ...],
+    box: Bounds,
     as_json: bool,
     **solve: Any,
 ) -> None:
@@ -59,15 +59,14 @@ def saddles(
     from atlas.robustness.saddles import saddles as find_saddles
 
     record, pairs, settings = asked_cell(given, system, solve)
-    weights = checked_weights(read_pairs("--norm", norm, read_number), record)
-    ends = read_pairs("--box", box, read_bounds)
-    if out is None and ends:
+    weights = checked_weights(norm, record)
+    if out is None and box:
         raise InputError("--box needs --out: it bounds the manifolds")
     if out is not None and out.suffix.lower() != ".csv":
         raise InputError(f"{out.name}: found {out.suffix!r}, must end in .csv")
     with solving(record, ATTRACTORS):
         found = find_saddles(
-            pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=ends
+            pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=box
         )
     if out is not None:
         names = record.states
@@ -75,8 +74,8 @@ def saddles(
             out,
             [
                 {"saddle": k, "line": number, **dict(zip(names, state, strict=True))}
-                for k, each in enumerate(found["saddles"])
-                for number, line in enumerate(each["manifold"])
+                for k, saddle in enumerate(found["saddles"])
+                for number, line in enumerate(saddle["manifold"])
                 for state in line
             ],
         )
@@ -84,7 +83,7 @@ def saddles(
         click.echo(to_json(found | ({"file": str(out)} if out is not None else {})))
         return
     shown = ("period", "between", "residual", "multipliers", "states", "slopes")
-    rows = [(name, *(text(each.get(name, "")) for each in found["saddles"])) for name in shown]
+    rows = [(name, *(text(saddle.get(name, "")) for saddle in found["saddles"])) for name in shown]
     if found["saddles"]:
         print_table("saddles", ["", *map(str, range(len(found["saddles"])))], rows)
     for line in found["troubles"]:

@@ -5,12 +5,11 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
+    Numbers,
     asked_cell,
     examples,
     json_option,
     norm_option,
-    read_number,
-    read_pairs,
     set_option,
     settings_options,
     starts_option,
@@ -37,19 +36,19 @@ from atlas.task.compile import ATTRACTORS
 @settings_options("observe", "observe_values")
 @json_option
 def stability(
-    given: tuple[str, ...],
+    given: Numbers,
     system: str,
-    norm: tuple[str, ...],
+    norm: Numbers,
     starts: int,
     shocks: bool,
     as_json: bool,
     **solve: Any,
 ) -> None:
-    """Print how stable each attractor of one cell is: basin stability, return time, reactivity and more."""
+    """Measure the stability of each attractor of one cell: basin stability, return time, reactivity and more."""
     from atlas.robustness.one_cell import stability as measure
 
     record, pairs, settings = asked_cell(given, system, solve)
-    weights = checked_weights(read_pairs("--norm", norm, read_number), record)
+    weights = checked_weights(norm, record)
     with solving(record, ATTRACTORS):
-        found = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
-    click.echo(to_json(found)) if as_json else print_cell(found, record.name)
+        measures = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
+    click.echo(to_json(measures)) if as_json else print_cell(measures, record.name)

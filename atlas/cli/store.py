@@ -25,14 +25,14 @@ WATCH_SECONDS = 2.0
 @json_option
 @click.pass_context
 def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> None:
-    """How far STORE is: tiles, cells and regimes done, and the run at work on it."""
+    """Print the progress of STORE: tiles, cells and regimes done, and the run at work on it."""
     handle, timing = open_handle(store), timing_of(ctx)
     if watching:
         with reporter(sys.stderr) as show:
             for now in watch(Census(handle, timing), WATCH_SECONDS):
                 show(now.progress)
-    found = read_status(handle, timing)
-    click.echo(to_json(found.as_dict()) if as_json else str(found))
+    final = read_status(handle, timing)
+    click.echo(to_json(final.as_dict()) if as_json else str(final))
 
 
 @click.command(epilog=examples("atlas verify plane.zarr --sample 100"))

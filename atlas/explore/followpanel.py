@@ -255,7 +255,7 @@ class _Shown:
             period = f"cycle of {number(cycle_period(here.point, orbit), 8)}"
         rows = [
             (self._symbol, number(here.value, 8)), ("period", period),
-            ("orbit n-p-q", orbit_name(orbit, found.table.system)),
+            ("orbit n-p-q", orbit_name(orbit, branch.table.system)),
             ("stability", f"changes here: {here.kind}" if here.kind else stability),
             ("largest multiplier", largest),
         ]  # fmt: skip
