@@ -9,7 +9,7 @@ from workers.results import Variable
 
 
 def foreign_keys(handle: Atlas) -> Iterator[str]:
-    """The keys of all such objects, by a listing of each array's."""
+    """The keys of all such objects, from a listing of each array."""
     for variable in handle.variables:
         yield from _foreign(handle, "", variable, handle.tiling.grid)
     pyramid = Pyramid(handle)
@@ -20,6 +20,6 @@ def foreign_keys(handle: Atlas) -> Iterator[str]:
 
 def _foreign(handle: Atlas, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
     root = f"{folder}{variable.name}/c/"
-    whole = grid + (1,) * len(variable.extra)  # what has more numbers a cell has them all in one chunk
+    whole = grid + (1,) * len(variable.extra)  # all numbers of a cell lie in one chunk
     keys = (key for key in handle.place.list_keys(root) if chunk_index(key.removeprefix(root), whole) is None)
     yield from sorted(keys)

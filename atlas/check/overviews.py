@@ -20,7 +20,7 @@ from atlas.text import plural
 from workers.results import REGIME
 
 ROUNDING = 1e-9
-"""By how much numbers may differ, relatively or absolutely: widths of cells on log axes depend on the machine."""
+"""Largest difference of numbers, relative or absolute: widths of cells on log axes depend on the machine."""
 
 
 def check_overviews(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> tuple[int, list[StoreFault]]:

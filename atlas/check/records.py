@@ -11,7 +11,7 @@ from workers.results import REASON
 
 
 def record_faults(handle: Atlas, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
-    """The faults of a store's records, given the rows that its finished tiles have by their cells."""
+    """The faults of a store's records; ``counted`` has the correct row of every finished tile, from its cells."""
     faults = [f"{RECORDS} {records.damaged[RECORDS]}"] if RECORDS in records.damaged else []
     counts = slice(CELLS.start, None if REASON in handle.variables else BY_REASON.start)
     wrong = [
@@ -23,7 +23,7 @@ def record_faults(handle: Atlas, records: Records, counted: Mapping[Index, Rows]
 
 
 def tile_faults(records: Records, index: Index, row: Rows) -> list[str]:
-    """Why the record of a finished tile is wrong, given its ``row`` by its cells."""
+    """The faults of a finished tile's record; ``row`` is the correct record, from its cells."""
     key = record_key(index)
     if key in records.damaged:
         return [f"{key} {records.damaged[key]}"]

@@ -15,12 +15,12 @@ from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, lead
 ERRORS = 5.0
 """Largest difference of the largest exponents of two machines, in errors of both solutions."""
 ROUNDING = 1e-9
-"""What may lie between them besides, relative to them or absolutely where they are small."""
+"""Largest further difference, relative to the exponents, or absolute where they are below 1."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A cell taken out of a stored tile: its index in the atlas, and its results, each of a one-cell block's shape."""
+    """A cell of a stored tile: its index in the atlas, its tile, and its results as arrays over a block of one cell."""
 
     cell: tuple[int, ...]
     tile: tuple[int, ...]
@@ -33,28 +33,28 @@ class Sample:
 
 
 def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
-    """The results of the cell as they come out now, in the stored ones' shapes."""
+    """The results of the cell solved now, in the shapes of the stored results."""
     block = tuple(slice(i, i + 1) for i in sample.cell)
     allowed = ALLOWANCES if spec.attractors is None else ()  # others cannot be retried
-    given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in allowed}
+    given: dict[str, Any] = {allowance.setting: int(sample.stored[allowance.name].item()) for allowance in allowed}
     arrays = solve_apart(spec, spec.cell_params(block), replace(spec.settings, **given))
-    if spec.basins:  # what lies beyond the table gets its label when all cells are known
+    if spec.basins:  # attractors beyond the table get their labels once all cells are known
         beyond = arrays[LABEL.name] == BEYOND_TABLE
         arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])
     return arrays
 
 
 def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
-    """How two solutions of a cell differ in any bit; empty where they do not."""
+    """The differences of two solutions of a cell in any bit, in words; empty if there are none."""
     names = [name for name, values in again.items() if name in stored and stored[name].tobytes() != values.tobytes()]
     return _in_words(stored, again, names)
 
 
 def beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
-    """How two solutions of a cell by different machines differ by more than their errors allow; empty where not.
+    """The differences beyond their errors of two solutions of a cell by different machines, in words; or empty.
 
-    The regime has to be the same, an orbit's period and symmetry too, and the largest exponent within the errors. Of
-    all attractors that holds for the first.
+    The regimes have to be the same, for an orbit also the period and whether it sticks; the largest exponents have to
+    agree within their errors. In an atlas of all attractors the first attractors are compared.
     """
     dims = stored["periods_used"].ndim
     stored, again = (leading(spec.variables, arrays, dims) for arrays in (stored, again))
@@ -87,7 +87,7 @@ def _in_words(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray],
 
 def _text(name: str, values: Any) -> str:
     if name == REGIME.name:
-        names = {each.code: each.name for each in REGIME.codes}
+        names = {known.code: known.name for known in REGIME.codes}
         return ", ".join(names.get(code, str(code)) for code in values.ravel().tolist())
     flat = values.ravel().tolist()
     shown = [f"{value!r}" if not isinstance(value, float) or math.isfinite(value) else f"{value}" for value in flat[:4]]

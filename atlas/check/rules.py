@@ -36,18 +36,18 @@ Mask = NDArray[np.bool_]
 STANDARD_ERRORS = 4.0
 """Errors by which the exponent of a chaotic cell is positive, unless its average is not stationary."""
 SUM_LAW = 1e-8
-"""By how much a sum of exponents may miss its exact value, relative to it or absolutely where that is small."""
+"""Largest error of a sum of exponents, relative to its exact value, or absolute where that is below 1."""
 TORUS = 1e-3
-"""By how much besides in a quasiperiodic cell, whose first exponent is a weighted average and the others plain ones."""
+"""The same for a quasiperiodic cell, in addition: its first exponent is a weighted average, the others plain ones."""
 SAME = 1e-6
-"""By how much, besides five errors, averages of two kinds may give the largest exponent."""
+"""Largest difference, besides five errors, between two kinds of averages of the largest exponent."""
 
 
 def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     """The rules that some cells of a tile break, each in words, with the mask of those cells.
 
-    ``arrays`` holds the result variables over the cells ``slices``; a rule about one that is not among them is left
-    out. Where the spectrum is stored, its sum is compared with the exact law of ``workers.cell.exponents``.
+    ``arrays`` holds the result variables over the cells ``slices``; rules about other variables are left out. Where
+    the spectrum is stored, its sum is compared with the exact law of ``workers.cell.exponents``.
     """
     if spec.coexistence:
         return _broken_of_many(spec, slices, arrays)
@@ -59,36 +59,37 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
     many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra}
     shape = tuple(part.stop - part.start for part in slices)
     count, tried = arrays["attractors"], arrays["starts"]
-    found: dict[str, Any] = {}
+    broken: dict[str, Any] = {}
     assert spec.attractors is not None
     for k in range(spec.attractors.keep):
         place = (slice(None),) * len(shape) + (k,)
         one = {name: values[place] if name in many else values for name, values in arrays.items()}
         there = k < np.maximum(count, 1)
-        found |= {f"attractor {k}: {text}": mask & there for text, mask in _broken(spec, slices, one).items()}
-        found[f"attractor {k} has a regime but does not exist"] = ~there & (one[REGIME.name] != PENDING)
-        found[f"attractor {k} is undetermined"] = (k < count) & (one[REGIME.name] == UNDETERMINED)
+        broken |= {f"attractor {k}: {text}": mask & there for text, mask in _broken(spec, slices, one).items()}
+        broken[f"attractor {k} has a regime but does not exist"] = ~there & (one[REGIME.name] != PENDING)
+        broken[f"attractor {k} is undetermined"] = (k < count) & (one[REGIME.name] == UNDETERMINED)
     share = np.nan_to_num(arrays["share"])
     with np.errstate(invalid="ignore", divide="ignore"):
-        told = share.sum(axis=-1) + (arrays["undecided"] + arrays["left"]) / tried
-        found["shares, undecided and left do not add up to 1"] = np.logical_and(tried > 0, ~(np.abs(told - 1.0) < SAME))
+        total = share.sum(axis=-1) + (arrays["undecided"] + arrays["left"]) / tried
+        unlike = ~(np.abs(total - 1.0) < SAME)
+        broken["shares, undecided and left do not add up to 1"] = np.logical_and(tried > 0, unlike)
     mirror = arrays["mirror"]
     back = np.take_along_axis(mirror, np.maximum(mirror, 0), axis=-1)
-    found["mirror of a mirror image is another one"] = ((mirror >= 0) & (back != np.arange(spec.attractors.keep))).any(
+    broken["mirror of a mirror image is another one"] = ((mirror >= 0) & (back != np.arange(spec.attractors.keep))).any(
         axis=-1
     )
-    found["shares are not descending"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
-    found["own is not one of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
-    found["more starts than the spec has"] = tried > spec.attractors.count
-    return {text: mask for text, mask in found.items() if mask.any()}
+    broken["shares are not descending"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
+    broken["own is not one of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
+    broken["more starts than the spec has"] = tried > spec.attractors.count
+    return {text: mask for text, mask in broken.items() if mask.any()}
 
 
 def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     with np.errstate(invalid="ignore"):  # comparisons with NaN are false, as the rules count on
-        found = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
+        broken = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
         if {"spectrum", "sum_law_defect", "impacts_per_period", "sticks"} <= arrays.keys():
-            found |= {text: mask for text, mask in _sum_law(spec, slices, arrays) if mask.any()}
-    return found
+            broken |= {text: mask for text, mask in _sum_law(spec, slices, arrays) if mask.any()}
+    return broken
 
 
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
@@ -152,18 +153,18 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """The slowest impact is not faster than the mean one, nor that than the fastest."""
+    """The slowest impact is at most as fast as the mean, and the mean as the fastest."""
     names = [name for name in ("min_impact_speed", "mean_impact_speed", "max_impact_speed") if name in arrays]
     for slower, faster in pairwise(names):
         yield f"{slower} is above {faster}", arrays[slower] > arrays[faster] * (1 + 1e-9)
 
 
 def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:
-    """Where a reason is one that the table has, for cells of this regime."""
-    found = np.zeros(regime.shape, dtype=bool)
+    """The cells whose reason stands in the table of reasons for their regime."""
+    fits = np.zeros(regime.shape, dtype=bool)
     for known in REASONS:
-        found |= (reason == known.code) & (regime == known.regime)
-    return found
+        fits |= (reason == known.code) & (regime == known.regime)
+    return fits
 
 
 def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
@@ -249,11 +250,11 @@ def _rest_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 
 
 def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """The sum of the exponents against the law, wherever the solver says by its defect that the law holds."""
+    """The sum of the exponents against the law, in cells to which the solver gave a defect: there the law holds."""
     regime, defect, mean = arrays[REGIME.name], arrays["sum_law_defect"], arrays["impacts_per_period"]
     total = arrays["spectrum"].sum(axis=-1)
-    free, each = law_of(spec, slices)
-    law = free + np.where(mean == 0.0, 0.0, each * mean)
+    free, per_impact = law_of(spec, slices)
+    law = free + np.where(mean == 0.0, 0.0, per_impact * mean)
     held = np.isfinite(defect)
     room = SUM_LAW * np.maximum(1.0, np.nan_to_num(np.abs(law)))
     yield "sum_law_defect is too large, or of no spectrum", held & ~(np.abs(defect) <= room)
@@ -264,22 +265,22 @@ def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, 
 
 
 def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The exact sum of the exponents without impact, and what each impact a period adds, over a tile's cells.
+    """The exact sum of the exponents without impact, and the change by one impact a period, over a tile's cells.
 
-    Both broadcast to the tile. NaN where there is none: no oscillator, and for the second where R = 0.
+    Both broadcast to the tile. Both are NaN without an oscillator, the second also where R = 0.
     """
     params = spec.cell_params(slices)
     axes = {name: tuple(sorted(set(values))) for name, values in spec.points.items()}
     axes = axes or {axis.name: axis.values for axis in spec.axes}
     middle = {name: _middle(params[name]) for name in params}
-    # An oscillator takes long to build, and often an axis has nothing to do with the sum, as the clearance has not.
+    # An oscillator takes long to build, and many axes do not change the sum, such as the clearance.
     varying = {name: params[name] for name, values in axes.items() if _law_varies(spec, middle, name, values)}
     grids = np.broadcast_arrays(*varying.values()) if varying else [np.zeros((1,) * len(spec.shape))]
-    free, each = np.empty(grids[0].shape), np.empty(grids[0].shape)
+    free, per_impact = np.empty(grids[0].shape), np.empty(grids[0].shape)
     for cell in np.ndindex(free.shape):
         given = {name: float(grid[cell]) for name, grid in zip(varying, grids, strict=False)}
-        free[cell], each[cell] = _law(spec, middle | given)
-    return free, each
+        free[cell], per_impact[cell] = _law(spec, middle | given)
+    return free, per_impact
 
 
 def _law_varies(spec: Spec, middle: Mapping[str, float], name: str, values: tuple[float, ...]) -> bool:

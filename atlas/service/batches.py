@@ -1,7 +1,7 @@
 """Jobs sent to Dask, and results fetched, in batches: a single request takes 5 ms.
 
-The results go through the scheduler: a client that fetched them itself would hold a connection to every worker, and
-take half as long again.
+The results go through the scheduler: fetching them directly would need a connection to every worker and take half as
+long again.
 """
 
 import asyncio
@@ -22,21 +22,24 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 PAUSE, LONGEST_PAUSE = 5e-3, 50e-3
-"""Seconds between two looks at the jobs under way: at few of them, and at many, whose ends make a batch meanwhile."""
+"""Seconds between two looks at few jobs under way, and at many: meanwhile the finished jobs make a batch."""
 BATCH, HOLD = 16, 0.25
-"""Ends to wait for, or one in 20 of the jobs under way if that is less, and seconds: no thread may run out of jobs."""
+"""Finished jobs that make a batch, or one in 20 of the jobs under way if that is less; and seconds to wait for them.
+
+Both are small, so that no thread runs out of jobs.
+"""
 LEAST_MEMORY = 500_000_000
-"""Bytes that a worker needs: with a lower limit Dask pauses it, for the kernels alone take most of them."""
+"""Bytes that a worker needs; the kernels take most of them, and Dask pauses a worker with a lower limit."""
 MANY = 400
 """Jobs under way that are looked at with the longest pause."""
 
 
 class Numbered(Protocol):
-    """A job, by what identifies it."""
+    """A job with an index, which identifies it."""
 
     @property
     def index(self) -> tuple[int, ...]:
-        """Of its tile, or its place among others."""
+        """The index of its tile, or its number among other jobs."""
 
 
 J = TypeVar("J", bound=Numbered)
@@ -45,12 +48,12 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Labour(Generic[J, R]):
-    """What workers do, as functions of modules, for one run at a time by this name.
+    """A kind of work, as functions of modules; one run at a time uses this name.
 
     act       does a job
-    prepare   does, once on each worker, what is to be done before the first job
-    forget    drops what that keeps, at the end
-    memory    bytes that a worker needs for it
+    prepare   prepares a worker, once, before its first job
+    forget    drops the state kept by ``prepare``, at the end
+    memory    bytes that a worker needs
     """
 
     name: str
@@ -62,21 +65,21 @@ class Labour(Generic[J, R]):
 
 @dataclass(frozen=True)
 class Done(Generic[R]):
-    """What a job gave, and on which worker."""
+    """The result of a job, and the worker that did it."""
 
     worker: str
     result: R
 
 
 Result: TypeAlias = Done[R] | Refusal | Failure
-"""What ``work`` gives."""
+"""The value returned by ``work``."""
 if TYPE_CHECKING:
     Ended: TypeAlias = Future[Result[R]]
 
 
 @dataclass(frozen=True)
 class Attempt(Generic[J]):
-    """A job on its way: its failures so far, and the workers that may have it, None for any."""
+    """A job that is to be done: its failures so far, and the workers that may do it, None for any."""
 
     job: J
     failures: tuple[Failure, ...] = ()
@@ -101,7 +104,7 @@ def work(act: Callable[[J], R], job: J) -> Result[R]:
 
 
 class Batches(Generic[J, R]):
-    """Attempts under way at jobs that ``act`` does. A result that Dask does not find is waited for ``seconds``."""
+    """The attempts under way; ``act`` does a job. ``seconds`` limits the wait for a result that Dask cannot find."""
 
     def __init__(self, client: "Client", act: Callable[[J], R], seconds: float) -> None:
         self._client, self._act, self._seconds = client, act, seconds
@@ -113,22 +116,22 @@ class Batches(Generic[J, R]):
         return len(self._running)
 
     def submit(self, attempts: Iterable[Attempt[J]]) -> None:
-        """Submit attempts; those for the same workers together, which costs hardly more than one."""
+        """Submit attempts; attempts for the same workers go together, which costs hardly more than one."""
         together: dict[tuple[str, ...] | None, list[Attempt[J]]] = {}
         for attempt in attempts:
             together.setdefault(attempt.workers, []).append(attempt)
-        for workers, those in together.items():
-            jobs, keys = [each.job for each in those], []
+        for workers, group in together.items():
+            jobs, keys = [one.job for one in group], []
             for job in jobs:
                 self._submitted += 1  # a key of its own for each attempt: Dask remembers a failed one's
                 keys.append((f"tile-{self._token}", self._submitted, *job.index))
             acts, names = [self._act] * len(jobs), list(workers) if workers else None
             with loss_reported(self._client):
                 futures = self._client.map(work, acts, jobs, key=keys, workers=names, pure=False)
-            self._running.update(zip(futures, those, strict=True))
+            self._running.update(zip(futures, group, strict=True))
 
     def withdraw(self, which: Callable[[Attempt[J]], bool], waiting: bool = False) -> list[Attempt[J]]:
-        """Take attempts back; with ``waiting`` only those that no worker has: Dask cannot interrupt the others."""
+        """Take back attempts; with ``waiting`` only attempts that no worker has begun: Dask cannot interrupt others."""
         futures = [future for future, attempt in self._running.items() if which(attempt)]
         with loss_reported(self._client):
             if futures and waiting:
@@ -139,9 +142,9 @@ class Batches(Generic[J, R]):
         return [self._running.pop(future) for future in futures]
 
     def ended(self) -> "Iterator[tuple[Attempt[J], Result[R]]]":
-        """The attempts that have ended after a short while, with their results.
+        """The attempts that have ended after a short wait, with their results.
 
-        One whose result was lost with its worker is done once more by Dask, and ends once more.
+        If a result was lost with its worker, Dask repeats the job, and the attempt ends again.
         """
         time.sleep(PAUSE + LONGEST_PAUSE * min(1.0, len(self._running) / MANY))
         ended = [future for future in self._running if future.done()]
@@ -157,7 +160,7 @@ class Batches(Generic[J, R]):
             yield self._running.pop(future), result
 
     def _fetched(self, finished: "list[Ended[R]]") -> "Iterator[tuple[Ended[R], Result[R]]]":
-        """What finished jobs gave, which lies on their workers, by one request to the scheduler."""
+        """The results of finished jobs, which lie on their workers, by one request to the scheduler."""
         by_number = dict(enumerate(finished))
 
         async def gather() -> dict[int, Any]:
@@ -166,15 +169,15 @@ class Batches(Generic[J, R]):
 
         with loss_reported(self._client):
             try:
-                found = self._client.sync(gather) if finished else {}
+                results = self._client.sync(gather) if finished else {}
             except TimeoutError:
                 return
-        for number, result in found.items():
+        for number, result in results.items():
             if result is not None:
                 yield by_number[number], result
 
     def _failure_of(self, future: "Ended[R]") -> Failure:
-        """The failure of a job that came to no end of its own: all workers that had it died."""
+        """The failure of a job that never returned: all workers that had it died."""
         error = future.exception()
         assert error is not None
         if "deserialization of the task graph" in str(error):

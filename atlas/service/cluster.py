@@ -27,20 +27,20 @@ LOST = "the cluster was lost; the same command resumes from the stored tiles"
 
 @dataclass(frozen=True)
 class Tls:
-    """Files for an encrypted connection, as Dask takes them; for None Dask's own configuration applies."""
+    """Files for an encrypted connection to a scheduler; Dask's own configuration replaces a None."""
 
     ca_file: str | None = None
     cert: str | None = None
     key: str | None = None
 
     def __post_init__(self) -> None:
-        for what, file in (("CA file", self.ca_file), ("certificate", self.cert), ("key", self.key)):
+        for kind, file in (("CA file", self.ca_file), ("certificate", self.cert), ("key", self.key)):
             if file is not None and not os.access(file, os.R_OK):
-                raise InputError(f"TLS {what} {file}: no such file, or it cannot be read")
+                raise InputError(f"TLS {kind} {file}: no such file, or it cannot be read")
 
 
 def _security(tls: Tls | None) -> "Security":
-    """Dask's Security of its configuration (distributed.comm.tls), with the files given replacing those named there."""
+    """Dask's Security by its configuration (distributed.comm.tls), in which the given files replace the named ones."""
     from distributed import Security
 
     given = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}
@@ -70,7 +70,7 @@ def connected(scheduler: str, tls: Tls | None = None, timing: Timing = TIMING) -
 
 
 async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
-    """Connect and hang up; an exception where nothing answers."""
+    """Connect and hang up; raises an exception if nothing answers."""
     from distributed.comm.core import connect
 
     comm = await connect(scheduler, timeout=seconds, **security.get_connection_args("client"))
@@ -119,7 +119,7 @@ def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
 
 
 def has_dashboard() -> bool:
-    """Whether Dask finds a Bokeh that its dashboard and its reports can be drawn with."""
+    """Whether Dask can draw its dashboard and its reports: it needs Bokeh."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns of a Bokeh that is too old
         try:
@@ -130,10 +130,10 @@ def has_dashboard() -> bool:
 
 
 def dashboard_link(client: "Client") -> str:
-    """Where the dashboard of a cluster is, by ``distributed.dashboard.link``; empty if nobody can say."""
+    """The address of a cluster's dashboard, by ``distributed.dashboard.link``; empty if it is unknown."""
     try:
         return client.dashboard_link or ""
-    except (KeyError, ValueError):  # the user's template names what this environment does not have
+    except (KeyError, ValueError):  # the user's template names a variable that this environment does not have
         return ""
 
 
@@ -141,9 +141,9 @@ def dashboard_link(client: "Client") -> str:
 def performance_reported(
     client: "Client", path: str | os.PathLike[str] | None, failed: Callable[[str], None]
 ) -> Iterator[None]:
-    """Write Dask's performance report of the block into an HTML file that needs no network; nothing for None.
+    """Write Dask's performance report of the block into an HTML file that needs no network; nothing if path is None.
 
-    A report that cannot be written at the end is no reason to lose a run: ``failed`` gets why, in words.
+    If the report cannot be written at the end, the run stands, and ``failed`` is called with the reason.
     """
     if path is None:
         yield
@@ -188,14 +188,14 @@ def worker_threads(client: "Client") -> dict[str, int]:
 
 
 def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
-    """Of each worker by its address: its memory limit in bytes, 0 for none, and whether Dask has paused it."""
+    """The workers by address: memory limit in bytes, 0 for none, and whether Dask has paused the worker."""
     with loss_reported(client):
-        found = client.scheduler_info()["workers"]
-    return {name: (int(each.get("memory_limit") or 0), each.get("status") == "paused") for name, each in found.items()}
+        infos = client.scheduler_info()["workers"]
+    return {name: (int(info.get("memory_limit") or 0), info.get("status") == "paused") for name, info in infos.items()}
 
 
 def active_client() -> "Client | None":
-    """The client that the caller has open, as Dask's own collections find it; None if there is none."""
+    """The client that the caller has open, Dask's default client; None if there is none."""
     if "distributed" not in sys.modules:
         return None
     from distributed import default_client
@@ -235,9 +235,9 @@ def count_threads(
 
 
 def leave_if_bootstrapping() -> None:
-    """End a worker process that is importing its parent's script, where a call without a __main__ guard leads to.
+    """End a worker process that imports its parent's script: a script without a __main__ guard gets here.
 
-    The parent then says what to do; an exception here would print a traceback for every worker.
+    The parent then explains the guard; an exception here would print a traceback for every worker.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise SystemExit(1)
@@ -245,7 +245,7 @@ def leave_if_bootstrapping() -> None:
 
 @contextmanager
 def _quiet(*more: str) -> Iterator[None]:
-    """Keep the log of Dask, and of ``more``, off the terminal: what matters comes back as an outcome or an error."""
+    """Keep the logs of Dask and of the packages ``more`` off the terminal: outcomes and errors come back as values."""
     # Importing distributed has given several of its loggers a level and a handler of their own.
     packages = ("distributed", "tornado", *more)
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]

@@ -33,7 +33,7 @@ class Timed(Protocol):
 
     @property
     def processor_seconds(self) -> float:
-        """The time of a worker's processor that it took."""
+        """Seconds of a worker's processor that the job took."""
 
 
 T = TypeVar("T", bound=Timed)
@@ -41,15 +41,15 @@ T = TypeVar("T", bound=Timed)
 
 @dataclass
 class Crew(Generic[J, R]):
-    """The workers of a store that is claimed, set up when ``force`` is first asked for, if need be as new processes.
+    """The workers for a claimed store; the first use of ``force`` sets them up, as new processes if there are none.
 
     act       does a job
-    kernels   that the jobs take
-    threads   threads of the workers: those asked for, or as many as were seen
+    kernels   kernels that the jobs need
+    threads   threads of the workers: the number asked for, later the largest number seen
     memory    bytes that a worker needs
     begin     when the jobs began, by the monotonic clock
 
-    ``tasks`` and ``processor_seconds`` are the jobs that ``do`` has had done, and what they took.
+    ``tasks`` and ``processor_seconds`` count the jobs done by ``do`` and their processor time.
     """
 
     handle: Atlas
@@ -78,9 +78,9 @@ class Crew(Generic[J, R]):
         stack: ExitStack,
         needed: bool = True,
     ) -> "Crew[J, R]":
-        """The crew of a store that is claimed from now on, until ``stack`` is closed; without workers if not needed.
+        """Claim a store until ``stack`` is closed, and return its crew; without workers unless they are ``needed``.
 
-        Its handle writes behind the fence of the claim.
+        The crew's handle writes behind the fence of the claim.
         """
         client = joined(client, options, stack) if needed else None
         threads = worker_count(client, options) if needed else 0
@@ -89,7 +89,7 @@ class Crew(Generic[J, R]):
 
     @cached_property
     def site(self) -> Site:
-        """The store as the jobs get it."""
+        """The store as jobs receive it."""
         handle = self.handle
         return Site(sendable(handle.place), handle.run_id, SOLVER_VERSION, self.options.patience, self.claim.token)
 
@@ -116,9 +116,9 @@ class Crew(Generic[J, R]):
     def do(
         self: "Crew[J, T]", jobs: Sequence[J], doing: Callable[[], Progress], take: Callable[[T], None] = lambda _: None
     ) -> None:
-        """Have jobs done whose results are parts of the store; ``doing`` says how far, ``take`` gets each receipt.
+        """Let the workers do jobs whose results are parts of the store; ``take`` is called with every receipt.
 
-        RunError if a job fails for good.
+        ``doing`` gives the progress to report. RunError if a job fails for good.
         """
 
         def tick(workers: Workers) -> None:
@@ -138,7 +138,7 @@ class Crew(Generic[J, R]):
             self._report(doing())
 
     def _report(self, progress: Progress, trouble: str = "") -> None:
-        """Report how far the jobs are; in a log once every few seconds."""
+        """Report the progress of the jobs; in a log once every few seconds."""
         now = time.monotonic()
         stage = trouble or progress.stage
         passing = now - self.reported < LOG_INTERVAL or stage == self.last
@@ -151,9 +151,9 @@ class Crew(Generic[J, R]):
 def called(
     store: "Given | Atlas", client: "Client | None", options: RunOptions
 ) -> Iterator[tuple[Atlas, RunOptions, ExitStack]]:
-    """A call that works on a store: its handle, the options with what reports progress, and what ends with the call.
+    """The beginning of a call that works on a store: its handle, its options with a reporter of progress, and a stack.
 
-    InputError for a client that does not go with the options, and if there is no atlas.
+    The stack is closed when the call ends. InputError for a client that contradicts the options, and without an atlas.
     """
     leave_if_bootstrapping()
     check_client(client, options)
@@ -163,7 +163,7 @@ def called(
 
 
 def waiting_handle(store: "Given | Atlas", options: RunOptions) -> Atlas:
-    """The handle of a store that a call works on, which waits for its server as long as the options say."""
+    """The handle of the store of a call; it waits ``options.patience`` seconds for a server that does not answer."""
     if isinstance(store, Atlas):
         return store.at(waiting(store.place, options.patience))
     return open_handle(waiting(place_of(store, storage_options=options.storage_options), options.patience))
@@ -171,11 +171,11 @@ def waiting_handle(store: "Given | Atlas", options: RunOptions) -> Atlas:
 
 @contextmanager
 def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
-    """Hold the claim of a store. Leftovers of dead runs are removed when it begins, their notes when it ends.
+    """Hold the claim of a store. Leftovers of dead runs are removed at the beginning, their notes at the end.
 
-    A beat waits only for the place's own patience: another follows, and none should delay the end of a run whose store
-    is away. To remove the notes, and for a beat to succeed, a run waits as long as the options say; meanwhile nothing
-    is written without a look at the claim.
+    A single beat waits only as long as the place does: the next beat follows, and a run whose store does not answer
+    should end without delay. For some beat to succeed, and to remove the notes, the run waits ``options.patience``
+    seconds; meanwhile nothing is written without a look at the claim.
     """
     notes = notes_of(waiting(place, options.patience))
 
@@ -183,7 +183,7 @@ def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
         options.report(Progress(text))
 
     def tidy() -> None:
-        if claim_token(notes) == claim.token:  # else they are another run's
+        if claim_token(notes) == claim.token:  # else the notes belong to another run
             notes.clear(keep=CLAIM)
 
     patience = options.patience if place.local is None else 0.0
@@ -193,7 +193,7 @@ def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
         try:
             yield claim
         except Exception:
-            raise  # tiles that were begun may have something to do with it: their notes stay
+            raise  # notes of unfinished tiles stay: the tiles may be the cause
         except BaseException:
             tidy()
             raise

@@ -35,7 +35,7 @@ class CurvesSummary:
     """The curves of a store, and the cost of finding them: none if the store had them."""
 
     store: str
-    found: Curves
+    curves: Curves
     seconds: float = 0.0
     processor_seconds: float = 0.0
     workers: int = 0
@@ -43,7 +43,7 @@ class CurvesSummary:
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas find curves --json`` prints."""
-        report, kinds = self.found.report, [curve.kind for curve in self.found]
+        report, kinds = self.curves.report, [curve.kind for curve in self.curves]
         edges: Mapping[str, Any] = report["edges"]
         return {
             "store": self.store,
@@ -61,25 +61,25 @@ class CurvesSummary:
         return str(self)
 
     def __str__(self) -> str:
-        told = self.as_dict()
-        kinds = ", ".join(f"{kind} {count}" for kind, count in told["kinds"].items())
-        lines = [f"{self.store}: {plural(len(self.found), 'curve')}" + (f" ({kinds})" if kinds else "")]
+        facts = self.as_dict()
+        kinds = ", ".join(f"{kind} {count}" for kind, count in facts["kinds"].items())
+        lines = [f"{self.store}: {plural(len(self.curves), 'curve')}" + (f" ({kinds})" if kinds else "")]
         if self.tasks:
             busy = f"{duration(self.processor_seconds)} of processor time"
             lines.append(
-                f"{told['points']} points in {duration(self.seconds)} on {plural(self.workers, 'worker')}, {busy}"
+                f"{facts['points']} points in {duration(self.seconds)} on {plural(self.workers, 'worker')}, {busy}"
             )
-        least = told["settings"]["least"]
+        least = facts["settings"]["least"]
         names = {
             "regions": f"borders between regions of {least} cells or more",
             "small": f"borders of regions below {least} cells",
             "others": "borders to cells without a known orbit",
         }
-        lines += [_edge_line(names[name], counts) for name, counts in told["edges"].items() if counts["all"]]
-        if told["events_not_followed"]:
-            lines.append(f"budget spent: {plural(told['events_not_followed'], 'event')} not followed")
-        lines += [_why_line(each) for each in told["unexplained"]]
-        lines += [f"{plural(count, 'place')}: {text}" for text, count in told["troubles"].items()]
+        lines += [_edge_line(names[name], counts) for name, counts in facts["edges"].items() if counts["all"]]
+        if facts["events_not_followed"]:
+            lines.append(f"budget spent: {plural(facts['events_not_followed'], 'event')} not followed")
+        lines += [_why_line(place) for place in facts["unexplained"]]
+        lines += [f"{plural(count, 'place')}: {text}" for text, count in facts["troubles"].items()]
         return "\n".join(lines)
 
 
@@ -91,9 +91,10 @@ def find_curves(
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunFields],
 ) -> CurvesSummary:
-    """Find the curves of a finished plane and keep them in its store; at once where it has them for these settings.
+    """Find the curves of a finished plane and keep them in its store.
 
-    The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
+    Returns at once if the store has the curves for these settings. The search runs on ``client`` or on the workers
+    given by the options, like ``run``. The same call resumes a search that was stopped.
     Raises InputError if the store is not a finished plane; see also ``run``.
     """
     with called(store, client, chosen(options, fields)) as (handle, options, stack):
@@ -110,7 +111,7 @@ def find_curves(
 
 
 def _stored(handle: Atlas, digest: str) -> Curves | None:
-    """The curves that the store has, if that search found them."""
+    """The stored curves, if a search with this digest found them; else None."""
     try:
         stored = read_curves(handle)
     except ChunkError:
@@ -118,7 +119,7 @@ def _stored(handle: Atlas, digest: str) -> Curves | None:
     if stored is None or stored.report.get("digest") != digest:
         return None
     if not handle.place.only_read and any(part_names(handle, CURVES)):
-        drop_parts(handle, CURVES)  # of a run that was killed at its very end
+        drop_parts(handle, CURVES)  # left by a run that was killed at its very end
     return stored
 
 
@@ -138,12 +139,12 @@ class _Coordinator:
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
             self.crew.do(jobs, self._progress)
             self.search.take([read_part(self.handle, name) for name in tasks])
-        found = finished(self.search)
-        drop_family(self.handle, MARGIN)  # margins are to the curves before
-        write_curves(self.handle, found)
+        curves = finished(self.search)
+        drop_family(self.handle, MARGIN)  # margins to the previous curves
+        write_curves(self.handle, curves)
         drop_parts(self.handle, CURVES)
         crew, seconds = self.crew, time.monotonic() - self.crew.begin
-        return CurvesSummary(str(self.handle.place), found, seconds, crew.processor_seconds, crew.threads, crew.tasks)
+        return CurvesSummary(str(self.handle.place), curves, seconds, crew.processor_seconds, crew.threads, crew.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         index = self.search.stage, number

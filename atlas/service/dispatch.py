@@ -1,4 +1,4 @@
-"""Jobs out to the workers and their outcomes back: a window of jobs under way, failed ones tried again."""
+"""Handing jobs to workers and collecting the outcomes: a window of jobs under way; failed jobs are tried again."""
 
 import logging
 import math
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 """Decisions, and errors of workers with their tracebacks, at level DEBUG."""
 IN_FLIGHT, MOST_IN_FLIGHT = 2, 64
-"""Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows; of short jobs
-as many as keep it busy for AHEAD, up to MOST_IN_FLIGHT.
+"""Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows.
+
+If jobs are short, enough of them to keep the thread busy for AHEAD seconds, at most MOST_IN_FLIGHT.
 """
 AHEAD = 10.0
 """Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
@@ -41,7 +42,7 @@ CHOICES = 64
 
 @dataclass(frozen=True)
 class Workers:
-    """The threads of a run's workers, the workers that get no job and why, and why no job has ended for a while."""
+    """The workers of a run: number of threads, excluded workers with the reason, and why no job has ended lately."""
 
     threads: int
     left_out: Mapping[str, str]
@@ -51,18 +52,18 @@ class Workers:
 @contextmanager
 def workforce(client: "Client", labour: Labour[J, R], timing: Timing = TIMING) -> "Iterator[Workforce[J, R]]":
     """The workers of a cluster, set up for their jobs until the end of the block."""
-    from atlas.service.setup import set_up  # with it Dask, which takes a while to load
+    from atlas.service.setup import set_up  # imports Dask, which takes a while to load
 
     with set_up(client, labour, timing.connect) as act:
         yield Workforce(client, act, timing, labour.memory)
 
 
 class Workforce(Generic[J, R]):
-    """The workers of a cluster, and what is known of them.
+    """The workers of a cluster, and the record of their successes and failures.
 
-    A job that fails is tried again, on another worker or machine if there is one. A worker at which FAILURES jobs in a
-    row failed is excluded while others succeed, as is one with too little memory. ``ahead`` is how many seconds of work
-    each thread has waiting; with 0 the next job is chosen as late as possible.
+    A job that fails is tried again, on another worker or machine if there is one. A worker is excluded if FAILURES jobs
+    in a row failed there while other workers succeed, or if it has too little memory. ``ahead`` is the number of
+    seconds of work that wait for each thread; with 0 the next job is chosen as late as possible.
     """
 
     def __init__(
@@ -80,11 +81,11 @@ class Workforce(Generic[J, R]):
         self.last_good = self.last_end = self.looked = time.monotonic()
 
     def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
-        """Submit jobs in a window and give each one's outcome as it ends; what is under way at an error is dropped.
+        """Submit jobs in a window, and yield their outcomes as they end; at an error, jobs under way are dropped.
 
-        ``jobs`` may have none now and one later: while some are under way, it is asked whenever there is room.
-        ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it.
-        Raises RunError if the cluster is lost, no worker may have a job any more, or the store has no room.
+        ``jobs`` may be empty now and have a job later: while jobs are under way, it is asked again whenever there is
+        room. ``tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to stop.
+        Raises RunError if the cluster is lost, all workers are excluded, or the store has no room.
         """
         self.waiting, ticked = iter(jobs), -math.inf
         self.last_good = self.last_end = self.looked = time.monotonic()
@@ -99,7 +100,7 @@ class Workforce(Generic[J, R]):
                 if not (self.running or self.again):
                     yield from self.judged()
                     if not self.again:
-                        tick(self.workers())  # who was excluded since the last one
+                        tick(self.workers())  # shows workers excluded since the last tick
                         return
                     continue
                 for attempt, result in self.running.ended():
@@ -111,7 +112,7 @@ class Workforce(Generic[J, R]):
                 self.running.withdraw(lambda _: True)
 
     def look(self) -> None:
-        """Look at the cluster, which may grow and shrink under way."""
+        """Look at the cluster, which may grow and shrink during the run."""
         threads, now = worker_threads(self.client), time.monotonic()
         self.thread_seconds += sum(self.threads.values()) * (now - self.looked)
         self.looked = now
@@ -121,14 +122,14 @@ class Workforce(Generic[J, R]):
             LOG.debug("%s: %s", plural(len(threads), "worker"), ", ".join(sorted(threads)))
         self.threads = threads
         self.most_workers = max(self.most_workers, len(self.threads))
-        # Dask keeps a job for the workers that it was given to, though all of them are gone.
+        # Dask keeps a job for the workers to which it is restricted, even if all of them are gone.
         lost = self.running.withdraw(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
         if lost:
             LOG.debug("workers are gone: %s given to others", plural(len(lost), "tile"))
         self.again.extend(lost)
 
     def need(self, memory: int) -> None:
-        """Set the bytes that a job takes from now on: workers with less memory are excluded."""
+        """Set the bytes that jobs need from now on: workers with less memory are excluded."""
         self.memory = memory
         for worker, (limit, _) in worker_memory(self.client).items():
             if 0 < limit < memory:
@@ -136,7 +137,7 @@ class Workforce(Generic[J, R]):
                 self.fitness.refuse(Refusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
 
     def workers(self) -> Workers:
-        """The workers, as far as the last look and the ends of attempts show."""
+        """The workers, by the last look at the cluster and the outcomes so far."""
         return Workers(sum(self.threads.values()), self.fitness.left_out, self.trouble())
 
     def trouble(self) -> str:
@@ -155,7 +156,7 @@ class Workforce(Generic[J, R]):
         )
 
     def fill(self) -> None:
-        """Submit as many jobs as the window has room for, those to be tried again first."""
+        """Fill the window with jobs, starting with jobs that are to be tried again."""
         left_out = self.fitness.left_out
         willing = [worker for worker in self.threads if worker not in left_out]
         if willing or not left_out:
@@ -170,7 +171,7 @@ class Workforce(Generic[J, R]):
                 )
             return
         else:
-            return  # one that did tiles is gone, and may come back
+            return  # a worker that did jobs is gone, and may come back
         if self.client.status != "running":
             raise RunError(LOST)
         room = max(0, self.window(max(1, sum(self.threads[worker] for worker in willing))) - len(self.running))
@@ -185,14 +186,14 @@ class Workforce(Generic[J, R]):
         self.running.submit(attempts)
 
     def window(self, threads: int) -> int:
-        """Jobs to have under way for that number of threads, by what they have taken so far."""
+        """The number of jobs to keep under way for this number of threads, by the times of jobs so far."""
         if not self.ahead:
             return threads + SPARE
-        each = math.ceil(self.ahead * self.done / self.thread_seconds) if self.thread_seconds else IN_FLIGHT
-        return threads * min(MOST_IN_FLIGHT, max(IN_FLIGHT, each))
+        jobs = math.ceil(self.ahead * self.done / self.thread_seconds) if self.thread_seconds else IN_FLIGHT
+        return threads * min(MOST_IN_FLIGHT, max(IN_FLIGHT, jobs))
 
     def drop(self, stale: Callable[[J], bool]) -> list[J]:
-        """Take back jobs that are not wanted any more, and return them; one that a worker has goes on."""
+        """Take back jobs that are no longer wanted, and return them; a job that a worker has begun is finished."""
         dropped = self.running.withdraw(lambda attempt: stale(attempt.job), waiting=True)
         for attempts in (self.again, self.doubtful):
             gone = [attempt for attempt in attempts if stale(attempt.job)]
@@ -229,7 +230,7 @@ class Workforce(Generic[J, R]):
         return None
 
     def judged(self) -> Iterator[TileFailure]:
-        """The jobs in doubt once all others are done; some may be tried again."""
+        """Judge the jobs in doubt once all others are done: a job is tried again or given up."""
         if self.fitness.left_out.keys() >= self.threads.keys():
             self.fitness.restored()
         for attempt in self.doubtful:
@@ -241,15 +242,15 @@ class Workforce(Generic[J, R]):
 
 
 def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, ...] | None:
-    """The workers for the next attempt: of other machines than those of the failures, else others, else any."""
-    failed = {each.worker for each in failures}
+    """The workers for the next attempt: on machines without a failure, else workers without a failure, else any."""
+    failed = {failure.worker for failure in failures}
     hosts = {host_of(worker) for worker in failed}
     apart = [worker for worker in willing if host_of(worker) not in hosts]
     return _some(apart or [worker for worker in willing if worker not in failed] or willing)
 
 
 def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
-    """Enough workers to choose from for that number of jobs; None if there are none."""
+    """Enough workers for Dask to choose from, for this number of jobs; None if there are none."""
     enough = CHOICES + 4 * jobs
     return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
 

@@ -37,11 +37,11 @@ def extend(
 ) -> Summary:
     """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
-    ``spec`` is the spec of the new atlas; only the values on its axes may differ. Or ``refine`` is the factor by which
-    all axes, or the axes by name, become finer. ``store`` does not change, and has to stay where it is until the new
-    one is complete; at a URL it is reached as the new one is, and ``storage_options`` are for both. The same call
-    resumes an extension that was stopped. ``client``, ``options`` and ``fields``: as for ``run``.
-    Raises InputError, before anything is written, where the two atlases do not fit together; see also ``run``.
+    ``spec`` is the spec of the new atlas; only the values on its axes may differ. Alternatively ``refine`` is the
+    factor by which all axes, or the named axes, become finer. ``store`` does not change, and has to stay in place until
+    the new store is complete; at URLs ``storage_options`` are for both. The same call resumes an extension that was
+    stopped. ``client``, ``options`` and ``fields``: as for ``run``.
+    Raises InputError, before anything is written, if the two atlases do not fit together; see also ``run``.
 
     Of 7 x 5 cells, each axis twice as fine:
 
@@ -72,12 +72,12 @@ def extend(
 
 
 def handle_from(store: "Given | Atlas", storage_options: Mapping[str, Any] | None) -> Atlas:
-    """The handle of a store that cells are taken from; the options are those of a new store at a URL too."""
+    """The handle of a store whose cells are reused; the options, of the new store, apply to it too at a URL."""
     return open_handle(store, storage_options if is_url(store) else None)
 
 
 def place_from(old: Atlas, into: Given, storage_options: Mapping[str, Any] | None = None) -> Place:
-    """The place of a new store that takes over cells; InputError where none of them could be."""
+    """The place of a new store that reuses the cells of an old one; InputError if it cannot reuse any."""
     place = place_of(into, storage_options=storage_options)
     if place == old.place:
         raise InputError(f"{place}: is the store to take cells from; the new one needs another path")

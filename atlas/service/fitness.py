@@ -18,7 +18,7 @@ HOPELESS = 16
 
 @dataclass(frozen=True)
 class Refusal:
-    """A worker that refuses this run's tiles, and why; ``passing`` if the store may answer it later."""
+    """A worker that refuses the jobs of a run, and the reason; ``passing`` if the store may answer it later."""
 
     worker: str
     reason: str
@@ -27,9 +27,9 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Failure:
-    """What a job raised, and on which worker, empty if unknown; ``full`` if the store has no room.
+    """The exception of a job in words, and its worker, empty if unknown; ``full`` if the store has no room.
 
-    ``trace`` is the traceback there.
+    ``trace`` is the traceback on the worker.
     """
 
     worker: str
@@ -39,7 +39,7 @@ class Failure:
 
 
 class Fitness:
-    """The workers left out of a run."""
+    """The record of successes and failures by which workers are excluded from a run."""
 
     def __init__(self) -> None:
         self.refused: dict[str, str] = {}
@@ -58,14 +58,14 @@ class Fitness:
         """A worker has done a job."""
         self._proven.add(worker)
         self._failing.pop(worker, None)
-        for each in self._away:  # the store answers, so perhaps these too
-            self.refused.pop(each, None)
+        for waiting in self._away:  # the store answers this worker, so perhaps the others too
+            self.refused.pop(waiting, None)
         self._away.clear()
 
     def fail(self, index: Index, failure: Failure, before: Iterable[Failure]) -> None:
         """A job has failed; ``before`` are its earlier failures."""
         self._failed.add(index)
-        others = {each.worker for each in before} - {failure.worker}
+        others = {earlier.worker for earlier in before} - {failure.worker}
         if others and failure.worker in self._proven:
             for worker in others:
                 self._failing.get(worker, {}).pop(index, None)
@@ -74,22 +74,22 @@ class Fitness:
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        """The workers that get no job, and why."""
+        """The excluded workers, and the reasons."""
         unfit = {worker: jobs for worker, jobs in self._failing.items() if len(jobs) >= FAILURES}
         return {worker: _in_words(jobs) for worker, jobs in unfit.items()} | self.refused
 
     def is_at_fault(self, failures: Iterable[Failure], attempts: int) -> bool | None:
-        """Whether a job has failed that often at fit workers; None if some of these have not done a job yet."""
+        """Whether a job has failed ``attempts`` times on fit workers; None if some of these have not succeeded yet."""
         left_out = self.left_out
-        workers = [each.worker for each in failures if each.worker not in left_out]
+        workers = [failure.worker for failure in failures if failure.worker not in left_out]
         if len(workers) < attempts:
             return False
         return True if {*workers} <= self._proven | {""} else None
 
     def restored(self) -> bool:
-        """Give workers that failed another chance, and count their failures against the jobs.
+        """Readmit workers that failed, and count their failures against the jobs.
 
-        False if there is no such worker, or too much has failed without a single job done.
+        False if there is no such worker, or HOPELESS jobs have failed without a single success.
         """
         if not self.left_out.keys() - self.refused.keys() or (not self._proven and len(self._failed) >= HOPELESS):
             return False
@@ -98,7 +98,7 @@ class Fitness:
 
 
 def host_of(worker: str) -> str:
-    """What workers of one machine have in common in their addresses."""
+    """The part of a worker's address that all workers of one machine share."""
     return worker.rpartition(":")[0]
 
 

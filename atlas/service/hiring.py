@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 
 def hired(client: "Client | None", count: int, options: RunOptions, stack: ExitStack) -> "Client":
-    """The client to work on: the one given, or that of ``count`` processes, which are started now, as is reported.
+    """The client to work on: the given one, or a client of ``count`` processes, which are started now.
 
-    ``stack`` ends them, and before them the performance report that the options ask for.
+    Closing ``stack`` ends the performance report, if the options ask for one, and then the processes.
     """
     if client is None:
         stage = f"starting {plural(count, 'worker')}"
@@ -41,7 +41,7 @@ def hired(client: "Client | None", count: int, options: RunOptions, stack: ExitS
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:
-    """InputError for what is no client, and if a number of workers is given for a cluster that is the caller's."""
+    """InputError for an object that is no client, and if a number of workers is given for the caller's cluster."""
     if client is not None and not hasattr(client, "scheduler_info"):
         raise InputError(f"client: found {shown(client)}, must be a Dask client")
     if client is not None and options.workers is not None:
@@ -49,10 +49,10 @@ def check_client(client: "Client | None", options: RunOptions) -> None:
 
 
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
-    """The client to work on: the one given, one of the scheduler asked for, or the one that the caller has open.
+    """The client to work on: the given one, a new client of the options' scheduler, or the client the caller has open.
 
-    None for a local cluster: where none is open, or a number of workers is asked for. InputError if its scheduler
-    cannot draw the performance report that the options ask for.
+    None if a local cluster is needed: no client is open, or the options have a number of workers. InputError if the
+    options ask for a performance report that the scheduler cannot draw.
     """
     if client is None and options.scheduler is not None:
         options.report(Progress(f"connecting to {options.scheduler}", passing=True))
@@ -67,22 +67,25 @@ def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "C
 
 
 def worker_count(client: "Client | None", options: RunOptions) -> int:
-    """Threads of the cluster that a run works on, or the processes that it is going to start."""
+    """The number of threads of a run's cluster, or of processes that it is going to start."""
     if client is None:
         return options.workers or processors()
     return count_threads(client, options.wait_for_first, options.wait, options.timing.poll)
 
 
 def check_report(client: "Client | None", options: RunOptions) -> None:
-    """InputError if a performance report is asked for that the scheduler, or this process for None, cannot draw."""
+    """InputError if the options ask for a performance report that the scheduler cannot draw.
+
+    Without a client this process is going to be the scheduler.
+    """
     if options.performance_report is None:
         return
     if client is None:
-        found = has_dashboard()
+        drawable = has_dashboard()
     else:
         with loss_reported(client):
-            found = client.run_on_scheduler(has_dashboard)
-    if not found:
+            drawable = client.run_on_scheduler(has_dashboard)
+    if not drawable:
         raise InputError("performance_report: the scheduler draws it, and has no Bokeh: pip install bokeh")
 
 

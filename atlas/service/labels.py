@@ -19,7 +19,7 @@ from atlas.text import duration, plural
 
 @dataclass(frozen=True)
 class LabelSummary:
-    """The labels of a store, counted, and the seconds that it took to find them now: 0 where the store had them."""
+    """The counts of a store's labels, and the seconds spent finding them; 0 if the store had them already."""
 
     store: str
     count: Count
@@ -53,8 +53,7 @@ def label_attractors(
 ) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
-    Returns at once where the store has them. Raises InputError if the store is not a finished atlas of all
-    attractors.
+    Returns at once if the store has labels. Raises InputError if the store is not a finished atlas of all attractors.
     """
     options = chosen(options, fields)
     with reporting(options.on_progress) as report:
@@ -69,6 +68,6 @@ def label_attractors(
         with claimed_place(handle.place, options) as claim:
             prepare_kernels(options.report, *kernels_for(handle.spec.record, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
-            found = labels_of(handle)
-            write_labels(handle.at(claim.guard(handle.place)), found)
-        return LabelSummary(str(handle.place), found.count, time.monotonic() - begin)
+            labels = labels_of(handle)
+            write_labels(handle.at(claim.guard(handle.place)), labels)
+        return LabelSummary(str(handle.place), labels.count, time.monotonic() - begin)

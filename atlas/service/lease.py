@@ -2,9 +2,9 @@
 
 A claim is one small note outside the store. At every beat its holder increments a counter in it. Another run that
 finds a claim watches the counter. If it moves, the claim stands; if it stands still for ``Timing.dead`` seconds by the
-watcher's own clock, or the holder's process is gone, the claim is replaced. All of it rests on one operation, "put this
-note if what is there is still what I read", so that a holder that only slept learns of its replacement at its next
-beat. Status and cancel report a silent claim, and leave it in place.
+watcher's own clock, or the holder's process is gone, the claim is replaced. Everything rests on one operation: write a
+note only if the stored note is still the one that was read. A holder that merely slept thus learns of its replacement
+at its next beat. Status and cancel report a silent claim, and leave it in place.
 """
 
 import json
@@ -25,12 +25,12 @@ from atlas.store.location import Place
 from atlas.store.sidecar import CLAIM, Notes, note_fence
 
 ENDED = "ended"
-"""The note of how the last submitted run ended."""
+"""The name of the note about the end of the last submitted run."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty if nothing can.
+    """The contents of a claim. ``process`` is a unique name of the holder's process; empty where no such name exists.
 
     ValueError for a field that no holder writes.
     """
@@ -52,19 +52,19 @@ class Record:
             raise ValueError(f"no process: {self.pid}, {self.process!r}")
 
     def pack(self) -> bytes:
-        """As the bytes of a note."""
+        """The record as the bytes of a note."""
         return json.dumps(asdict(self)).encode()
 
     @classmethod
     def unpack(cls, data: bytes) -> "Record | None":
-        """The inverse, None for a damaged claim, such as that of a holder killed while it wrote it."""
+        """The inverse; None for a damaged claim, for example if its holder was killed while it wrote."""
         try:
             return cls(**json.loads(data))
         except (ValueError, TypeError, RecursionError):
             return None
 
     def number(self, name: str) -> float:
-        """A number that the holder reports of its progress, 0 where it reports none."""
+        """A number in the holder's report of its progress; 0 if it is missing."""
         value = self.progress.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return 0
@@ -72,7 +72,7 @@ class Record:
 
     @property
     def trouble(self) -> str:
-        """Why the run makes no progress, as its holder reports it; empty if it reports nothing."""
+        """The holder's reason why the run makes no progress; empty if it reports none."""
         value = self.progress.get("trouble")
         return one_line(value) if isinstance(value, str) else ""
 
@@ -86,17 +86,17 @@ class Record:
 
 
 class Claim:
-    """A claim that is held: its counter moves in a thread of its own, until ``release``.
+    """A claim held by this run: a thread advances its counter until ``release``.
 
-    ``lost`` says why it is no longer this run's, and is empty while it is. If the counter stands still for
+    ``lost`` is the reason why this run no longer holds the claim, empty while it does. If the counter stands still for
     ``timing.dead`` seconds because the store does not answer, another run may replace the claim as soon as the store is
-    back. Then this run does nothing until a beat succeeds, as it does only if nobody has replaced the claim. It waits
-    for that ``patience`` seconds, ``timing.dead`` at least.
+    back. This run then waits for a beat to succeed, which happens only if nobody has replaced the claim; it waits at
+    most ``patience`` seconds, or ``timing.dead`` if that is more.
     """
 
     def __init__(self, notes: Notes, record: Record, timing: Timing = TIMING, patience: float = 0.0) -> None:
         self._notes, self._record, self._data, self._timing = notes, record, record.pack(), timing
-        self._moved, self._most_silent = time.monotonic(), max(timing.dead, patience)
+        self._advanced, self._most_silent = time.monotonic(), max(timing.dead, patience)
         self.lost = ""
         self._released, self._one_beat = threading.Event(), threading.Lock()
         self._progress: Mapping[str, Any] = {}
@@ -105,22 +105,22 @@ class Claim:
 
     @property
     def token(self) -> str:
-        """What tells this run's claim from all others."""
+        """The unique token of this run's claim."""
         return self._record.token
 
     def report(self, progress: Mapping[str, Any]) -> None:
-        """Set what the next beats report to the status; the first report is written at once, before the first tile."""
+        """Set the progress that the next beats write; the first report is written at once, before the first tile."""
         first, self._progress = not self._progress, progress
         if first:
             with suppress(OSError):
                 self._beat()
 
     def check(self, waiting: Callable[[], None] = lambda: None) -> None:
-        """Raise RunError if the claim is no longer this run's, or somebody asked it to stop.
+        """Raise RunError if this run has lost the claim, or has been asked to stop.
 
-        If it may be another's, wait until that is known; ``waiting`` is called before each pause.
+        While it is unknown whether another run has replaced the claim, wait; ``waiting`` is called before each pause.
         """
-        while (silent := time.monotonic() - self._moved) > self._timing.dead and not self.lost:
+        while (silent := time.monotonic() - self._advanced) > self._timing.dead and not self.lost:
             if silent > self._most_silent:
                 self.lost = (
                     f"this run could not renew its claim of the store for {silent:.0f} s, so that another run may have "
@@ -135,9 +135,9 @@ class Claim:
             raise RunError("stopped by atlas cancel; finished tiles are kept, and the same command resumes from them")
 
     def guard(self, place: Place) -> Place:
-        """The claimed place behind a fence: as ``check``, and one read of the claim, before each write and removal.
+        """The claimed place behind a fence: every write and removal first calls ``check`` and reads the claim.
 
-        A process that slept since the last beat may not know yet that it was replaced.
+        A process that has slept since the last beat may not know yet that its claim was replaced.
         """
         lost = "this run has lost its claim of the store: another run has taken it; finished tiles are kept"
         look = note_fence(place, CLAIM, self.token, RunError, lost)
@@ -153,30 +153,30 @@ class Claim:
         self._released.set()
         self._thread.join()
         with suppress(OSError):
-            self._beat()  # learns of a cancellation, which changed the bytes that are to be removed
+            self._beat()  # a cancellation may have changed the bytes that are to be removed
             self._notes.remove(CLAIM, self._data)
 
     def _beat_on(self) -> None:
         while not self._released.wait(self._timing.beat) and not self.lost:
-            with suppress(OSError):  # a disk away for a while: either it comes back, or another run replaces the claim
+            with suppress(OSError):  # a disk that is away comes back, or another run replaces the claim
                 self._beat()
 
     def _beat(self) -> None:
         with self._one_beat:
             while not self.lost:
-                moved = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
+                advanced = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
                 begin = time.monotonic()
-                if self._notes.put(CLAIM, moved.pack(), expected=self._data):
-                    self._record, self._data, self._moved = moved, moved.pack(), begin
+                if self._notes.put(CLAIM, advanced.pack(), expected=self._data):
+                    self._record, self._data, self._advanced = advanced, advanced.pack(), begin
                     return
-                found = self._notes.read(CLAIM)
-                record = Record.unpack(found) if found is not None else None
-                if found is None:
+                data = self._notes.read(CLAIM)
+                record = Record.unpack(data) if data is not None else None
+                if data is None:
                     self.lost = "this run's claim of the store was removed; finished tiles are kept"
                 elif record is None or record.token != self._record.token:
                     self.lost = f"another run has claimed this store ({record or 'its claim is damaged'})"
                 else:
-                    self._record, self._data = record, found
+                    self._record, self._data = record, data
 
 
 @contextmanager
@@ -189,15 +189,15 @@ def claimed(
 ) -> Iterator[Claim]:
     """Hold the claim of a store; InputError, naming ``name``, if another run that is alive holds it.
 
-    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``say`` gets a line about it.
-    ``patience`` is that of a ``Claim``.
+    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``say`` is called with a line
+    about it. ``patience``: see ``Claim``.
     """
     mine = Record(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
         while not notes.put(CLAIM, mine.pack(), expected=None):
-            found = notes.read(CLAIM)
-            abandoned = found is not None and _is_abandoned(notes, name, found, say, timing)
-            if abandoned and notes.put(CLAIM, mine.pack(), expected=found):
+            other = notes.read(CLAIM)
+            abandoned = other is not None and _is_abandoned(notes, name, other, say, timing)
+            if abandoned and notes.put(CLAIM, mine.pack(), expected=other):
                 break
     except NetworkError:
         raise
@@ -214,10 +214,10 @@ def claimed(
 class Sighting:
     """A claim as it was last seen.
 
-    record    None for a damaged claim
+    record    its contents, None for a damaged claim
     alive     whether its holder runs, None if this machine cannot know
     silence   seconds by the observer's own clock since the counter was first seen at its present value
-    timing    after how many of them the silence is reported
+    timing    ``timing.silent`` and ``timing.dead`` decide when the silence is reported, and what it means
     """
 
     record: Record | None
@@ -227,7 +227,7 @@ class Sighting:
 
     @property
     def trouble(self) -> str:
-        """Why no run may be at work in spite of this claim; empty without such a sign."""
+        """The reason to doubt that a run is at work in spite of this claim; empty without one."""
         if self.record is None:
             return "the claim is damaged; the next run replaces it"
         if self.alive is False:
@@ -241,11 +241,11 @@ class Sighting:
 
 
 class Observer:
-    """Looks at a store's claim from outside, and measures for how long its counter stands still.
+    """An observer of a store's claim from outside; it measures how long the counter stands still.
 
-    If the holder is a process of this machine, it is known at once whether it is alive. Of any other a single look says
-    nothing, since no two machines' clocks agree: ``settle`` looks until the counter moves, for at most
-    ``timing.silent`` seconds. ``mark`` is what the holder alone changes of the claim.
+    Whether a process of this machine is alive is known at once. For a holder on another machine a single look says
+    nothing, since clocks of machines differ: ``settle`` looks until the counter moves, for at most ``timing.silent``
+    seconds. ``mark`` is the part of the claim that only its holder changes.
     """
 
     def __init__(self, notes: Notes, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
@@ -255,13 +255,13 @@ class Observer:
     def look(self) -> Sighting | None:
         """The present claim, None if there is none."""
         begin = time.monotonic()
-        found = self._notes.read(CLAIM)
-        mark, now = None if found is None else _mark(found), time.monotonic()
-        if mark != self.mark or now - begin > self._timing.dead / 4:  # the store was away, for its holder too
+        data = self._notes.read(CLAIM)
+        mark, now = None if data is None else _mark(data), time.monotonic()
+        if mark != self.mark or now - begin > self._timing.dead / 4:  # the store was away, for the holder too
             self.mark, self._since = mark, now
-        if found is None:
+        if data is None:
             return None
-        record = Record.unpack(found)
+        record = Record.unpack(data)
         return Sighting(record, record.is_alive if record else None, now - self._since, self._timing)
 
     def settle(self) -> Sighting | None:
@@ -286,15 +286,15 @@ def cancel(
     stands.
     """
     while True:
-        found = notes.read(CLAIM)
-        if found is None:
+        data = notes.read(CLAIM)
+        if data is None:
             raise InputError(f"{name}: no run is at work on it")
-        record = Record.unpack(found)
+        record = Record.unpack(data)
         if record is None:
             raise RunError(f"{name}: {Sighting(None).trouble}")
         if record.is_alive is False:
             raise InputError(f"{name}: no run is at work on it: {Sighting(record, alive=False).trouble}")
-        if record.cancelled or notes.put(CLAIM, replace(record, cancelled=True).pack(), expected=found):
+        if record.cancelled or notes.put(CLAIM, replace(record, cancelled=True).pack(), expected=data):
             break
     say(f"asked {record} to stop")
     observer, end = Observer(notes, timing), time.monotonic() + wait_seconds
@@ -309,26 +309,26 @@ def cancel(
 
 
 def note_end(notes: Notes, text: str) -> None:
-    """Note how a submitted run ended, for the status; the next run to end well clears it."""
-    with suppress(Exception):  # what cannot be noted must not hide what happened
+    """Note the end of a submitted run, for the status; the next run that ends well clears the note."""
+    with suppress(Exception):  # a failure to write the note must not hide the run's own error
         notes.put(ENDED, text.encode(), expected=notes.read(ENDED))
 
 
 def noted_end(notes: Notes) -> str:
-    """How the last submitted run ended, empty if it ended well."""
+    """The note about the end of the last submitted run, empty if it ended well."""
     return (notes.read(ENDED) or b"").decode(errors="replace")
 
 
-def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], None], timing: Timing) -> bool:
-    """Watch a claim: True once it is certain that nobody moves it, InputError as soon as somebody does."""
-    record = Record.unpack(found)
+def _is_abandoned(notes: Notes, name: str, data: bytes, say: Callable[[str], None], timing: Timing) -> bool:
+    """Watch a claim: True once its counter has stood still long enough; InputError as soon as the counter moves."""
+    record = Record.unpack(data)
     if record and record.is_alive is False:
         say(f"replacing the claim of {record}, which is gone")
         return True
     say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
     observer = Observer(notes, timing)
     while (seen := observer.look()) is not None:
-        if observer.mark != _mark(found):
+        if observer.mark != _mark(data):
             raise InputError(
                 f"{name}: another run is at work on it ({seen.record or record}); wait for it to end, or stop it: "
                 f"atlas cancel {name}"
@@ -341,6 +341,6 @@ def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], No
 
 
 def _mark(data: bytes) -> object:
-    """What changes in a claim only by its holder: a request to stop, which others write, is not a sign of life."""
+    """The part of a claim that only its holder changes: a request to stop, written by others, is no sign of life."""
     record = Record.unpack(data)
     return (record.token, record.beat) if record else data

@@ -56,7 +56,7 @@ Request = dict[str, Any]
 
 @dataclass(frozen=True)
 class MeasureSummary:
-    """The measures of a store in numbers, and the seconds that it took to compute them now: 0 if the store had them."""
+    """Statistics of a store's measures, and the seconds spent computing them; 0 if the store had them already."""
 
     store: str
     measures: Mapping[str, Mapping[str, float]]
@@ -68,7 +68,7 @@ class MeasureSummary:
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas attractors measure --json`` prints."""
         times = {"seconds": self.seconds, "processor_seconds": self.processor_seconds, "tasks": self.tasks}
-        given = {name: {k: v for k, v in each.items() if k != "content"} for name, each in self.requests.items()}
+        given = {name: {k: v for k, v in request.items() if k != "content"} for name, request in self.requests.items()}
         return {"store": self.store, "measures": dict(self.measures), **given, **times}
 
     def __repr__(self) -> str:
@@ -76,10 +76,10 @@ class MeasureSummary:
 
     def __str__(self) -> str:
         lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]
-        for name, each in self.measures.items():
-            what = "cell" if MEASURES[name].of_cell else "attractor"
-            ends = f", {each['least']:.4g} to {each['largest']:.4g}, median {each['median']:.4g}"
-            lines.append(f"{name}: {plural(int(each['known']), what)}{ends if 'median' in each else ''}")
+        for name, numbers in self.measures.items():
+            kind = "cell" if MEASURES[name].of_cell else "attractor"
+            ends = f", {numbers['least']:.4g} to {numbers['largest']:.4g}, median {numbers['median']:.4g}"
+            lines.append(f"{name}: {plural(int(numbers['known']), kind)}{ends if 'median' in numbers else ''}")
         if self.seconds:
             lines.append(f"in {duration(self.seconds)}, {duration(self.processor_seconds)} of processor time")
         return "\n".join(lines)
@@ -97,14 +97,14 @@ def measure_attractors(
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunFields],
 ) -> MeasureSummary:
-    """Measure how stable all attractors of a finished atlas are, and keep the measures in its store.
+    """Measure the stability of all attractors of a finished atlas, and keep the measures in its store.
 
-    ``return_time``, ``reactivity`` and ``amplification`` as ``atlas.stability`` has them, in its ``norm``. With
-    ``shocks``, of an atlas of all attractors, ``fatal_shock`` too, which takes seconds to minutes for each attractor.
-    With ``margin`` the distance of each cell to the nearest curve that ``find_curves`` has found, in units of the
-    ``scale`` of each axis, by default its width. What the store has already is not computed again. The work is done on
-    ``client`` or as the options say, like ``run``; the same call resumes work that was stopped. Without ``shocks`` and
-    ``margin`` these are kept if the cells, and the curves, are the same.
+    The measures are ``return_time``, ``reactivity`` and ``amplification``, as defined by ``atlas.stability``, in its
+    ``norm``. ``shocks`` adds ``fatal_shock`` in an atlas of all attractors, which takes seconds to minutes for each
+    attractor. ``margin`` adds the distance of each cell to the nearest curve from ``find_curves``, with lengths along
+    an axis divided by its ``scale``, by default its width. Stored measures are not computed again; without ``shocks``
+    and ``margin`` stored ones are kept as long as the cells, and the curves, are the same. The work is done on
+    ``client`` or on the workers given by the options, like ``run``; the same call resumes work that was stopped.
     Raises InputError if the store is not a finished atlas; see also ``run``.
     """
     with called(store, client, chosen(options, fields)) as (handle, options, stack):
@@ -125,52 +125,52 @@ def measure_attractors(
         kernels = kernels_of(handle.spec)
         crew = Crew.at_work(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
         handle = crew.handle
-        if read_measures(handle).requests != before.requests:  # what it has found must not be lost
+        if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
             raise RunError(f"{handle.place}: another run has measured it meanwhile; run the same command again")
-        found = Stored(dict(stored.arrays), dict(stored.requests))
+        measured = Stored(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
-            found.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
+            measured.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
         if families:
             job = _Measuring(handle, crew, tuple(weights.items()))
-            found.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
-        found.requests.update({family: wanted[family] for family in missing})
-        ordered = {name: found.arrays[name] for name in MEASURES if name in found.arrays}
-        write_measures(handle, Stored(ordered, found.requests))
+            measured.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
+        measured.requests.update({family: wanted[family] for family in missing})
+        ordered = {name: measured.arrays[name] for name in MEASURES if name in measured.arrays}
+        write_measures(handle, Stored(ordered, measured.requests))
         for family in families:
             drop_parts(handle, group_of(family))
         seconds, busy = time.monotonic() - begin, crew.processor_seconds
-        return MeasureSummary(str(handle.place), summary_of(ordered), found.requests, seconds, busy, crew.tasks)
+        return MeasureSummary(str(handle.place), summary_of(ordered), measured.requests, seconds, busy, crew.tasks)
 
 
 def _requests(handle: Atlas, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
-    """The request of each family; ``content`` is a digest of all else that its measures depend on."""
+    """The request of each family; ``content`` is a digest of the cells that its measures depend on."""
     if shocks and not handle.spec.coexistence:
         raise InputError(f"{handle.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
     content = _content(handle)
-    found: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
+    requests: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
     if shocks:
-        found[SHOCKS] = {"content": content, "norm": dict(norm)}
-    return found if margin is None else found | {MARGIN: margin}
+        requests[SHOCKS] = {"content": content, "norm": dict(norm)}
+    return requests if margin is None else requests | {MARGIN: margin}
 
 
 def _still_true(handle: Atlas, stored: Stored, wanted: Mapping[str, Request]) -> Stored:
-    """The stored measures without those of other cells, or margins to other curves, than the store has now."""
+    """The stored measures that still hold: computed from the present cells, and margins to the present curves."""
     content = wanted[LINEAR]["content"]
     kept = {
         family: request
         for family, request in stored.requests.items()
         if (margins_hold(handle, request) if family == MARGIN else request.get("content") == content)
     }
-    return Stored({name: each for name, each in stored.arrays.items() if MEASURES[name].family in kept}, kept)
+    return Stored({name: values for name, values in stored.arrays.items() if MEASURES[name].family in kept}, kept)
 
 
 def _content(handle: Atlas) -> str:
-    """A digest of what the measures of attractors depend on in the cells of a store."""
-    found = hashlib.sha256(handle.digest.encode())
-    for index in sorted(each.index for each in handle.tiling.tiles()):
+    """A digest of the results of cells that the measures of attractors depend on."""
+    content = hashlib.sha256(handle.digest.encode())
+    for index in sorted(tile.index for tile in handle.tiling.tiles()):
         for name, values in sorted(read_tile(handle, index, NEEDED).items()):
-            found.update(name.encode() + np.ascontiguousarray(values).tobytes())
-    return found.hexdigest()
+            content.update(name.encode() + np.ascontiguousarray(values).tobytes())
+    return content.hexdigest()
 
 
 def _digest(requests: Mapping[str, Request]) -> str:
@@ -179,7 +179,7 @@ def _digest(requests: Mapping[str, Request]) -> str:
 
 @dataclass
 class _Measuring:
-    """Attractors being measured in a store that is claimed."""
+    """The measuring of attractors in a claimed store."""
 
     handle: Atlas
     crew: Crew[MeasureJob, PartReceipt]
@@ -188,7 +188,7 @@ class _Measuring:
     done: int = 0
 
     def run(self, families: Mapping[str, str]) -> Arrays:
-        """The measures of some families over all cells; the digest of each says for which request parts are kept."""
+        """The measures of some families over all cells; a family's digest identifies the kept parts of its request."""
         handle = self.handle
         kept = {
             f"{family}/{name}"
@@ -205,16 +205,16 @@ class _Measuring:
         ]
         self.crew.do(jobs, self._progress, self._count)
         many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
-        found: Arrays = {}
+        arrays: Arrays = {}
         for family in families:
-            found |= empty(of_family(family), (*handle.spec.shape, *many))
+            arrays |= empty(of_family(family), (*handle.spec.shape, *many))
         for _, name, tile, first, last in parts:
             at = handle.tiling.at(tile)
             cells = np.unravel_index(np.arange(first, last), at.shape)
             here = tuple(cell + part.start for cell, part in zip(cells, at.slices, strict=True))
             for measured, values in read_measured(handle, name).items():
-                found[measured][here] = values if many else values[:, 0]
-        return found
+                arrays[measured][here] = values if many else values[:, 0]
+        return arrays
 
     def _count(self, receipt: PartReceipt) -> None:
         self.done += receipt.cells

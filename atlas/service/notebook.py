@@ -32,7 +32,7 @@ def reporting(on_progress: Callable[[Progress], None] | None) -> Iterator[Callab
 class NotebookReporter(AbstractContextManager["NotebookReporter"]):
     """A bar that ``display``, IPython's function, shows once and changes from then on; its last state stays.
 
-    IPython's own displays are all that this takes. Rich's bar needs ipywidgets, which a notebook may not have.
+    It needs IPython's own displays alone: Rich's bar needs ipywidgets, which may not be installed.
     """
 
     def __init__(self, display: Callable[..., Any], interval: float = INTERVAL) -> None:
@@ -44,7 +44,7 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
         self._notes: tuple[str, ...] = ()
 
     def __call__(self, progress: Progress) -> None:
-        """Show the snapshot, at once where its stage is new or something is noted."""
+        """Show the snapshot; at once if its stage is new or it has a note."""
         new = self._last is None or self._last.stage != progress.stage or bool(progress.note)
         self._notes += (progress.note,) if progress.note else ()
         self._last = progress
@@ -69,7 +69,7 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
 
 @dataclass(frozen=True)
 class Bar:
-    """A snapshot, and what was noted up to it, as a notebook shows them."""
+    """A snapshot, and the notes up to it, as a notebook shows them."""
 
     progress: Progress
     notes: tuple[str, ...] = ()
@@ -85,7 +85,7 @@ class Bar:
 
 
 def _notebook_display() -> Callable[..., Any] | None:
-    """IPython's display where this is a kernel, to which a notebook is the screen; None elsewhere, as in a terminal."""
+    """IPython's display function in the kernel of a notebook; None elsewhere, as in a terminal."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     if getattr(shell, "kernel", None) is None:

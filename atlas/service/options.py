@@ -99,7 +99,7 @@ class RunOptions:
         return replace(self, **changed) if changed else self
 
     def report(self, progress: Progress) -> None:
-        """Hand a snapshot to ``on_progress``, where there is one."""
+        """Call ``on_progress``, if given, with a snapshot."""
         if self.on_progress is not None:
             self.on_progress(progress)
 
@@ -111,10 +111,10 @@ class RunOptions:
 def with_fields(function: F) -> F:
     """The function with the fields of ``RunOptions`` in its signature, as ``help`` shows them, for its ``**fields``."""
     signature = inspect.signature(function)
-    own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+    own = [given for given in signature.parameters.values() if given.kind is not inspect.Parameter.VAR_KEYWORD]
     named = [
-        inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default)
-        for each in fields(RunOptions)
+        inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default)
+        for option in fields(RunOptions)
     ]
     function.__signature__ = signature.replace(parameters=[*own, *named])  # type: ignore[attr-defined]
     return function

@@ -20,12 +20,12 @@ from atlas.store.store import Atlas, chunk_key, done_tiles, open_handle
 from atlas.text import byte_size, plural
 
 SHOWN = 3
-"""Lost chunks that a message names."""
+"""Number of missing chunks that a message names."""
 
 
 @dataclass(frozen=True)
 class PackSummary:
-    """The result of packing: the file, its objects and bytes, and how far the atlas in it is."""
+    """The result of packing: the file, its objects and bytes, and the tiles of the atlas, all and done."""
 
     file: str
     objects: int
@@ -98,14 +98,14 @@ def _pack(handle: Atlas, keys: list[str], target: Path, notify: Callable[[Progre
     def members() -> Iterator[tuple[str, bytes]]:
         notify(Progress(f"packing {plural(len(keys), 'object')}"))
         for k, key in enumerate(keys, 1):
-            found = handle.place.get(key)
-            if found is None:
+            data = handle.place.get(key)
+            if data is None:
                 raise InputError(
                     f"{handle.place}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
                 )
-            yield key, found
+            yield key, data
             notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", passing=True))
-        _refuse_running(handle, timing)  # one that has begun meanwhile
+        _refuse_running(handle, timing)  # a run may have begun meanwhile
 
     try:
         return write_zip(target, members())
@@ -119,14 +119,14 @@ def _refuse_links(store: Path) -> None:
         for name in (*folders, *files):
             path = Path(folder) / name
             if path.is_symlink() or not (path.is_dir() or path.is_file()):
-                what = "a link" if path.is_symlink() else "no file"
-                raise InputError(f"{store}: {path.relative_to(store)} is {what}; only folders and files are packed")
+                kind = "a link" if path.is_symlink() else "no file"
+                raise InputError(f"{store}: {path.relative_to(store)} is {kind}; only folders and files are packed")
 
 
 def _refuse_lost(handle: Atlas, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
-    """ChunkError if a chunk is not among the keys that has to be."""
-    needed = [variable for variable in handle.variables if not variable.sparse]
-    lost = [key for index in sorted(tiles) for each in needed if (key := chunk_key(each, index)) not in keys]
+    """ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read."""
+    needed = [v for v in handle.variables if not v.sparse]
+    lost = [key for index in sorted(tiles) for variable in needed if (key := chunk_key(variable, index)) not in keys]
     if lost:
         raise ChunkError(handle.place, dict.fromkeys(lost[:SHOWN], "is missing"))
     for group in groups_of(handle):

@@ -22,15 +22,15 @@ from atlas.text import byte_size, duration, html_table, plural
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
-"""Cells along each side of a tile by default, and of one of a large atlas: an object store likes large objects."""
+"""Cells along a side of a tile by default, and in a large atlas: object stores work best with large objects."""
 MANY_TILES, MOST_TILES = 1024, 50_000
 """Tiles are larger than the default if at least MANY_TILES remain, and larger still above MOST_TILES."""
 TILES_PER_WORKER = 16
-"""Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
+"""Costs of tiles differ a hundredfold; with fewer tiles, one worker is busy with the last tile while others wait."""
 CLEAR_RANGE = 1.5
-"""From this ratio of its ends on an expected time is printed as a range."""
+"""An expected time is printed as a range if the ratio of its ends exceeds this."""
 LARGEST_CHUNK = 2**31 - 1
-"""Bytes that the codecs of a store take at once."""
+"""Largest chunk in bytes that the codecs of a store accept."""
 FILE_BLOCK = 4096
 """Bytes that a small file takes on a disk."""
 NO_BASINS = (
@@ -56,11 +56,11 @@ class Probe:
 
 @dataclass(frozen=True)
 class Plan:
-    """Cells, tiles, bytes and time of an atlas. ``str(plan)`` is what a terminal shows.
+    """Cells, tiles, bytes and time of an atlas. ``str(plan)`` is the text for a terminal.
 
-    tiling    how the cells of the spec are cut into tiles
-    workers   how many are to share the work
-    probe     measured time, or None
+    tiling    the tiles of the atlas
+    workers   number of workers that share the work
+    probe     measured cost of a cell, or None
     """
 
     spec: Spec = field(repr=False)
@@ -82,9 +82,9 @@ class Plan:
 
     @property
     def note(self) -> str:
-        """What else the user may have meant, empty for most specs."""
-        said = [NO_BASINS] if self.spec.of_states and self.spec.attractors is None else []
-        return "; ".join([*said, *unused_lines(self.spec.record)])
+        """Hints at other specs that the user may have meant, empty for most specs."""
+        notes = [NO_BASINS] if self.spec.of_states and self.spec.attractors is None else []
+        return "; ".join([*notes, *unused_lines(self.spec.record)])
 
     @property
     def seconds(self) -> float | None:
@@ -93,7 +93,7 @@ class Plan:
 
     @property
     def seconds_range(self) -> tuple[float, float] | None:
-        """Where these seconds lie, or None if nothing was probed."""
+        """The range of the expected seconds, or None if nothing was probed."""
         return (self._seconds(self.probe.low), self._seconds(self.probe.high)) if self.probe else None
 
     def _seconds(self, per_cell: float) -> float:
@@ -124,7 +124,7 @@ class Plan:
 
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """Its facts, by name."""
+        """The facts of the plan, by name."""
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))
         cost = f"at most {byte_size(self.bytes)}"
         if self.probe and self.seconds is not None and self.seconds_range is not None:
@@ -134,8 +134,8 @@ class Plan:
             cost += f" on {plural(self.workers, 'worker')} (probed on {plural(self.probe.cells, 'cell')})"
         tiles = f"{plural(self.tiling.count, 'tile')} of {tile}"
         cells = f"{self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in {tiles}"
-        found = [("axes", " x ".join(self.spec.described)), ("cells", cells), ("cost", cost)]
-        return [*found, ("note", self.note)] if self.note else found
+        facts = [("axes", " x ".join(self.spec.described)), ("cells", cells), ("cost", cost)]
+        return [*facts, ("note", self.note)] if self.note else facts
 
     def __str__(self) -> str:
         return "\n".join(f"{name:<7}{text}" for name, text in self.rows)
@@ -145,7 +145,7 @@ class Plan:
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
-    """The plan of a spec for a number of workers; ``tile`` is the shape of a store that exists, and wins.
+    """The plan of a spec for a number of workers; ``tile`` is the shape of tiles in an existing store, and wins.
 
     Raises InputError if a tile is too large for a store.
     """
@@ -164,7 +164,7 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
 def plan_of_run(spec: Spec, place: Place, handle: Atlas | None, workers: int, tile: Index | None) -> Plan:
     """The plan of a run that makes the store at a place, or completes the one with this handle.
 
-    InputError if a new store cannot be made, or its disk cannot hold it, and if there is no ``tile`` of that index.
+    InputError if a new store cannot be made, if its disk cannot hold it, and if ``tile`` is not the index of a tile.
     """
     plan = make_plan(spec, workers, None if handle is None else handle.tile)
     if handle is None and place.local is not None:
@@ -177,7 +177,7 @@ def plan_of_run(spec: Spec, place: Place, handle: Atlas | None, workers: int, ti
 
 
 def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:
-    """InputError if the disk that is to hold ``target`` has no room for that number of tiles, by default all."""
+    """InputError if the disk of ``target`` has no room for this number of tiles, by default all."""
     home = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     free = shutil.disk_usage(home).free
     needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count

@@ -23,18 +23,18 @@ STEPS = (4, 16, 64, CELLS)
 BUDGET = 2.0
 """Processor seconds."""
 LONGEST, LONGEST_WATCH = 20_000, 48_000
-"""Forcing periods that a probed cell may cost, and for which it may be watched besides.
+"""Largest budget and largest survival of a probed cell, in forcing periods.
 
-Its error shows what it would cost with a larger budget; what it survived, for how long it would be watched.
+Its error shows the cost with a larger budget, its ``survived`` the cost of a longer survival.
 """
 SEGMENT = 8
-"""Cells of a part of a line that is continued; the first is not counted, since no other of its line starts so."""
+"""Cells of a probed segment of a continued line; the first does not count, since it alone has no cell before it."""
 STANDARD_ERRORS = 2.0
 """Standard errors by which the range extends beyond the measurement."""
 
 Array = NDArray[np.float64]
 _Solved = tuple[dict[str, Array], dict[str, NDArray[Any]]]
-"""Parameters of cells and what was found of them, as arrays (starts, cells)."""
+"""Parameters and results of cells, as arrays (starts, cells)."""
 
 
 class _Measured(NamedTuple):
@@ -47,9 +47,9 @@ class _Measured(NamedTuple):
 
 
 def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
-    """The same function for the progress of a run, whose first plan gets the time that its cells will take.
+    """A reporter of a run's progress that adds the measured time to the first plan it gets.
 
-    Nothing is probed for an atlas that is complete, nor where a probe would solve all of it.
+    Nothing is probed for a complete atlas, or for an atlas so small that the probe would solve all of it.
     """
     planned = False
 
@@ -72,17 +72,17 @@ def probed(plan: Plan, report: Callable[[Progress], None]) -> Plan:
 
 
 def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:
-    """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, on fewer if they cost much.
+    """The cost of a cell of the spec in tiles of this shape, measured on 256 cells, or fewer if they cost much.
 
-    A first solution, which loads the kernels, is not counted. Cells are solved in batches, as in a tile. ``clock``
+    A first solution, which loads the kernels, does not count. Cells are solved in batches, as in a tile. ``clock``
     gives seconds, by default the processor time of this thread: a kernel runs on one thread. Continued cells are
-    measured in short parts of lines; of all attractors, the cost above the probed budget is unknown and left out.
+    measured in short segments of lines. With all attractors, the cost above the probed budget is unknown and left out.
     """
     warm_up(*kernels_for(spec.record, settings=spec.settings))
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     if spec.attractors is not None:
-        _solve(spec, settings, starts[:1], length)  # it has kernels of its own
+        _solve(spec, settings, starts[:1], length)  # the search has kernels of its own
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
     steps: list[_Measured] = []
     spent, done = 0.0, 0
@@ -99,7 +99,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
 
 
 def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
-    """Distinct cells that fill the plane ever more evenly, and the length of the part of a line that each begins."""
+    """Distinct cells that fill the plane ever more evenly, and the length of the segments that they begin."""
     from scipy.stats import qmc
 
     room, length = list(spec.shape), 1
@@ -109,17 +109,14 @@ def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
         room[axis] -= length - 1
     points = qmc.Halton(len(room), scramble=False)
     points.fast_forward(1)  # the first is a corner
-    found = dict.fromkeys(map(tuple, (points.random(8 * CELLS) * room).astype(int).tolist()))
+    cells = dict.fromkeys(map(tuple, (points.random(8 * CELLS) * room).astype(int).tolist()))
     if math.prod(room) <= CELLS:
-        found |= dict.fromkeys(np.ndindex(*room))
-    return list(found)[: CELLS // length], length
+        cells |= dict.fromkeys(np.ndindex(*room))
+    return list(cells)[: CELLS // length], length
 
 
 def brief(settings: Settings) -> tuple[Settings, float]:
-    """Settings by which no cell costs more than LONGEST periods, and LONGEST_WATCH of survival.
-
-    Also the share that LONGEST is of the full budget.
-    """
+    """The settings with at most LONGEST periods, and LONGEST_WATCH of survival; and the share of the full budget."""
     if settings.method == "adaptive":
         share = min(1.0, LONGEST / settings.max_periods)
         survival = min(LONGEST_WATCH, settings.survival)
@@ -131,9 +128,9 @@ def brief(settings: Settings) -> tuple[Settings, float]:
 
 
 def _evenness(steps: list[_Measured]) -> float:
-    """Which fraction of the starts does all the work, if they share it equally; 1 before the first step.
+    """The fraction of the starts that would do all the work if it were shared equally; 1 before the first step.
 
-    The cells of a tile cost about the same; among starts spread over the plane, a batch needs more of them for that.
+    The cells of a tile cost about the same; a batch of cells from all over the plane must be larger by this factor.
     """
     work = np.concatenate([step.most.sum(axis=1) for step in steps]) + 1.0 if steps else np.ones(1)
     return float(work.sum() ** 2 / (work.size * (work**2).sum()))
@@ -157,7 +154,7 @@ def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[
 
 
 def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> _Solved:
-    """The cells from each of these starts on."""
+    """Solve the cells, or the segments of lines, that begin at these starts."""
     from workers.sweep import solve_lines
 
     along = -1 if spec.continuation is None else spec.continuation[0]
@@ -170,9 +167,9 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
 
 
 def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:
-    """The least and the most periods that cells solved with this share of their budget cost with all of it.
+    """The least and the most periods that cells cost with their full budget, when solved with a share of it.
 
-    The square of a chaotic cell's error falls as one over its periods. Of an undetermined cell nothing is known.
+    The square of a chaotic cell's error falls as one over its periods. Nothing is known of an undetermined cell.
     """
     settings = spec.settings
     used = arrays["periods_used"].astype(np.float64)
@@ -192,7 +189,7 @@ def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], 
 
 
 def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few: int) -> Array:
-    """Periods for which chaos that was watched for its part of ``few`` is still to be watched."""
+    """The remaining periods of watching chaotic cells that were watched with a survival of ``few`` periods."""
     from workers.cell.course import part_to_survive, relaxation_periods
 
     survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())
@@ -205,7 +202,7 @@ def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few
 
 
 def _estimate(steps: list[_Measured], cells: int, of: int) -> Probe:
-    """Periods from all steps, and the time that one takes from the last, whose cells fill the processor best."""
+    """The estimate: periods from all steps, time of a period from the last, whose cells fill the processor best."""
     last = steps[-1]
     rate = last.seconds / (last.simulated + last.least.size)  # a cell costs something even without a period
     least, most = (np.concatenate([getattr(step, name).mean(axis=1) for step in steps]) for name in ("least", "most"))

@@ -13,7 +13,7 @@ def this_process() -> str:
 
 
 def process_name(pid: int) -> str:
-    """Machine (two words), process and the moment it began; empty if that cannot be found out."""
+    """Machine (two words), process id and start time of a process; empty if they cannot be read."""
     try:
         return f"{machine_name()} {pid} {process_start(pid)}"
     except OSError:
@@ -21,12 +21,12 @@ def process_name(pid: int) -> str:
 
 
 def is_name(text: str) -> bool:
-    """Whether a text can be the name of a process, or says that it has none."""
+    """Whether a text can be the name of a process, or is empty."""
     return len(text.split()) in (0, 4)
 
 
 def is_running(pid: int, name: str) -> bool | None:
-    """Whether the process of that number and name runs; None if this machine cannot know."""
+    """Whether the process with this id and name runs; None if this machine cannot know."""
     here, there = this_process().split(), name.split()
     if not here or here[:2] != there[:2]:
         return None

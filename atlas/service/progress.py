@@ -23,8 +23,8 @@ class Progress:
     cells_solved, seconds     of this run, since its first tile was submitted; before it of the stage, where it counts
     counts                    cells solved in this run by regime
     failures                  tiles that ended with an error in this run
-    passing                   of interest only while it lasts: not for a log
-    note                      a line that stays in sight, empty for none
+    passing                   whether it is of interest only while it lasts, and not for a log
+    note                      a line that stays in sight, or empty
     """
 
     stage: str
@@ -64,7 +64,7 @@ class Progress:
 
     @property
     def line(self) -> str:
-        """Tiles, cells, speed, time left and regimes; before the first tile, how far and how long the stage is."""
+        """Tiles, cells, speed, time left and regimes; before the first tile, share and seconds of the stage."""
         if not self.tiles:
             share = f"{100 * self.cells_done / self.cells:.0f} % after " if self.cells else ""
             return f"{self.stage}: {share}{duration(self.seconds)}" if self.seconds else self.stage
@@ -85,12 +85,12 @@ def reason_lines(reasons: Mapping[str, int]) -> list[str]:
 
 
 def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:
-    """See to it that the kernels of cells, and ``more``, are compiled on this machine, and report how far that is."""
+    """Compile the kernels of cells, and ``more``, on this machine if they are not, and report the progress."""
     stage = warming(*more)
 
-    def told(now: Compilation) -> None:
-        what = stage if now.of else "waiting for another process, which compiles the kernels"
-        report(Progress(what, cells=now.of, cells_done=now.done, seconds=now.seconds))
+    def report_compilation(now: Compilation) -> None:
+        doing = stage if now.of else "waiting for another process, which compiles the kernels"
+        report(Progress(doing, cells=now.of, cells_done=now.done, seconds=now.seconds))
 
     report(Progress(stage))
-    compile_once(*more, report=told)
+    compile_once(*more, report=report_compilation)

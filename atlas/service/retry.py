@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _NEED = {UNDETERMINED: BUDGET, CHAOTIC: SURVIVAL, APERIODIC: SURVIVAL}
 DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.code in _NEED}
-"""What cells of a regime need more of, for else they come out the same. Those of all others do so with more, too."""
+"""The allowance that cells of a regime need more of to come out different; cells of other regimes never do."""
 
 
 @with_fields
@@ -87,9 +87,9 @@ def asked(
     survival: int | None,
     storage_options: Mapping[str, Any] | None = None,
 ) -> tuple[Spec, Place, Origin, str]:
-    """The spec of a retry, the place of its new store, where that takes cells from, and how many it solves, in words.
+    """The spec of a retry, the place of its new store, the origin of its other cells, and a line about its work.
 
-    InputError if it could change no cell.
+    InputError if the retry could change no cell.
     """
     old = handle_from(store, storage_options)
     if old.spec.attractors is not None:
@@ -120,34 +120,34 @@ def checked_retry(
     check_names("regime to retry", names, DECIDED_BY)
     if not names:
         raise InputError(f"retry: found none, must be one or more of {', '.join(DECIDED_BY)}")
-    found = Retry(tuple(dict.fromkeys(names)), max_periods, survival)
-    for each in ALLOWANCES:
-        _check_amount(old, each, getattr(found, each.setting))
+    request = Retry(tuple(dict.fromkeys(names)), max_periods, survival)
+    for allowance in ALLOWANCES:
+        _check_amount(old, allowance, getattr(request, allowance.setting))
     for name in names:
         needs = DECIDED_BY[name]
-        if not found.given(needs):
+        if not request.given(needs):
             option, least = f"--{needs.setting.replace('_', '-')}", _least(old, needs)
             more = f"give {option} above {least}"
             raise InputError(f"retry: {name} cells come out the same within the same {needs.name}; {more}")
-    for each in ALLOWANCES:
-        if found.given(each) and each not in {DECIDED_BY[name] for name in names}:
-            goes = " or ".join(name for name, needs in DECIDED_BY.items() if needs is each)
-            raise InputError(f"{each.setting}: is for {goes} cells, found {','.join(names)}")
-    return found
+    for allowance in ALLOWANCES:
+        if request.given(allowance) and allowance not in {DECIDED_BY[name] for name in names}:
+            decided = " or ".join(name for name, needs in DECIDED_BY.items() if needs is allowance)
+            raise InputError(f"{allowance.setting}: is for {decided} cells, found {','.join(names)}")
+    return request
 
 
-def _check_amount(old: Atlas, allowance: Allowance, found: int | None) -> None:
-    if found is None:
+def _check_amount(old: Atlas, allowance: Allowance, amount: int | None) -> None:
+    if amount is None:
         return
     least = _least(old, allowance)
     if old.spec.settings.method == "fixed":
         raise InputError(f'{allowance.setting}: a spec with method = "fixed" has no {allowance.name} to raise')
-    if not is_whole(found) or not least < found <= MOST_PERIODS:
+    if not is_whole(amount) or not least < amount <= MOST_PERIODS:
         bounds = f"must exceed the {least} that such cells were given and be at most {MOST_PERIODS}"
-        raise InputError(f"{allowance.setting}: found {found}, {bounds}")
+        raise InputError(f"{allowance.setting}: found {amount}, {bounds}")
 
 
 def _least(old: Atlas, allowance: Allowance) -> int:
-    """How much the cells of a store were given at most."""
+    """The largest allowance that cells of a store were given."""
     retried = old.origin.retry if old.origin is not None else None
     return max(allowance.of_spec(old.spec), retried.given(allowance) if retried is not None else 0)

@@ -1,4 +1,4 @@
-"""Running an atlas: plan, claim, create or resume, solve the tiles due, add up their receipts."""
+"""Running an atlas: plan, claim, create or resume, solve the unfinished tiles, add up their receipts."""
 
 import math
 from contextlib import ExitStack
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 SMALL, BYTES_PER_CELL = 4096, 750
-"""Cells of a tile that any worker is enough for, and bytes that each further one takes: 200 MB in one of 512 x 512."""
+"""Cells of a tile that fit into any worker's memory, and bytes of each further cell: 200 MB for 512 x 512 cells."""
 
 
 @with_fields
@@ -92,7 +92,7 @@ def complete(
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
-        handle = find(place)  # only read, so that bad input leaves no trace
+        handle = find(place)  # reads only, so that bad input leaves no trace
         check_run(place, spec, handle, origin, run_id)
         client = joined(client, options, stack)
         workers = worker_count(client, options)
@@ -130,7 +130,7 @@ class _Run:
         self.totals = Totals(plan, int(self.stored.done.sum()), cells, retried)
 
     def begin(self) -> None:
-        """Say how far the store is, and give it the groups of overviews."""
+        """Report the progress of the store, and make the groups of its overviews."""
         totals, stage = self.totals, "starting"
         if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
@@ -159,7 +159,7 @@ class _Run:
         self.totals.add(receipt)
 
     def hand_out(self) -> None:
-        """Send the tiles due to the workers and add up their receipts; then the overviews, level by level."""
+        """Send unfinished tiles to the workers and add up their receipts; then make the overviews, level by level."""
         handle, totals, order, site = self.handle, self.totals, Order(self.due), self.crew.site
         force = self.crew.force
         totals.start()
@@ -183,7 +183,7 @@ class _Run:
             raise
 
     def _make(self, jobs: list[Job]) -> None:
-        """Have workers do other jobs than tiles. A failed overview chunk is left to ``finish``, which says why."""
+        """Let workers do jobs other than tiles. A failed chunk of an overview is left to ``finish``, which raises."""
         for outcome in self.crew.outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
                 raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
@@ -200,15 +200,15 @@ class _Run:
         self.report(workers.trouble or (self.doing if workers.threads else "no worker left: waiting for one"))
 
     def finish(self) -> None:
-        """The end: overviews that no worker has made, and all records in one chunk."""
+        """Make the overviews that no worker has made, and collect all records in one chunk."""
         self.overviews.finish(lambda done, of: self.report(f"writing overviews: {done} of {of} parts"))
         self.records.compact(lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
 
     def report(self, stage: str) -> None:
-        """Report where the run is."""
+        """Report the stage of the run."""
         self.crew.options.report(self.totals.progress(stage))
 
 
 def memory_of(cells: int) -> int:
-    """Bytes that a worker needs for tiles of that number of cells."""
+    """Bytes that a worker needs for tiles of this number of cells."""
     return LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL)

@@ -1,8 +1,8 @@
-"""The order of tiles: a coarse lattice first, then the costliest, as predicted from these.
+"""The order of tiles: a coarse lattice first, then the costliest tiles, as predicted from the lattice.
 
-Costs of tiles differ a hundredfold. If a costly one is begun last, a large cluster waits for it alone; row by row that
-depends on where in the plane the chaos lies. Neighbours cost about the same, so the receipts of the lattice predict the
-rest for nothing; a probe of some cells of each tile predicts no better and costs time.
+Costs of tiles differ a hundredfold. A large cluster waits for a costly tile that is begun last, as happens row by row
+if the chaos lies in the last rows. Neighbours cost about the same, so the receipts of the lattice predict the other
+costs for free; a probe of some cells of each tile predicts no better and costs time.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ NEIGHBOURS = 4
 
 
 class Order:
-    """The indices of the tiles due, each once; what is noted meanwhile decides the order of those to come."""
+    """An iterator over the indices of the unfinished tiles; costs noted meanwhile decide the order of the rest."""
 
     def __init__(self, due: np.ndarray) -> None:
         self._due = due
@@ -24,7 +24,7 @@ class Order:
         self._noted = 0
 
     def note(self, index: tuple[int, ...], cost: float) -> None:
-        """What a tile has cost, in any unit."""
+        """Note the cost of a tile, in any unit."""
         self._cost[index] = cost
         self._noted += 1
 
@@ -32,12 +32,12 @@ class Order:
         coarse, fine = self._lattice(STRIDE), self._lattice(STRIDE // 2)
         stages = (self._due & coarse, self._due & fine & ~coarse, self._due & ~fine)
         rest = np.concatenate([np.flatnonzero(stage) for stage in stages])
-        enough, taken, first = max(1, int(coarse.sum()) // 4), 0, int(stages[0].sum())
+        enough, given, first = max(1, int(coarse.sum()) // 4), 0, int(stages[0].sum())
         for _ in range(rest.size):
             if self._noted >= enough and first <= 0:  # decided anew whenever twice as much is known
-                rest, taken, enough = self._costly_first(rest[taken:]), 0, 2 * self._noted
-            yield tuple(map(int, np.unravel_index(rest[taken], self._due.shape)))
-            taken, first = taken + 1, first - 1
+                rest, given, enough = self._costly_first(rest[given:]), 0, 2 * self._noted
+            yield tuple(map(int, np.unravel_index(rest[given], self._due.shape)))
+            given, first = given + 1, first - 1
 
     def _lattice(self, stride: int) -> np.ndarray:
         mask = np.zeros(self._due.shape, dtype=bool)

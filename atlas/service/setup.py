@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class Setup(WorkerPlugin):
-    """The setup of one run, by ``prepare``; what that raises is raised for each job that waited.
+    """The setup of one run, by ``prepare``; all jobs that waited raise its exception.
 
-    A worker that refuses does so for good. Any other failure may pass, so that the next job tries again.
+    A worker that refuses does so for good. Any other failure may pass, so the next job tries again.
     """
 
     def __init__(self, name: str, prepare: Callable[[], object], forget: Callable[[], object]) -> None:
@@ -39,7 +39,7 @@ class Setup(WorkerPlugin):
         self._forget()
 
     def wait(self) -> None:
-        """Return once this worker is ready for jobs of the run, or raise why it is not."""
+        """Return once this worker is ready for jobs of the run; raises if its setup fails."""
         with self._lock:
             if self._ready:
                 return
@@ -53,12 +53,12 @@ class Setup(WorkerPlugin):
             self._ready = True
 
     def _begin(self) -> None:
-        with suppress(Exception):  # whatever it is, the first job meets it again
+        with suppress(Exception):  # the first job raises it again
             self.wait()
 
 
 def after_setup(name: str, act: Callable[[J], R], job: J) -> R:
-    """Do a job once the setup of its run is done; at once on a worker that Dask has given none."""
+    """Do a job once the setup of its run is done; at once on a worker without the plugin."""
     plugin = get_worker().plugins.get(name)
     if isinstance(plugin, Setup):
         plugin.wait()
@@ -67,11 +67,11 @@ def after_setup(name: str, act: Callable[[J], R], job: J) -> R:
 
 @contextmanager
 def set_up(client: "Client", labour: Labour[J, R], seconds: float) -> Iterator[Callable[[J], R]]:
-    """Have every worker prepare once for a labour, and give its ``act`` as a function that waits for that.
+    """Prepare every worker once, and yield ``labour.act`` as a function that waits for its worker's preparation.
 
-    A run that resumes after a kill has the same name, and replaces the setup that was left behind. Dask asks all
-    workers, and is waited for ``seconds``: one that stands still must not hold up the others. A worker that has not
-    heard of the setup does its jobs all the same, since each job checks what it needs.
+    A run that resumes after a kill has the same name, and replaces the setup left behind. Dask asks all workers; this
+    waits for at most ``seconds``, so that a worker that hangs does not hold up the others. A worker without the setup
+    does its jobs all the same, since every job checks what it needs.
     """
     name = labour.name
     _asked(client, lambda: client.register_plugin(Setup(name, labour.prepare, labour.forget)), seconds)

@@ -44,7 +44,7 @@ class Status:
 
     @property
     def progress(self) -> Progress:
-        """As a snapshot of the run, with the speed and the remaining time that it reports."""
+        """The status as a snapshot of the run, with the speed and the remaining time that the run reports."""
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
@@ -71,7 +71,7 @@ class Status:
 
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """Its facts about the store, by name."""
+        """The facts about the store, by name."""
         return [
             ("axes", " x ".join(self.handle.spec.described)),
             ("tiles", f"{self.tiles_done} of {self.handle.tiling.count} done"),
@@ -82,7 +82,7 @@ class Status:
 
     @property
     def shares(self) -> list[tuple[str, str, str]]:
-        """The cells of each regime: its name, how many, and their share of the cells that are done."""
+        """The regimes: name, number of cells, and share of the cells that are done."""
         total = max(1, self.cells_done)
         return [(name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()]
 
@@ -145,7 +145,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Holding:
-    """What a store holds: tiles done, and the counts above 0 of cells by regime and by reason."""
+    """The contents of a store: number of tiles done, and the counts above 0 of cells by regime and by reason."""
 
     tiles: int
     regimes: dict[str, int]
@@ -157,17 +157,17 @@ class Holding:
         if seen is None or seen.record is None or seen.alive is False or seen.trouble:
             return None
         try:
-            found = cls(**seen.record.progress["holds"])
-            counts = [found.tiles, *found.regimes.values(), *found.reasons.values()]
-            known = found.regimes.keys() <= {regime.name for regime in REGIMES}
-            known &= found.reasons.keys() <= {reason.text for reason in REASONS}
+            holding = cls(**seen.record.progress["holds"])
+            counts = [holding.tiles, *holding.regimes.values(), *holding.reasons.values()]
+            known = holding.regimes.keys() <= {regime.name for regime in REGIMES}
+            known &= holding.reasons.keys() <= {reason.text for reason in REASONS}
         except (TypeError, KeyError, AttributeError):
             return None
-        return found if known and all(type(count) is int and count >= 0 for count in counts) else None
+        return holding if known and all(type(count) is int and count >= 0 for count in counts) else None
 
 
 class Census:
-    """Counts a store's cells: as the run at work on it reports them, else by its records.
+    """A counter of a store's cells: by the report of the run at work on it, else by the records.
 
     A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of such tiles.
     """
@@ -179,23 +179,24 @@ class Census:
         self.observer = Observer(self.notes, timing)
 
     def take(self, settled: bool = False) -> Status:
-        """The status of now; ``settled`` waits until a claim of another machine moves, or has stood still for long.
+        """The present status; ``settled`` waits until a claim of another machine moves, or has stood still for long.
 
-        If the run that was at work before the count has ended since, the tiles are counted again: its last ones may
-        have come between.
+        If a run was at work before the count and has ended since, the tiles are counted again: its last tiles may have
+        come after the count.
         """
         look = self.observer.settle if settled else self.observer.look
         seen = look()
-        while (held := Holding.reported(seen)) is None:
+        while (holding := Holding.reported(seen)) is None:
             before = _token(seen)
-            held = self._count()
+            holding = self._count()
             seen = look()
             if before in ("", _token(seen)):
                 break
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
         trouble = trouble or (run.trouble if run else "")
-        cells = sum(held.regimes.values())
-        return Status(self.handle, held.tiles, cells, held.regimes, held.reasons, run, trouble, noted_end(self.notes))
+        cells = sum(holding.regimes.values())
+        counted = (holding.tiles, cells, holding.regimes, holding.reasons)
+        return Status(self.handle, *counted, run, trouble, noted_end(self.notes))
 
     def _count(self) -> Holding:
         records = Records(self.handle)
@@ -216,8 +217,8 @@ def _token(seen: Sighting | None) -> str:
 def read_status(handle: Atlas, timing: Timing = TIMING) -> Status:
     """The status of a store, see ``Census``.
 
-    Takes up to ``timing.silent`` seconds if the run at work is on another machine: so long it takes to see whether it
-    is alive.
+    If the run at work is on another machine, this takes up to ``timing.silent`` seconds: only its counter shows that
+    it is alive.
     """
     return Census(handle, timing).take(settled=True)
 
@@ -228,8 +229,8 @@ def watch(census: Census, seconds: float, sleep: Callable[[float], None] = time.
     while True:
         status = census.take()
         yield status
-        moved = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
-        idle, beat = 0.0 if moved else idle + seconds, status.run.beat if status.run else -1
+        alive = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
+        idle, beat = 0.0 if alive else idle + seconds, status.run.beat if status.run else -1
         if (status.fraction == 1 and not status.run) or idle > census.timing.dead:
             return
         sleep(seconds)

@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Submission:
-    """All that crosses the scheduler for a coordinator.
+    """A run sent to the coordinator on a cluster.
 
-    options          of the run; where it runs is settled by now
-    name             of this submission, on the scheduler
-    solver_version   the submitter's: no other may coordinate
-    run_id           of the store, empty if the submitter sees none
-    origin           the store that it takes cells over from
-    refused          workers that must not coordinate, and why
+    options          options of the run, without a scheduler
+    name             unique name of this submission on the scheduler
+    solver_version   the submitter's: workers of another version must not coordinate
+    run_id           run id of the store, empty if the submitter sees no store
+    origin           the store whose cells the run reuses
+    refused          workers that must not coordinate, and the reasons
     """
 
     spec: Spec
@@ -52,12 +52,12 @@ class Submission:
     refused: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, refusal: Refusal) -> "Submission":
-        """The same for other workers than the one that refused."""
+        """The same submission, without the worker that refused."""
         return replace(self, refused={**self.refused, refusal.worker: refusal.reason})
 
 
 def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOptions, origin: Origin | None = None) -> str:
-    """Have the cluster at ``options.scheduler`` compute an atlas, and leave; the address of the coordinating worker.
+    """Let the cluster at ``options.scheduler`` compute an atlas, and leave; the address of the coordinating worker.
 
     Returns once tiles are being solved, or the atlas is complete. The coordinator is a task that takes no thread from
     the tiles. If its worker dies, Dask starts it on another, up to three times (the scheduler's ``allowed-failures``),
@@ -105,9 +105,9 @@ def coordinate(task: Submission) -> Refusal | None:
     """Coordinate a run on this worker, or return a refusal that names it.
 
     As soon as tiles are under way, a variable of the scheduler with the submission's name holds the store's run id, and
-    an event is set, on which the submitter leaves. A coordinator that finds a run id follows one whose worker died: it
-    resumes that run only, and if its own worker must not coordinate, it starts the next one itself. An error that no
-    submitter waits for is noted for the status.
+    an event is set, on which the submitter leaves. A coordinator that finds a run id replaces one whose worker died: it
+    resumes that run only, and if its own worker must not coordinate, it starts the next coordinator itself. An error
+    that no submitter waits for is noted for the status.
     """
     from distributed import Event, Variable, get_worker, worker_client
 
@@ -121,12 +121,12 @@ def coordinate(task: Submission) -> Refusal | None:
                 begun.set()
                 unwatched = True
 
-        def forget() -> None:  # the scheduler would keep them
+        def forget() -> None:  # else the scheduler keeps both
             known.delete()
             begun.clear()
 
         try:
-            with suppress(TimeoutError):  # it is gone
+            with suppress(TimeoutError):  # the variable is gone
                 earlier = str(known.get(timeout=task.options.timing.poll))
                 unwatched = bool(earlier)
                 task = replace(task, run_id=earlier or task.run_id)
@@ -135,13 +135,13 @@ def coordinate(task: Submission) -> Refusal | None:
             except RefusedError as error:
                 refusal = Refusal(get_worker().address, str(error))
                 if unwatched:
-                    time.sleep(task.options.timing.poll)  # it may be stolen back from a busy worker, over and over
+                    time.sleep(task.options.timing.poll)  # a busy worker may lose the task back to this one repeatedly
                     task = task.without(refusal)
                     _start(client, task, _willing(client, task, task.options.timing.worker))  # one may be coming back
                 return refusal
             _run(task, client, begin)
         except BaseException as error:
-            # Bad input is the submitter's to report; without a store nobody asks for a status.
+            # The submitter reports bad input; without a store nobody asks for a status.
             if (unwatched or not isinstance(error, InputError)) and _run_id(task.store):
                 note_end(notes_of(task.store), _in_words(error))
             forget()
@@ -181,7 +181,7 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
 
 
 def _run_id(store: str) -> str:
-    """The run id of the store at a path, empty if this host sees none: it need not."""
+    """The run id of the store at a path, empty if this host sees no store: it need not."""
     try:
         return open_handle(store).run_id
     except (InputError, OSError):
@@ -198,7 +198,7 @@ def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Re
         key=f"{task.name}-{uuid.uuid4().hex[:8]}",  # a key of its own for each attempt
         pure=False,
         workers=willing if task.refused else None,
-        allow_other_workers=bool(task.refused),  # else it would wait for ever for workers that are gone
+        allow_other_workers=bool(task.refused),  # else Dask waits for ever for workers that are gone
     )
     fire_and_forget(future)
     return future
@@ -229,5 +229,5 @@ def _refusal(future: "Future[Refusal | None]", begun: "Event", poll: float) -> R
 
 
 def _in_words(error: BaseException) -> str:
-    """Our own errors speak for themselves; others need their name."""
+    """An error in words: the message alone of this package's errors, with the type for others."""
     return str(error) if isinstance(error, InputError | RunError) else f"{type(error).__name__}: {error}".rstrip(": ")

@@ -27,18 +27,18 @@ class TileFailure:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run did.
+    """The result of a run.
 
-    tiles, tiles_done              in all; done now
-    tiles_solved, cells_solved     by this run
-    counts, reasons                cells solved by regime; those without a certain result by the reason
+    tiles, tiles_done              tiles in all; tiles done by now
+    tiles_solved, cells_solved     solved by this run
+    counts, reasons                cells solved by regime; cells without a certain result by reason
     seconds                        from the first tile to the last
-    solve_seconds, write_seconds   the workers' own inside the solver and inside the store, summed
-    processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
+    solve_seconds, write_seconds   wall time in the solver and in the store, summed over workers
+    processor_seconds              processor time in the solver, summed over workers; other programs do not count
     periods                        forcing periods simulated
-    peak_bytes                     most memory that the process of any worker ever had
-    failures, refused              tiles that raised; workers that got no more tiles, and why
-    retried, changed               whether the store is one of a retry; how many cells changed their regime there
+    peak_bytes                     largest memory of any worker's process
+    failures, refused              tiles that raised; excluded workers, and the reasons
+    retried, changed               whether the store is one of a retry; number of cells that changed their regime
     """
 
     store: str
@@ -117,7 +117,7 @@ class Totals:
         if isinstance(outcome, TileFailure):
             self.failures += (outcome,)
             return
-        self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.taken
+        self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.reused
         self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
         self.counts.update(outcome.counts)
         self.reasons.update(outcome.reasons)
@@ -126,17 +126,17 @@ class Totals:
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
 
     def progress(self, stage: str) -> Progress:
-        """The snapshot of now."""
+        """The present snapshot."""
         names = ("plan", "tiles", "cells", "tiles_done", "cells_done", "cells_solved", "seconds")
         now = {name: getattr(self, name) for name in names}
         return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
 
     def report(self, threads: int) -> dict[str, Any]:
-        """What the run's claim reports to those who ask for the store's status."""
+        """The progress in the run's claim, for the status of the store."""
         names = ("cells", "cells_done", "cells_solved", "seconds", "trouble")
         return {"workers": threads} | {name: getattr(self, name) for name in names}
 
     def summary(self, store: str) -> Summary:
         """The sum, for a store at that path or URL."""
-        sums = {each.name: getattr(self, each.name) for each in fields(Summary) if each.name != "store"}
+        sums = {entry.name: getattr(self, entry.name) for entry in fields(Summary) if entry.name != "store"}
         return Summary(store, **sums | {"counts": dict(self.counts), "reasons": dict(self.reasons)})

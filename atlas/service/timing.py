@@ -11,14 +11,14 @@ class Timing:
     """Seconds, each positive or 0; the defaults suit a cluster on a network.
 
     connect   for a scheduler to answer
-    worker    for a scheduler to have a worker in place of those that refused
+    worker    for a scheduler to get a worker in place of those that refused
     tick      between two looks at the cluster and the claim while tiles are solved
     poll      between two looks at a coordinator that is to begin
     beat      between two steps of a claim's counter
     look      between two looks at the claim of another run
     silent    after which a counter that stands still is reported: one beat may be late, two rarely are
-    stalled   after which, where no tile has ended, the run says why if it knows
-    dead      after which its holder counts as dead: ten beats, for a busy network disk
+    stalled   after which a run without a finished tile gives the reason, if known
+    dead      after which the holder of a still counter counts as dead: ten beats, for a busy network disk
     """
 
     connect: float = 5.0

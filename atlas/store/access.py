@@ -1,7 +1,7 @@
-"""Access options of a URL, where a user gives more than the environment.
+"""Access options of a URL, if a user gives more than the environment.
 
-By ``storage_options`` in the words of obstore or of fsspec, or by an obstore store given as an object. A place keeps
-this as values, so that it crosses to workers, and makes clients of its own from them: these try everything once.
+A user gives ``storage_options`` in the words of obstore or of fsspec, or an obstore store. A place keeps the options as
+values, which can be sent to workers, and makes its own clients from them; a client tries every request once.
 """
 
 import sys
@@ -25,24 +25,24 @@ _HERE = (
     "google_base_url",
     "base_url",
 )
-"""What an endpoint is called in the environment, and by users."""
+"""Names of an endpoint: in the environment, and in the options of users."""
 SYNONYMS = {"anon": "skip_signature", "anonymous": "skip_signature"}
-"""Words of fsspec's file systems, with obstore's word."""
+"""Names of options in fsspec's file systems, with obstore's names."""
 S3_SYNONYMS = SYNONYMS | {"key": "access_key_id", "secret": "secret_access_key", "token": "session_token"}
 _CLIENT, _PROVIDER = "client_options", "credential_provider"
 _URLS = {"S3Store": "s3://{bucket}", "GCSStore": "gs://{bucket}", "AzureStore": "az://{container_name}"}
-"""The URL of what an obstore store is of, by its configuration."""
+"""The URL of the bucket of an obstore store, by its configuration."""
 
 Pairs = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
 class Access:
-    """What is said beyond the environment; of secrets too, so that it is never printed.
+    """Access options beyond the environment; they may hold secrets, so they are never printed.
 
     config     settings of the store, by obstore's names
     client     settings of its HTTP client
-    provider   what gives credentials, None for none
+    provider   provider of credentials, or None
     """
 
     config: Pairs = field(default=(), repr=False)
@@ -50,7 +50,7 @@ class Access:
     provider: Any = field(default=None, repr=False)
 
     def make(self, url: str, settings: Mapping[str, str]) -> "ObjectStore":
-        """The client of a URL, under these settings of the environment. It tries everything once."""
+        """The client of a URL, under these settings of the environment. It tries every request once."""
         from obstore.store import from_url
 
         config, options = dict(self.config), _thawed(self.client)
@@ -59,19 +59,19 @@ class Access:
         if any(text.startswith("http://") for text in known):
             options = {"allow_http": True} | options  # a URL says http explicitly
         wanted = {"config": config, _CLIENT: options, _PROVIDER: self.provider}
-        given: dict[str, Any] = {name: each for name, each in wanted.items() if each}
+        given: dict[str, Any] = {name: value for name, value in wanted.items() if value}
         return from_url(url, retry_config={"max_retries": 0}, **given)
 
 
 BY_ENVIRONMENT = Access()
-"""Nothing more than that is said."""
+"""Access by the environment alone."""
 
 
 def access_by(options: Mapping[str, Any], url: str) -> Access:
-    """The access that ``storage_options`` ask for at a URL; InputError for what cannot be one.
+    """The access by ``storage_options`` at a URL; InputError for invalid ones.
 
-    Settings are called as obstore calls them (``endpoint``, ``region``, ``access_key_id``, ``skip_signature``), or as
-    fsspec's file systems do (``anon``; at S3 ``key``, ``secret`` and ``token``).
+    Settings have obstore's names (``endpoint``, ``region``, ``access_key_id``, ``skip_signature``), or the names of
+    fsspec's file systems (``anon``; at S3 ``key``, ``secret`` and ``token``).
     """
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
         raise InputError(f"storage_options: found {shown(options)}, must be settings by name, such as anon=True")
@@ -93,15 +93,15 @@ def access_by(options: Mapping[str, Any], url: str) -> Access:
 
 
 def is_obstore(store: object) -> bool:
-    """Whether this is one of obstore's stores; obstore is not loaded for it."""
+    """Whether this is one of obstore's stores, without loading obstore."""
     module = sys.modules.get("obstore.store")
     return module is not None and isinstance(store, module.ObjectStore)
 
 
 def access_of(store: Any) -> tuple[str, Access]:
-    """The URL of an obstore store, and how it is reached. InputError if it is of no server.
+    """The URL and the access of an obstore store. InputError if it is no store of a server.
 
-    Its own retries are left out: they do not tell whether a write may have had its effect before.
+    Its own retries are left out: they hide whether an earlier attempt of a write took effect.
     """
     kind = type(store).__name__
     if kind == "HTTPStore":
@@ -112,12 +112,12 @@ def access_of(store: Any) -> tuple[str, Access]:
     url = _URLS[kind].format(**config)
     config = {name: value for name, value in config.items() if name not in ("bucket", "container_name")}
     prefix = str(store.prefix or "").strip("/")
-    found = Access(_frozen(config), _frozen(store.client_options or {}), store.credential_provider)
-    return f"{url}/{prefix}" if prefix else url, found
+    access = Access(_frozen(config), _frozen(store.client_options or {}), store.credential_provider)
+    return f"{url}/{prefix}" if prefix else url, access
 
 
 def local_folder(store: Any) -> Path | None:
-    """The folder of an obstore LocalStore; None for any other. InputError for one of the whole disk."""
+    """The folder of an obstore LocalStore; None for any other store. InputError for a LocalStore of the whole disk."""
     if type(store).__name__ != "LocalStore":
         return None
     if store.prefix is None:
@@ -126,9 +126,9 @@ def local_folder(store: Any) -> Path | None:
 
 
 def _frozen(given: Mapping[str, Any]) -> Pairs:
-    """Settings as pairs, with those inside of them too, so that they are a key."""
-    found = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in given.items())
-    return tuple(sorted(found, key=lambda pair: pair[0]))
+    """Settings as sorted pairs, nested ones too: a hashable value."""
+    pairs = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in given.items())
+    return tuple(sorted(pairs, key=lambda pair: pair[0]))
 
 
 def _thawed(pairs: Pairs) -> dict[str, Any]:

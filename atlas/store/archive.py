@@ -22,15 +22,15 @@ SUFFIX = ".zip"
 _SINCE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, so that equal atlases are equal files."""
 _LARGEST_UNPACKED = 2**28
-"""Largest unpacked size of a compressed member, in bytes. None of ours is compressed: it may be a zip bomb."""
+"""Largest unpacked size of a compressed member, in bytes. Our members are not compressed; another may be a zip bomb."""
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
-"""What zipfile raises for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
+"""Exceptions of zipfile for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
 
 
 @dataclass(frozen=True)
 class ZipPlace(Place):
-    """A zip file as a place that is read only. A damaged one raises OSErrors."""
+    """A zip file as a read-only place. A damaged file raises OSErrors."""
 
     path: Path
 
@@ -57,11 +57,11 @@ class ZipPlace(Place):
     def _archive(self) -> "_Archive | None":
         """The open file, None if there is none."""
         try:
-            found = os.stat(self.path)
+            stat = os.stat(self.path)
         except (FileNotFoundError, NotADirectoryError):
             return None
         with reading(self.path):
-            return _opened(self.path, found.st_ino, found.st_size, found.st_mtime_ns, os.getpid())
+            return _opened(self.path, stat.st_ino, stat.st_size, stat.st_mtime_ns, os.getpid())
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class _Archive:
     lock: threading.Lock
 
 
-@lru_cache(maxsize=8)  # its table of contents is read once, and again where another file or process is meant
+@lru_cache(maxsize=8)  # reads the table of contents once for each file and process
 def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _Archive:
     file = zipfile.ZipFile(path)
     for member in file.infolist():
@@ -82,7 +82,7 @@ def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _A
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn what zipfile raises for a damaged file into an OSError with EIO, as for a bad sector."""
+    """Turn zipfile's exceptions for a damaged file into an OSError with EIO, as for a bad sector."""
     try:
         yield
     except _DAMAGE as error:
@@ -90,7 +90,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def refuse_packed(place: Place) -> None:
-    """InputError if a place that is to be written can only be read, as a zip file."""
+    """InputError if a place that is to be written is read-only, such as a zip file."""
     if place.only_read:
         name = f"folder such as {place.path.with_suffix('.zarr')}" if isinstance(place, ZipPlace) else "path or a URL"
         raise InputError(f"{place}: {place.only_read} is read only; give a {name}")
@@ -98,7 +98,7 @@ def refuse_packed(place: Place) -> None:
 
 @contextmanager
 def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
-    """Hold the lock of an unfinished file, which is deleted with it; an OSError where another process does."""
+    """Hold the lock of an unfinished file, which is deleted with it; OSError if another process holds it."""
     path = unfinished.with_suffix(".lock")
     path.touch()  # the lock would make a missing folder
     lock = file_lock(path)
@@ -114,8 +114,8 @@ def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
 def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
     """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
 
-    Nothing is compressed: chunks already are, and metadata are small. Files that killed writers left behind, on which
-    nobody holds a lock, are removed.
+    Nothing is compressed: chunks already are, and metadata are small. Unlocked files left by killed writers are
+    removed.
     """
     begin = f".{target.name}"
     for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):

@@ -1,6 +1,6 @@
-"""The values of a store's axes, or of its table of points, which are in coordinates, not in attributes.
+"""The values of a store's axes, or of its table of points, which lie in coordinates, not in attributes.
 
-Values that are not evenly spaced, and so cannot be made again from the attributes, have a copy beside their coordinate.
+Values that are not evenly spaced cannot be computed from the attributes, so they have a copy beside their coordinate.
 """
 
 import itertools
@@ -17,18 +17,18 @@ from atlas.spec.spec import Spec
 from atlas.store.location import Place
 
 ROOT = "zarr.json"
-"""The object with the metadata of an array or a group; that of a store's root makes it one."""
+"""The name of the object with the metadata of an array or a group. A store exists once its root has one."""
 _DTYPE = np.dtype("<f8")
 
 
 def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values:
-    """The values of all axes or columns of a spec's outline, bit for bit as its digest was taken.
+    """The values of all axes or columns of a spec's outline, the same to the bit as in its digest.
 
-    A damaged coordinate is replaced by its copy, or made again if it was evenly spaced, which the digest shows.
-    Otherwise ChunkError, which names the damaged object.
+    A damaged coordinate is replaced by its copy, or computed if it was evenly spaced, as the digest shows. Otherwise
+    ChunkError, which names the damaged object.
     """
     faults: dict[str, str] = {}
-    found: dict[str, list[tuple[float, ...]]] = {name: [] for name in outlined(outline)}
+    candidates: dict[str, list[tuple[float, ...]]] = {name: [] for name in outlined(outline)}
     axes = {axis["name"]: axis for axis in outline["axes"]}
     sources: tuple[Callable[[str], tuple[float, ...] | None], ...] = (
         lambda name: _stored(place, name, faults),
@@ -36,25 +36,25 @@ def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values
         lambda name: _made(axes[name]) if name in axes else None,
     )
     for read in sources:
-        for name, candidates in found.items():
+        for name, of_axis in candidates.items():
             if (values := read(name)) is not None:
-                candidates.append(values)
-        for chosen in itertools.product(*found.values()):
-            together = dict(zip(found, chosen, strict=True))
+                of_axis.append(values)
+        for chosen in itertools.product(*candidates.values()):
+            together = dict(zip(candidates, chosen, strict=True))
             if resolved_digest(with_values(outline, together)) == digest:
                 return together
     raise ChunkError(place, faults or {ROOT: "has a digest that does not match the spec and its coordinates"})
 
 
 def goes_with(place: Place, outline: Mapping[str, Any], digest: str) -> bool:
-    """Whether a spec's outline has its digest with the coordinates as they are stored at a place."""
+    """Whether a spec's outline has this digest with the coordinates stored at a place."""
     stored = {name: _stored(place, name, {}) for name in outlined(outline)}
     known = {name: values for name, values in stored.items() if values is not None}
     return known.keys() == stored.keys() and resolved_digest(with_values(outline, known)) == digest
 
 
 def copies(spec: Spec) -> dict[str, bytes]:
-    """The copies of the values that cannot be made again from the outline of a spec, by their keys."""
+    """The copies of values that cannot be computed from the outline of a spec, by their keys."""
     listed = spec.points or {axis.name: axis.values for axis in spec.axes if _made(axis.outline()) != axis.values}
     return {copy_key(name): np.array(values, dtype=_DTYPE).tobytes() for name, values in listed.items()}
 
@@ -65,7 +65,7 @@ def copy_key(name: str) -> str:
 
 
 def _stored(place: Place, name: str, faults: dict[str, str]) -> tuple[float, ...] | None:
-    """The values of a coordinate; None if it is damaged, and then ``faults`` says why."""
+    """The values of a coordinate; None if it is damaged, with the damage added to ``faults``."""
     import zarr
 
     from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load

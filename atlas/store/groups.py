@@ -1,7 +1,7 @@
 """Groups of arrays beside the results of a store, each written whole, and the tables among them.
 
-A group's own metadata are written last: a kill at any moment leaves the group whole or absent. They have a checksum of
-all that the group holds.
+A group's own metadata are written last, with a checksum of its contents: a kill at any moment leaves the group whole or
+absent.
 """
 
 import hashlib
@@ -17,8 +17,8 @@ from atlas.store.schema import StoredArray, consolidate, coordinates, create_who
 from atlas.store.store import ROOT, Atlas, open_group
 
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
-"""The curves of a plane, and the tables: attractors whose basins a store has, one entry each; labels of coexisting
-attractors; stability measures of cells.
+"""The groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors; stability
+measures of cells. All but the first are tables.
 """
 TABLES = (ATTRACTORS, LABELS, STABILITY)
 ARRAYS, CHECKSUM = "arrays", "checksum"
@@ -32,11 +32,11 @@ def groups_of(handle: Atlas) -> tuple[str, ...]:
 
 
 def write_group(handle: Atlas, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
-    """Write a group, in the place of one that is there."""
+    """Write a group, replacing an existing one."""
     drop_group(handle, group)
     root = open_group(handle.place, "r+")
     for name in set(_names(handle, group)).difference(arrays):
-        del root[f"{group}/{name}"]  # readers take every array that lies there
+        del root[f"{group}/{name}"]  # readers read every array in a group
     for name, array in arrays.items():
         create_whole(root, f"{group}/{name}", array)
     own = {**attributes, ARRAYS: list(arrays)}
@@ -49,13 +49,13 @@ def write_group(handle: Atlas, group: str, arrays: Mapping[str, StoredArray], at
 
 
 def write_table(handle: Atlas, table: str, columns: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
-    """Write a table, which xarray opens, with the coordinates of its dimensions, in the place of one that is there."""
+    """Write a table for xarray, with the coordinates of its dimensions, replacing an existing one."""
     dims = {dim for column in columns.values() for dim in column.dims}
-    known = {name: each for name, each in coordinates(handle.spec).items() if name in dims and each.dims == (name,)}
+    known = {name: array for name, array in coordinates(handle.spec).items() if name in dims and array.dims == (name,)}
     write_group(handle, table, known | dict(columns), {**attributes, "digest": handle.digest})
     root = open_group(handle.place, "r+")
     consolidate(root, table)
-    consolidate(root)  # by the root's copy xarray finds the group
+    consolidate(root)  # xarray finds the group by the root's copy
 
 
 def drop_group(handle: Atlas, group: str) -> None:
@@ -85,11 +85,11 @@ def read_group(handle: Atlas, group: str) -> tuple[dict[str, NDArray[Any]], dict
     arrays: dict[str, NDArray[Any]] = {}
     faults: dict[str, str] = {}
     for name in names:
-        found = _read(handle, f"{group}/{name}")
-        if isinstance(found, np.ndarray):
-            arrays[name] = found
+        values = _read(handle, f"{group}/{name}")
+        if isinstance(values, np.ndarray):
+            arrays[name] = values
         else:
-            faults |= found
+            faults |= values
     own = {name: value for name, value in attributes.items() if name != CHECKSUM}
     if not faults and attributes.get(CHECKSUM) != _checksum(handle, group, names, own):
         faults[f"{group}/{ROOT}"] = "is damaged or belongs to other arrays"
@@ -99,7 +99,7 @@ def read_group(handle: Atlas, group: str) -> tuple[dict[str, NDArray[Any]], dict
 
 
 def _names(handle: Atlas, group: str) -> list[str]:
-    """The names of the arrays of a group that does not list them, by a listing."""
+    """The names of the arrays of a group, from a listing of its objects."""
     keys = (key.split("/") for key in handle.place.list_keys(f"{group}/"))
     return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
 
@@ -122,9 +122,9 @@ def _read(handle: Atlas, path: str) -> NDArray[Any] | dict[str, str]:
 
 
 def _checksum(handle: Atlas, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
-    """A digest of a group: of its attributes, and of all objects of its arrays."""
-    found = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
+    """A digest of a group: its attributes, and all objects of its arrays."""
+    digest = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in names:
         for key in sorted(handle.place.list_keys(f"{group}/{name}/")):
-            found.update(f"{key} ".encode() + hashlib.sha256(handle.place.get(key) or b"").digest())
-    return found.hexdigest()
+            digest.update(f"{key} ".encode() + hashlib.sha256(handle.place.get(key) or b"").digest())
+    return digest.hexdigest()

@@ -1,7 +1,7 @@
 """The place of a store by its path or URL, and whole objects at a URL.
 
-Zarr reads and writes arrays in any place by stores of its own. This is the rest: one listing, one object put, removed
-or looked for, and a write under a condition, which an object store has in place of a rename.
+Zarr reads and writes arrays in any place by stores of its own. This module lists, puts, removes and looks for objects,
+and writes under a condition, which an object store has in place of a rename.
 """
 
 import os
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
     Given: TypeAlias = str | os.PathLike[str] | Place | ObjectStore | Store
 else:
-    Given = Any  # a store as users give it, whose kinds take a while to load
+    Given = Any  # the type of a store given by a user; its members take a while to load
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
 """Schemes of URLs that a store may have, besides ``file``: the ones that obstore supports."""
 _SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
-"""What settings of a client begin with in the environment."""
+"""Prefixes of settings of a client in the environment."""
 AT_ONCE = 64
-"""Requests under way together where many objects of a server are read: it answers all as soon as one."""
+"""Simultaneous requests when many objects of a server are read: it answers all as soon as one."""
 _T = TypeVar("_T")
 _beyond: Mapping[str, Any] = {}
 """Default storage options of URLs in this process."""
@@ -49,8 +49,8 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
     """The place that a user names by a path or a URL, or gives as an obstore store or as a Zarr store object.
 
     A path that ends in .zip is an atlas packed into one file, unless it is a folder. At a URL, each call waits
-    ``patience`` seconds for a server that does not answer; ``storage_options`` say how it is reached, see ``access``.
-    What Zarr stores, and those of obstore in memory, hold is only read. InputError for what cannot be a place.
+    ``patience`` seconds for a server that does not answer; for ``storage_options`` see ``access``. Zarr stores, and
+    obstore stores in memory, are read-only. InputError for an object that cannot be a place.
     """
     if storage_options is not None and not is_url(store):
         raise InputError(f"storage_options: need a URL, found {shown(store)}")
@@ -78,7 +78,7 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
 
 @contextmanager
 def reached_by(storage_options: Mapping[str, Any]) -> Iterator[None]:
-    """Within the block, also in threads that it starts, URLs that are given without storage options have these."""
+    """Within the block, also in threads that it starts, these are the storage options of URLs without their own."""
     global _beyond
     before, _beyond = _beyond, storage_options
     try:
@@ -88,7 +88,7 @@ def reached_by(storage_options: Mapping[str, Any]) -> Iterator[None]:
 
 
 def _checked(place: "ObjectPlace") -> "ObjectPlace":
-    """The place; InputError for one that cannot work."""
+    """The place; InputError if it cannot have a client."""
     try:
         _ = place.client
     except ImportError as error:
@@ -111,15 +111,15 @@ def _place_of_object(store: Any, patience: float) -> Place:
 
 
 def beside(place: Place, store: str) -> Place:
-    """The place of another store, reached as this one is where both are at URLs."""
-    found = place_of(store)
-    if isinstance(found, ObjectPlace) and isinstance(place, ObjectPlace):
-        return replace(found, access=place.access)
-    return found
+    """The place of another store, with the access of this one if both are at URLs."""
+    other = place_of(store)
+    if isinstance(other, ObjectPlace) and isinstance(place, ObjectPlace):
+        return replace(other, access=place.access)
+    return other
 
 
 def sendable(place: Place) -> Place:
-    """The place as it crosses to workers, without its fence; InputError if what gives its credentials cannot."""
+    """The place as it is sent to workers, without its fence; InputError if its credential provider cannot be sent."""
     bare = place.behind(None)
     try:
         pickle.dumps(bare)
@@ -129,7 +129,7 @@ def sendable(place: Place) -> Place:
 
 
 def is_url(store: object) -> TypeGuard[str]:
-    """Whether a name of a store is a URL; a scheme has two letters or more: C: is a disk of Windows."""
+    """Whether a name of a store is a URL. A scheme has two letters or more, since C: is a disk of Windows."""
     return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 
@@ -138,7 +138,7 @@ def _place_at(path: Path) -> Place:
 
 
 def waiting(place: Place, patience: float) -> Place:
-    """The same place, with another patience where it is at a URL."""
+    """The same place, with another patience if it is at a URL."""
     return replace(place, patience=patience).behind(place.fence) if isinstance(place, ObjectPlace) else place
 
 
@@ -150,8 +150,7 @@ def _client(url: str, access: Access, settings: tuple[tuple[str, str], ...], pro
 
 @dataclass(frozen=True)
 class ObjectPlace(Place):
-    """A prefix of an object store, by obstore. Credentials and endpoint come from the environment (AWS_*, ...) where
-    its ``access`` does not say them.
+    """A prefix of an object store, by obstore, with credentials and endpoint from ``access``, else the environment.
 
     Each call waits ``patience`` seconds for a server that does not answer, and then raises NetworkError.
     """
@@ -165,7 +164,7 @@ class ObjectPlace(Place):
 
     @property
     def client(self) -> "ObjectStore":
-        """obstore's own object, which Zarr takes too: one of each place in a process."""
+        """The obstore client, which Zarr uses too: one for each place in a process."""
         settings = {name: value for name, value in os.environ.items() if name.upper().startswith(_SETTINGS)}
         return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
 
@@ -173,19 +172,19 @@ class ObjectPlace(Place):
         return replace(self, url=f"{self.url}/{folder}").behind(self.fence)
 
     def get(self, key: str) -> bytes | None:
-        found = self.get_tagged(key)
-        return None if found is None else found[0]
+        tagged = self.get_tagged(key)
+        return None if tagged is None else tagged[0]
 
     def get_tagged(self, key: str) -> "tuple[bytes, UpdateVersion] | None":
-        """An object's bytes, and the version by which ``put_if`` knows this state of it."""
+        """An object's bytes, and a version that identifies this state for ``put_if``."""
         import obstore
 
         def once() -> "tuple[bytes, UpdateVersion]":
-            found = obstore.get(self.client, key)
+            answer = obstore.get(self.client, key)
             # S3 and Azure compare the tag, Google's store its generation, which is the version.
-            tags = {"e_tag": found.meta["e_tag"], "version": found.meta["version"]}
+            tags = {"e_tag": answer.meta["e_tag"], "version": answer.meta["version"]}
             version: Any = {name: tag for name, tag in tags.items() if tag is not None}
-            return bytes(found.bytes()), version
+            return bytes(answer.bytes()), version
 
         try:
             return self._persist(once)
@@ -196,16 +195,16 @@ class ObjectPlace(Place):
         import obstore
 
         try:
-            found = self._persist(lambda: obstore.head(self.client, key))
+            meta = self._persist(lambda: obstore.head(self.client, key))
         except FileNotFoundError:
             return None
-        return found["e_tag"], found["version"], found["last_modified"], found["size"]
+        return meta["e_tag"], meta["version"], meta["last_modified"], meta["size"]
 
     def put(self, key: str, data: bytes) -> None:
         import obstore
 
         def once() -> None:
-            self.confirm()  # at each attempt: an outage may have lasted
+            self.confirm()  # at each attempt: there may have been a long outage
             obstore.put(self.client, key, data)
 
         self._persist(once)
@@ -218,7 +217,7 @@ class ObjectPlace(Place):
             list(pool.map(unfenced.put, objects.keys(), objects.values()))
 
     def take_all(self, other: Place, keys: Iterable[str]) -> None:
-        """See Place. A server copies objects within a bucket by itself."""
+        """See Place. Within a bucket the server copies objects itself."""
         bucket, mine, theirs = self._in_bucket_of(other)
         if bucket is None:
             return super().take_all(other, keys)
@@ -233,13 +232,13 @@ class ObjectPlace(Place):
             list(pool.map(take, keys))
 
     def _in_bucket_of(self, other: Place) -> "tuple[ObjectStore | None, str, str]":
-        """The client of the bucket that both places lie in, and what their keys begin with there; None if none is."""
+        """The client of the bucket of both places, and the prefixes of their keys; None without a common bucket."""
         if not isinstance(other, ObjectPlace):
             return None, "", ""
         ours, others = urlsplit(self.url), urlsplit(other.url)
         if self.access != other.access or ours[:2] != others[:2]:
             return None, "", ""
-        if ours.scheme in ("http", "https"):  # there a path may name the bucket
+        if ours.scheme in ("http", "https"):  # the path may name the bucket
             return None, "", ""
         bucket = replace(self, url=f"{ours.scheme}://{ours.netloc}").client
         return bucket, f"{ours.path.lstrip('/')}/", f"{others.path.lstrip('/')}/"
@@ -247,11 +246,11 @@ class ObjectPlace(Place):
     def put_new(self, key: str, data: bytes) -> bool:
         from obstore.exceptions import AlreadyExistsError
 
-        # HTTP's If-None-Match: * does it: of two at once one succeeds.
+        # HTTP's If-None-Match: * lets one of two simultaneous requests succeed.
         return self._put_under(key, data, "create", (AlreadyExistsError,))
 
     def put_if(self, key: str, data: bytes, version: "UpdateVersion") -> bool:
-        """Replace an object that is still the one that ``get_tagged`` gave this version of (If-Match); else False."""
+        """Replace an object that still has this version, from ``get_tagged`` (If-Match); else return False."""
         from obstore.exceptions import PreconditionError
 
         return self._put_under(key, data, version, (PreconditionError, FileNotFoundError))
@@ -267,9 +266,9 @@ class ObjectPlace(Place):
             self._persist(once)
 
     def remove_once(self, key: str) -> bool:
-        """Remove an object by one request; False if its answer is not that it is gone.
+        """Remove an object by one request; False unless the server confirms it.
 
-        It is not made again: after a lost answer somebody else may have put another object of that key.
+        The request is not repeated: after a lost answer another process may have put a new object of that key.
         """
         import obstore
         from obstore.exceptions import BaseError
@@ -285,8 +284,8 @@ class ObjectPlace(Place):
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
         wanted = list(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            found = zip(wanted, pool.map(self.get, wanted), strict=True)
-            return {key: data for key, data in found if data is not None}
+            pairs = zip(wanted, pool.map(self.get, wanted), strict=True)
+            return {key: data for key, data in pairs if data is not None}
 
     def remove_all(self, keys: Iterable[str]) -> None:
         import obstore
@@ -299,7 +298,7 @@ class ObjectPlace(Place):
 
         try:
             self._persist(once)
-        except FileNotFoundError:  # Google's and Azure's stores stop there, even where a lost answer removed it
+        except FileNotFoundError:  # Google's and Azure's stores stop at a missing object, even if a retry removed it
             with ThreadPoolExecutor(AT_ONCE) as pool:
                 list(pool.map(self.remove, unwanted))
 
@@ -312,7 +311,7 @@ class ObjectPlace(Place):
         yield from self._persist(once)
 
     def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
-        """Put under a condition; False if one of these errors says that it does not hold."""
+        """Put an object under a condition; False if one of the errors ``refusals`` shows that it does not hold."""
         import obstore
         from obstore.exceptions import BaseError
 
@@ -324,7 +323,7 @@ class ObjectPlace(Place):
             try:
                 obstore.put(self.client, key, data, mode=mode, use_multipart=False)
             except refusals:
-                # An attempt whose answer was lost may have written it, and so be what this one is refused for.
+                # An earlier attempt may have written the object, its answer lost: then the refusal is no failure.
                 return failed and self.get(key) == data
             except BaseError:
                 failed = True
@@ -339,7 +338,7 @@ class ObjectPlace(Place):
 
 @contextmanager
 def refused(place: Place, what: str) -> Iterator[None]:
-    """Turn an OSError into an InputError that it is the cause of; a server that does not answer is a NetworkError."""
+    """Turn an OSError into an InputError with this cause; a server that does not answer stays a NetworkError."""
     try:
         yield
     except NetworkError:

@@ -12,17 +12,17 @@ from importlib.metadata import PackageNotFoundError, version
 from atlas.platform import processor_name
 
 MACHINES = "machines"
-"""The group of a store with the machines that solved its tiles, each an empty group with attributes."""
+"""The group of the machines that solved a store's tiles; every machine is an empty group with attributes."""
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
-"""Settings of the processor that Numba compiles for, if not for this machine's own."""
+"""Environment variables that make Numba compile for another processor than this machine's."""
 BIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
-"""All settings of the environment that change last bits."""
+"""All environment variables that change last bits."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A kind of machine: a name made of its facts, and the facts. Machines of one name give a cell the same bits."""
+    """A kind of machine: its facts, and a name made from them. Machines of one name give a cell the same bits."""
 
     name: str
     facts: Mapping[str, str] = field(compare=False)

@@ -1,4 +1,4 @@
-"""The records of the machines that solved the tiles of a store: each an empty group, named by a digest of its facts."""
+"""The records of machines that solved a store's tiles: a record is an empty group, named by a digest of its facts."""
 
 import json
 from contextlib import suppress
@@ -14,7 +14,7 @@ def record_machine(handle: Atlas, machine: Machine) -> None:
     _recorded(handle.place, handle.run_id, machine)
 
 
-@lru_cache(maxsize=64)  # once a process and store is enough
+@lru_cache(maxsize=64)  # once for each process and store
 def _recorded(place: Place, run_id: str, machine: Machine) -> None:
     import zarr
     from zarr.errors import ContainsGroupError
@@ -29,7 +29,7 @@ def _recorded(place: Place, run_id: str, machine: Machine) -> None:
 
 
 def machines(handle: Atlas) -> tuple[Machine, ...]:
-    """The machines that solved tiles of this store, in no order; UNKNOWN for one whose record is damaged."""
+    """The machines that solved tiles of this store, in no order; UNKNOWN for a damaged record."""
     return tuple(recorded_machine(handle.place, key) or UNKNOWN for key in machine_keys(handle))
 
 
@@ -42,7 +42,7 @@ def machine_keys(handle: Atlas) -> list[str]:
 def recorded_machine(place: Place, key: str) -> Machine | None:
     """The machine of a record, None if it is damaged."""
     try:
-        found = machine_of(json.loads(place.get(key) or b"")["attributes"])
+        machine = machine_of(json.loads(place.get(key) or b"")["attributes"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    return found if found.name == key.split("/")[1] else None
+    return machine if machine.name == key.split("/")[1] else None

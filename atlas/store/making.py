@@ -41,9 +41,9 @@ TRIAL = ".trial-"
 
 
 def check_run(place: Place, spec: Spec, handle: Atlas | None, origin: Origin | None = None, run_id: str = "") -> None:
-    """InputError unless a run of a spec may make the store at a place, or resume the one with that handle.
+    """InputError unless a run of a spec may make the store at a place, or resume the store with this handle.
 
-    ``origin``, if given, is the store that cells are taken from, ``run_id`` that of the run that has the store, else
+    ``origin``, if given, has to be the store whose cells it reuses; ``run_id``, if given, has to be its run, else
     RunError.
     """
     refuse_packed(place)
@@ -58,7 +58,7 @@ def check_run(place: Place, spec: Spec, handle: Atlas | None, origin: Origin | N
             f"{place}: made by solver version {handle.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: choose another path"
         )
-    # Without its values where the digest says so, since these may be damaged.
+    # Equal digests are enough: the values of the stored spec may be damaged.
     if handle.digest != spec.digest and handle.spec.digest != spec.digest:
         raise InputError(f"{place}: has another spec: {'; '.join(differences(handle.spec, spec))}")
     with refused(place, "written"):
@@ -66,7 +66,7 @@ def check_run(place: Place, spec: Spec, handle: Atlas | None, origin: Origin | N
             if not os.access(place.local, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         elif root := place.get(ROOT):
-            place.put_new(ROOT, root)  # writes nothing, and a missing permission is refused in another way
+            place.put_new(ROOT, root)  # writes nothing, but raises without permission to write
     if run_id and run_id != handle.run_id:
         raise RunError(f"{place}: not the store of run {run_id}")
     if origin and origin != handle.origin:
@@ -74,7 +74,7 @@ def check_run(place: Place, spec: Spec, handle: Atlas | None, origin: Origin | N
 
 
 def _refuse_foreign(place: Place, spec: Spec) -> None:
-    """InputError if something lies at a URL that no creation cut short has left there, such as finished tiles."""
+    """InputError for objects at a URL that no interrupted creation has left there, such as finished tiles."""
     ours = {MACHINES, TILES} | _names(spec)
     for key in place.list_keys():
         if key.startswith(f"{REGIME.name}/c/"):
@@ -92,7 +92,7 @@ def create(
 ) -> Atlas:
     """Make a store without a result, see ``make_store``, and return its handle.
 
-    ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
+    ``origin`` is the store whose cells it reuses. Without a ``run_id`` one is drawn.
     """
     place = place_of(store)
     with refused(place, "written"):
@@ -112,8 +112,8 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
 def _appearing(place: Place) -> Iterator[Path]:
     """A folder whose content appears at a place at the end of the block.
 
-    On a disk a rename does that; at a URL the root's metadata do, which are put after all others and only if there are
-    none. Their spare follows, so that it is that of the run whose root it is.
+    On a disk it appears by a rename. At a URL the root's metadata are put after all other objects, and only if there
+    are none yet; their spare follows, so both come from one run.
     """
     path = place.local
     if path is None:
@@ -156,7 +156,7 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
 
 
 def refuse_equal_names(path: Path, spec: Spec) -> None:
-    """InputError where names of arrays differ by case alone: a disk that ignores case would mix their chunks."""
+    """InputError if names of arrays differ by case alone: a disk that ignores case would mix their chunks."""
     seen: dict[str, str] = {}
     for name in (*NAMES, *_names(spec)):
         other = seen.setdefault(name.casefold(), name)
@@ -171,9 +171,9 @@ def _names(spec: Spec) -> set[str]:
 
 @contextmanager
 def metadata_apart(place: Place, group: str) -> Iterator[Any]:
-    """A copy of a store's metadata as a root group, in which to make a group anew; its objects are then put at once.
+    """A copy of a store's metadata as a root group, in which a group is made anew and then put at once.
 
-    The group's own metadata come last but for the root's, which have a copy of all that is new.
+    The group's own metadata are put after its members, and the root's, which contain copies of them, at the end.
     """
     import zarr
 
@@ -195,7 +195,7 @@ def metadata_apart(place: Place, group: str) -> Iterator[Any]:
 
 
 def _check_writable(place: Place) -> None:
-    """Try it, since permission bits do not say all; on a disk, in the nearest folder that exists."""
+    """Try to write, since permission bits are not reliable; on a disk, in the nearest existing folder."""
     if place.local is None:
         trial = f"{TRIAL}{uuid.uuid4().hex}"
         place.put(trial, b"")
@@ -207,7 +207,7 @@ def _check_writable(place: Place) -> None:
 
 
 def remove_half_made(store: Path) -> None:
-    """Remove what killed runs left of this store while they made it. For the claim's holder only."""
+    """Remove folders left by runs that were killed while they made this store. For the claim's holder only."""
     run_id = "[0-9a-f]" * 32
     for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.{run_id}.partial"):
         shutil.rmtree(leftover, ignore_errors=True)

@@ -16,9 +16,9 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Allowance(Variable):
-    """A variable that says how much of a setting each cell was given: after a retry, more than the spec says.
+    """A variable with the value of a setting for each cell: after a retry, larger than the spec's.
 
-    Only stores that a retry made have it; there its fill value is the spec's setting.
+    Only stores that a retry made have it; its fill value there is the spec's setting.
     """
 
     setting: str = ""
@@ -28,8 +28,8 @@ class Allowance(Variable):
         return int(getattr(spec.settings, self.setting))
 
 
-def _allowance(name: str, what: str, setting: str) -> Allowance:
-    return Allowance(name, "int32", 0, f"{what}; as in the spec unless retried", "1", sparse=True, setting=setting)
+def _allowance(name: str, meaning: str, setting: str) -> Allowance:
+    return Allowance(name, "int32", 0, f"{meaning}; as in the spec unless retried", "1", sparse=True, setting=setting)
 
 
 BUDGET = _allowance("budget", "forcing periods that the cell may cost", "max_periods")
@@ -38,32 +38,32 @@ ALLOWANCES = (BUDGET, SURVIVAL)
 
 
 def allowances_in(spec: Spec) -> tuple[Allowance, ...]:
-    """The allowances, each with the spec's amount as its fill value."""
-    return tuple(replace(each, fill=each.of_spec(spec)) for each in ALLOWANCES)
+    """The allowances, with the spec's amounts as their fill values."""
+    return tuple(replace(allowance, fill=allowance.of_spec(spec)) for allowance in ALLOWANCES)
 
 
 @dataclass(frozen=True)
 class Retry:
-    """Which cells are solved again: those of these ``regimes`` by name, with more of the settings that are not None."""
+    """A request to solve the cells of these ``regimes``, by name, again, with the settings that are not None."""
 
     regimes: tuple[str, ...]
     max_periods: int | None = None
     survival: int | None = None
 
     def given(self, allowance: Allowance) -> int:
-        """What such a cell is given at least; 0 where the retry gives no more."""
+        """The least amount of an allowance for these cells; 0 if the retry does not raise it."""
         return int(getattr(self, allowance.setting) or 0)
 
     def selects(self, stored: Arrays) -> NDArray[np.bool_]:
         """The mask of the cells to solve again."""
-        return np.isin(stored[REGIME.name], [each.code for each in REGIMES if each.name in self.regimes])
+        return np.isin(stored[REGIME.name], [regime.code for regime in REGIMES if regime.name in self.regimes])
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The store that a new one takes cells over from, by its place and its run, and the cells of it to solve again.
+    """The store whose cells a new one reuses, by its place and its run, and the cells to solve again.
 
-    Without a ``retry`` the new store is an extension, which takes over all cells that were given what the spec says.
+    Without a ``retry`` the new store is an extension, which reuses all cells that no retry has solved.
     """
 
     store: str
@@ -71,13 +71,13 @@ class Origin:
     retry: Retry | None = None
 
     def attributes(self) -> dict[str, str]:
-        """As attributes of the new store's root."""
+        """The attributes of the new store's root."""
         given = {} if self.retry is None else {"origin_retry": json.dumps(vars(self.retry))}
         return {"origin": self.store, "origin_run_id": self.run_id, **given}
 
     @classmethod
     def of_attributes(cls, attributes: Mapping[str, Any]) -> "Origin | None":
-        """The inverse; None where there is no origin."""
+        """The inverse; None without an origin."""
         if "origin" not in attributes:
             return None
         fields = json.loads(attributes.get("origin_retry", "null"))

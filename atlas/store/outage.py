@@ -1,7 +1,7 @@
 """Waiting for a server or a network that does not answer.
 
-obstore's own retries are not used. They count from the beginning of a request, so that a request that fails after long
-is not made again, and they do not tell whether a conditional write may have had its effect before.
+obstore's own retries are not used. They count from the beginning of a request, so a request that fails late is not
+repeated, and they hide whether an earlier attempt of a conditional write took effect.
 """
 
 import asyncio
@@ -18,10 +18,10 @@ from atlas.errors import NetworkError
 BRIEF = 15.0
 """Seconds to wait for a store while a user waits for the answer: the URL may be wrong."""
 LONG = 180.0
-"""Seconds that a run waits for its store, which it has reached before."""
+"""Seconds that a run waits for a store that it has reached before."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
 _PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)")
-"""What obstore says of failures that may pass: no connection, a cut one, an overloaded or broken server."""
+"""Messages of obstore for failures that may pass: no connection, a cut one, an overloaded or broken server."""
 _T = TypeVar("_T")
 
 
@@ -29,7 +29,7 @@ def persist(call: Callable[[], _T], url: str, patience: float) -> _T:
     """The result of a call to obstore, repeated with growing pauses while the store does not answer.
 
     Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that do not pass.
-    A call may have had its effect although it failed.
+    A failed call may still have taken effect.
     """
     from obstore.exceptions import BaseError
 
@@ -70,7 +70,7 @@ class _Outage:
         self.begin, self.next = math.inf, _FIRST_PAUSE
 
     def pause_after(self, error: Exception) -> float:
-        """Seconds until the next attempt; raises if there is to be none."""
+        """Seconds until the next attempt; raises an error to give up."""
         from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
         line = first_line(error)

@@ -1,6 +1,6 @@
 """Finished parts of a search in progress, kept in the store.
 
-They lie apart from the groups, whose readers expect arrays. Each begins with its checksum.
+They lie apart from the groups, whose readers expect arrays. A part begins with its checksum.
 """
 
 import hashlib
@@ -10,7 +10,7 @@ from atlas.store.store import Atlas
 
 PARTS = "parts"
 DIGEST = "digest"
-"""The part that says which search the others are of."""
+"""The name of the part with the digest of the search."""
 _CHECKSUM_BYTES = 32
 
 
@@ -20,7 +20,7 @@ def put_part(handle: Atlas, group: str, name: str, data: bytes) -> None:
 
 
 def get_part(handle: Atlas, group: str, name: str) -> bytes | None:
-    """A part; None if it does not exist or is damaged, and has to be found again."""
+    """A part; None if it is missing or damaged, and has to be computed again."""
     stored = handle.place.get(f"{PARTS}/{group}/{name}") or b""
     checksum, data = stored[:_CHECKSUM_BYTES], stored[_CHECKSUM_BYTES:]
     return data if hashlib.sha256(data).digest() == checksum else None
@@ -44,7 +44,7 @@ def drop_parts(handle: Atlas, group: str) -> None:
 
 
 def kept_parts(handle: Atlas, group: str, digest: str) -> set[str]:
-    """The names of the parts that a search with this digest has finished; those of any other search are removed."""
+    """The names of the parts that a search with this digest has finished; parts of any other search are removed."""
     if get_part(handle, group, DIGEST) != digest.encode():
         drop_parts(handle, group)
         put_part(handle, group, DIGEST, digest.encode())

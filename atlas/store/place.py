@@ -12,16 +12,16 @@ from stat import S_ISDIR
 from typing import Self
 
 _ABSENT = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
-"""What a system says of an object that is not there."""
+"""Exceptions of operating systems for a missing object."""
 Fence = Callable[[], None]
-"""Raises an error once a place is no longer its holder's to write."""
+"""A function that raises an error once a place must no longer be written."""
 
 
 class Place:
-    """A root that keys such as ``regime/c/0/1`` lie under. Errors of any network are OSErrors. ``str`` is its name.
+    """A root of keys such as ``regime/c/0/1``. Errors of any network are OSErrors. ``str`` is its name.
 
-    A place behind a ``fence`` calls it right before each write and each removal, so that a process without its claim
-    changes nothing more there. The methods of this class are those of a read-only place.
+    A place behind a ``fence`` calls it right before each write and each removal, so a process that has lost its claim
+    changes nothing more. The methods of this class are those of a read-only place.
     """
 
     fence: Fence | None = None
@@ -29,20 +29,20 @@ class Place:
     """The kind of place, in words, if it is read-only."""
 
     def behind(self, fence: Fence | None) -> Self:
-        """The same place, which calls ``fence`` before it changes anything; None takes its fence away."""
+        """The same place, which calls ``fence`` before it changes anything; None removes the fence."""
         fenced = copy(self)
         object.__setattr__(fenced, "fence", fence)  # no field: two views of one place are equal
         return fenced
 
     def __deepcopy__(self, memo: object) -> Self:
-        return self  # it names what it is of
+        return self  # a place is only a name
 
     def inner(self, folder: str) -> "Place":
-        """The place of a store within this one, behind the same fence. ValueError if this one cannot be written."""
+        """The place of a store within this one, behind the same fence. ValueError if this place is read-only."""
         raise ValueError(f"{self}: nothing can be kept in a store that is only read")
 
     def confirm(self) -> None:
-        """Raise what the fence raises if this place may no longer be written; nothing without a fence."""
+        """Call the fence, if any: it raises an error if this place must no longer be written."""
         if self.fence is not None:
             self.fence()
 
@@ -60,7 +60,7 @@ class Place:
         raise NotImplementedError
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
-        """All keys, or those under a prefix that ends in "/", by one listing."""
+        """All keys, or the keys under a prefix that ends in "/", by one listing."""
         raise NotImplementedError
 
     def exists(self, key: str) -> bool:
@@ -72,7 +72,7 @@ class Place:
         return {key: data for key in keys if (data := self.get(key)) is not None}
 
     def put(self, key: str, data: bytes) -> None:
-        """Write an object whole, in place of any before it."""
+        """Write an object whole, replacing an existing one."""
         raise self._read_only()
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
@@ -85,7 +85,7 @@ class Place:
         raise self._read_only()
 
     def take_all(self, other: "Place", keys: Iterable[str]) -> None:
-        """Write objects as they are at another place, without their bytes where they need not move; none if absent."""
+        """Copy objects from another place, by links or on the server if possible; missing ones are left out."""
         self.put_all(other.get_all(keys))
 
     def remove(self, key: str) -> None:
@@ -103,7 +103,7 @@ class Place:
 
 @dataclass(frozen=True)
 class LocalPlace(Place):
-    """A folder. An empty folder in the place of an object is no object, and gives way to one."""
+    """A folder. An empty folder under the key of an object is no object, and an object may replace it."""
 
     path: Path
 
@@ -121,7 +121,7 @@ class LocalPlace(Place):
         except _ABSENT:
             return None
         except PermissionError:
-            if path.is_dir():  # Windows says it so
+            if path.is_dir():  # the error of Windows for a folder
                 return None
             raise
 
@@ -130,11 +130,11 @@ class LocalPlace(Place):
 
     def version(self, key: str) -> Hashable:
         try:
-            found = (self.path / key).stat()
+            stat = (self.path / key).stat()
         except _ABSENT:
             return None
         # A write puts another file in its place.
-        return None if S_ISDIR(found.st_mode) else (found.st_ino, found.st_mtime_ns, found.st_size)
+        return None if S_ISDIR(stat.st_mode) else (stat.st_ino, stat.st_mtime_ns, stat.st_size)
 
     def inner(self, folder: str) -> "LocalPlace":
         return LocalPlace(self.path / folder).behind(self.fence)
@@ -183,7 +183,7 @@ class LocalPlace(Place):
 
     @contextmanager
     def _written(self, key: str, make: Callable[[Path], object]) -> Iterator[Path]:
-        """A file that ``make`` has made next to where an object is to be; it goes if nobody moves it."""
+        """A file made by ``make`` next to the place of an object; it is removed unless the block moves it."""
         target = self.path / key
         target.parent.mkdir(parents=True, exist_ok=True)
         written = target.with_name(f"{target.name}.{uuid.uuid4().hex}.partial")
@@ -196,6 +196,6 @@ class LocalPlace(Place):
             written.unlink(missing_ok=True)
 
     def _clear(self, key: str) -> None:
-        """Remove a folder in the place of an object; an OSError names one that is not empty."""
+        """Remove an empty folder under the key of an object; OSError if it is not empty."""
         if (self.path / key).is_dir():
             (self.path / key).rmdir()

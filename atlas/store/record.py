@@ -2,7 +2,7 @@
 
 It is a row of numbers, the chunk of its tile in the array ``tiles/record``. Digests reveal swapped tiles; the
 counts say what an atlas holds without reading its cells. Columns have fixed places, with room for regimes and reasons
-of later versions: here a row that uses this room does not add up to its tile, which is then counted from its chunks.
+of later versions: this version finds that such a row does not add up to its tile, and counts the tile from its chunks.
 """
 
 import hashlib
@@ -37,16 +37,16 @@ Rows = NDArray[np.float64]
 
 def digest_of(index: Index, variables: Iterable[Variable], arrays: Mapping[str, Any]) -> int:
     """The digest of a tile, 64 bits, of these variables."""
-    found = hashlib.blake2b(repr(tuple(map(int, index))).encode(), digest_size=8)
+    digest = hashlib.blake2b(repr(tuple(map(int, index))).encode(), digest_size=8)
     for variable in variables:
         dtype = np.dtype(variable.dtype).newbyteorder("<")
-        found.update(variable.name.encode())
-        found.update(np.asarray(arrays[variable.name], dtype=dtype).tobytes())
-    return int.from_bytes(found.digest(), "little")
+        digest.update(variable.name.encode())
+        digest.update(np.asarray(arrays[variable.name], dtype=dtype).tobytes())
+    return int.from_bytes(digest.digest(), "little")
 
 
 def halves(digest: int) -> tuple[int, int]:
-    """A digest as a row has it."""
+    """The two columns of a digest in a row."""
     return divmod(digest, 2**32)
 
 
@@ -68,7 +68,7 @@ def counted_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDAr
 
 
 def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which rows, along the last dimension, account for all cells of their tiles."""
+    """A mask of the rows, along the last dimension, whose counts add up to the cells of their tiles."""
     by_regime, by_reason = rows[..., CELLS].sum(axis=-1), rows[..., BY_REASON].sum(axis=-1)
     return np.asarray((by_regime == sizes) & (by_reason == sizes))
 
@@ -80,7 +80,7 @@ def packed(row: Rows) -> bytes:
 
 
 def unpacked(data: bytes) -> Rows | None:
-    """The inverse; None for bytes that are no such chunk."""
+    """The inverse; None for bytes of any other kind."""
     inner, checksum = data[:-4], data[-4:]
     if len(inner) != 8 * WIDTH or google_crc32c.value(inner) != int.from_bytes(checksum, "little"):
         return None

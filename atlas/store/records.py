@@ -7,13 +7,12 @@ from a handful of objects. No kill leaves a wrong record of a finished tile:
 - A record without a ``regime`` belongs to an unfinished tile, and is not read.
 - Before a damaged tile is dropped, and before one of basins gets its last labels, an empty record replaces its own, and
   wins over the tile's row in the compaction. After a kill there the tile is as it was, and is counted from its chunks.
-- A single record wins over the compaction, so that a kill between writing that and removing these does no harm. Records
-  are removed of tiles that no worker of the run may still write: of the tiles due, those with a receipt. Readers list
-  the single ones first, and look again if one has gone when they come to it.
-- A compaction that has a row of every tile, with no single record beside it, says that all tiles are done.
+- A single record wins over the compaction, so a kill between the writing of the compaction and the removal of single
+  records does no harm. A record is removed only if no worker of the run may still write its tile. Readers list the
+  single records first, and start again if one has gone meanwhile.
+- If a compaction has rows of all tiles, and there is no single record, all tiles are done.
 
-Rows that are missing, damaged or do not add up to the cells of their tile count as absent: such tiles are counted from
-their chunks.
+A tile whose row is missing, damaged or does not add up to its cells is counted from its chunks.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -48,16 +47,16 @@ _LOOKS = 10
 
 
 class Records:
-    """The records of a store's tiles at one moment, read as far as they are asked for.
+    """The records of a store's tiles at one moment, read at their first use.
 
-    done      which tiles are finished, as an array over the tiles: those ``listed``, by default as the store says
+    done      mask of the finished tiles, over all tiles: the ``listed`` ones, by default by a look at the store
     rows      the rows of all tiles, zeros for a tile without a valid row
-    known     which tiles have one
-    damaged   what is wrong with records, by their keys
-    lost      the tiles that are finished by the compaction and not by their chunks
-    single    the tiles with a record of their own, finished or not
+    known     mask of the tiles with a valid row
+    damaged   faults of records, by their keys
+    lost      tiles that are finished according to the compaction, but not by their chunks
+    single    tiles with a record of their own, finished or not
 
-    The last three are there as soon as ``rows`` is.
+    Reading ``rows`` sets the last three.
     """
 
     def __init__(self, handle: Atlas, listed: Iterable[Index] | None = None) -> None:
@@ -67,7 +66,7 @@ class Records:
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
-        """See the class; from two objects if the atlas is finished, else from a listing."""
+        """See the class. Two objects are enough for a finished atlas; else it takes a listing."""
         if self._whole is not None:
             return np.ones(self.handle.tiling.grid, dtype=bool)
         done = np.zeros(self.handle.tiling.grid, dtype=bool)
@@ -89,13 +88,13 @@ class Records:
         return np.asarray(self.rows.any(axis=-1))
 
     def lack(self, codes: Iterable[int]) -> NDArray[np.bool_]:
-        """The tiles that have no cell of these regimes, according to their records."""
+        """A mask of the tiles without a cell of these regimes, according to their records."""
         asked = np.isin([regime.code for regime in REGIMES], list(codes))
         return self.known & (self.rows[..., CELLS][..., asked].sum(axis=-1) == 0)
 
     @cached_property
     def _whole(self) -> Rows | None:
-        """The compaction, if it has all tiles and nothing is newer; None on a disk, where listing is cheap."""
+        """The compaction, if it has all tiles and no record is newer; None on a disk, where listing is cheap."""
         on_disk = self.handle.place.local is not None
         if on_disk or self._listed is not None or single_records(self.handle):
             return None
@@ -115,7 +114,7 @@ class Records:
 
     def _read(self) -> Rows:
         """The rows of the compaction, with single records in their places."""
-        done = self.done  # before the records: each finished tile then has its own
+        done = self.done  # read before the records: every finished tile then has a record
         for _ in range(_LOOKS):
             self.single = single_records(self.handle)
             rows = self._compacted()
@@ -123,12 +122,12 @@ class Records:
             for index in self.single:
                 rows[index], without[index] = 0.0, False
             wanted = {record_key(index): index for index in self.single if done[index]}
-            found = self.handle.place.get_all(wanted)
-            if found.keys() == wanted.keys():
+            stored = self.handle.place.get_all(wanted)
+            if stored.keys() == wanted.keys():
                 break
         if empty and without.any():
             self.damaged.setdefault(RECORDS, "is missing")
-        for key, data in found.items():
+        for key, data in stored.items():
             row = unpacked(data)
             if row is None:
                 self.damaged[key] = "is damaged"
@@ -138,9 +137,9 @@ class Records:
 
 
 class RunRecords:
-    """The records of a store during a run, in the coordinator's memory: ``records`` before it, and those of receipts.
+    """The records of a store during a run, in the coordinator's memory: earlier ``records``, and records of receipts.
 
-    ``due`` are the tiles that its workers may write.
+    ``due`` is a mask of the tiles that the workers may write.
     """
 
     def __init__(self, handle: Atlas, records: Records, due: NDArray[np.bool_]) -> None:
@@ -150,14 +149,14 @@ class RunRecords:
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)
 
     def add(self, index: Index, row: Sequence[float]) -> None:
-        """Take the record of a tile that is written; empty if it is not known."""
+        """Add the record of a finished tile; empty if it is unknown."""
         new = np.array(row) if len(row) == WIDTH else np.zeros(WIDTH)
         self._total += new - self._rows[index]
         self._rows[index], self._done[index], self._open[index], self._new = new, True, False, True
 
     @property
     def counts(self) -> dict[str, Any] | None:
-        """What the store holds: tiles done, cells by regime and by reason; None if some are not counted."""
+        """The contents of the store: tiles done, cells by regime and by reason; None if some tiles are not counted."""
         if self._uncounted.any():
             return None
         regimes, reasons = by_name(self._total)
@@ -168,7 +167,7 @@ class RunRecords:
         return self._done & ~self._rows.any(axis=-1)
 
     def compact(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Collect all records in one chunk. Tiles without one are counted; ``on_wait`` is called with their number."""
+        """Collect all records in one chunk. Tiles without a record are counted: ``on_wait`` gets their number."""
         uncounted = _indices(self._uncounted & ~self._open)
         if uncounted:
             on_wait(len(uncounted))
@@ -186,7 +185,7 @@ def put_together(handle: Atlas) -> None:
 
 
 def write_compaction(handle: Atlas, rows: Rows, settled: NDArray[np.bool_]) -> None:
-    """Write all rows as one chunk, then remove the single records of ``settled`` tiles that have a row in it."""
+    """Write all rows as one chunk, then remove the single records of ``settled`` tiles with a row in the chunk."""
     handle.place.put_all(encoded(_compaction(handle), tuple(map(slice, rows.shape)), rows))
     counts = settled & add_up(rows, handle.tiling.sizes())
     handle.place.remove_all([record_key(index) for index in single_records(handle) if counts[index]])
@@ -196,7 +195,7 @@ EXCHANGED = "its chunks were not written together here: they were exchanged with
 
 
 def is_exchanged(records: Records, index: Index, row: Rows) -> bool:
-    """Whether the record of a finished tile has another digest than its cells, by which it has that ``row``."""
+    """Whether the record of a finished tile has another digest than ``row``, the record computed from its cells."""
     digest = records.rows[index][DIGEST]
     return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])
 
@@ -209,8 +208,8 @@ def read_record(handle: Atlas, index: Index) -> Rows | None:
 
 def single_records(handle: Atlas) -> list[Index]:
     """The tiles with a record of their own, finished or not, from one listing."""
-    found = (record_index(key, handle.tiling.grid) for key in handle.place.list_keys(f"{RECORD}/"))
-    return sorted(index for index in found if index is not None)
+    indices = (record_index(key, handle.tiling.grid) for key in handle.place.list_keys(f"{RECORD}/"))
+    return sorted(index for index in indices if index is not None)
 
 
 def count_tiles(handle: Atlas, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
@@ -224,10 +223,10 @@ def count_tiles(handle: Atlas, tiles: Sequence[Index]) -> Iterator[Rows | ChunkE
 
     def count_one(index: Index) -> Rows | ChunkError:
         try:
-            found = read_tile(handle, index, (REGIME.name, REASON.name), arrays)
+            classes = read_tile(handle, index, (REGIME.name, REASON.name), arrays)
         except ChunkError as error:
             return error if is_done(handle, index) else np.zeros(WIDTH)
-        return counted_row(handle.spec, handle.tiling.at(index).slices, handle.leading(found))
+        return counted_row(handle.spec, handle.tiling.at(index).slices, handle.leading(classes))
 
     with ThreadPoolExecutor(READERS) as readers:
         yield from readers.map(count_one, tiles)

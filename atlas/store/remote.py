@@ -1,6 +1,6 @@
-"""Zarr's own store of a place. At a URL it waits for the server; damage of a zip file is an OSError.
+"""Zarr's own store of a place. At a URL it waits for the server; damage of a zip file raises OSError.
 
-Behind a fence it confirms each write and each removal.
+Behind a fence it calls the fence before each write and each removal.
 """
 
 import asyncio
@@ -32,7 +32,7 @@ def _again(
 
 
 class RemoteStore(ObjectStore[Any]):
-    """Zarr's ObjectStore of a place. A failed call is simply repeated, since all that it does may be done twice."""
+    """Zarr's ObjectStore of a place. A failed call is simply repeated: all calls may take effect twice."""
 
     def __init__(self, place: ObjectPlace, read_only: bool) -> None:
         super().__init__(place.client, read_only=read_only)
@@ -133,11 +133,11 @@ class FencedStore(WrapperStore[Any]):
         await self._store.clear()
 
     async def _confirm(self) -> None:
-        await asyncio.to_thread(self._place.confirm)  # it reads a note, perhaps from a server
+        await asyncio.to_thread(self._place.confirm)  # reads a note, perhaps from a server
 
 
 class ReadStore(WrapperStore[Any]):
-    """A Zarr store object that a user gave, for reading: not every class of them can be made read only."""
+    """A user's Zarr store object, for reading: not all classes of stores can be made read-only."""
 
     def _with_store(self, store: Any) -> Self:
         return type(self)(store)
@@ -151,7 +151,7 @@ class ReadStore(WrapperStore[Any]):
 
 
 def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | PackedStore | FencedStore | ReadStore":
-    """Zarr's store of a place; OSError for one that is to be written and is only read, as a zip file."""
+    """Zarr's store of a place; OSError if a read-only place, such as a zip file, is to be written."""
     if place.fence is not None and not read_only:
         return FencedStore(zarr_store(place.behind(None), read_only), place)
     if place.only_read and not read_only:

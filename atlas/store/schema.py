@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 1
-"""The only one that is read."""
+"""The only version that this program reads."""
 OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
 ZOOM = "zoom"
-"""The group of what was explored, see ``store.zoom``."""
+"""The group of explored cells, see ``store.zoom``."""
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
-"""New names of dimensions: xarray takes a variable that is named like one of its dimensions for a coordinate."""
+"""New names of dimensions: xarray treats a variable with the name of one of its dimensions as a coordinate."""
 
 
 class StoredArray(NamedTuple):
@@ -70,7 +70,7 @@ def coordinates(spec: Spec) -> dict[str, StoredArray]:
 def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
     """The attributes of a store's root; a run id is drawn if none is given.
 
-    There are at least ten: a notebook then shows them folded, and the spec does not fill the screen.
+    There are at least ten, so a notebook shows them folded, and the spec does not fill the screen.
     """
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
     references = {"references": spec.record.source} if spec.record.source else {}
@@ -95,9 +95,9 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
     """CF attributes of a result variable; ``fixed`` names the coordinates that are not axes."""
     attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
     if variable.codes:
-        attributes["flag_values"] = [each.code for each in variable.codes]
-        attributes["flag_meanings"] = " ".join(each.name for each in variable.codes)
-    if colors := " ".join(each.color for each in variable.codes if isinstance(each, Regime)):
+        attributes["flag_values"] = [code.code for code in variable.codes]
+        attributes["flag_meanings"] = " ".join(code.name for code in variable.codes)
+    if colors := " ".join(code.color for code in variable.codes if isinstance(code, Regime)):
         attributes["flag_colors"] = colors
     if named := " ".join(fixed):
         attributes["coordinates"] = named
@@ -105,7 +105,7 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
 
 
 def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
-    """Make an array of one chunk with its values, in the place of one that is there."""
+    """Make an array of one chunk with its values, replacing an existing one."""
     values, dims, attributes = stored
     array: Any = group.create_array(
         name,
@@ -122,7 +122,7 @@ def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
 
 
 def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling) -> None:
-    """Make the array of a result, one object a tile: a chunk, of a large tile a shard of smaller ones."""
+    """Make the array of a result, one object a tile: a chunk, or for a large tile a shard of smaller chunks."""
     extra = tuple(spec.extra_sizes[dim] for dim in variable.extra)
     part = tuple(map(part_side, tiling.tile))
     group.create_array(
@@ -139,18 +139,18 @@ def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling:
 
 
 def consolidate(group: "zarr.Group", path: str = "") -> None:
-    """Copy the metadata of all arrays below a group into its own metadata, which is all that xarray reads."""
+    """Copy the metadata of all arrays below a group into its own metadata: xarray reads nothing else."""
     import zarr
 
     with warnings.catch_warnings():
         # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
         warnings.filterwarnings("ignore", message="Consolidated metadata")
-        warnings.filterwarnings("ignore", message="Object at parts is not")  # of a search that is still at work
+        warnings.filterwarnings("ignore", message="Object at parts is not")  # parts of an unfinished search
         zarr.consolidate_metadata(group.store, path=path or None)
 
 
 def codecs() -> list[Any]:
-    """How every chunk is packed."""
+    """The codecs of every chunk."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk

@@ -25,12 +25,12 @@ from atlas.store.location import Given, ObjectPlace, Place, place_of
 from atlas.store.place import Fence
 
 CLAIM = "claim"
-"""The note by which one run at a time has the store."""
+"""The name of the note by which a run claims a store."""
 _LOCK, _PARTIAL = ".lock", ".partial"
 _LOOKS, _BETWEEN_LOOKS = 100, 0.01
-"""How often to read a note that is being written in place, and the seconds between two reads."""
+"""Attempts to read a note that is being written in place, and the seconds between them."""
 _BLOCK, _END = 4096, 18
-"""Bytes that the length of a note's file is a multiple of; bytes at its end: length and checksum of the text."""
+"""Block size of a note's file in bytes, and bytes at its end: length and checksum of the text."""
 
 
 class Notes(Protocol):
@@ -40,24 +40,24 @@ class Notes(Protocol):
         """A note's bytes, None if there is none."""
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
-        """Write a note if it is absent (``expected`` None) or holds the expected bytes; False, unwritten, if not."""
+        """Write a note if it is absent (``expected`` None) or holds the expected bytes; else return False."""
 
     def remove(self, name: str, expected: bytes) -> bool:
-        """Remove a note that holds the expected bytes; False if it does not. Only for its maker."""
+        """Remove a note that holds the expected bytes; else return False. For the note's maker only."""
 
     def clear(self, keep: str) -> None:
-        """Remove all notes but one: only for who holds that one."""
+        """Remove all notes but one. For the holder of that note only."""
 
 
 def notes_of(store: Given) -> Notes:
-    """The notes of a store: next to it, since a claim comes before the store and Zarr owns its inside.
+    """The notes of a store, next to it: a claim precedes the store, and Zarr owns its inside.
 
     If the store's path is a link, they are next to its target, so that a store has one claim.
     """
     place = place_of(store)
     if isinstance(place, ObjectPlace):
         return notes_at_url(place)
-    path = place.path if isinstance(place, ZipPlace) else place.local  # nobody claims a file, so there are none
+    path = place.path if isinstance(place, ZipPlace) else place.local  # a file is never claimed, so it has no notes
     if path is None:
         return NoNotes()
     path = Path(os.path.realpath(path))
@@ -65,7 +65,7 @@ def notes_of(store: Given) -> Notes:
 
 
 class NoNotes:
-    """The notes of a store that can only be read, which nobody claims."""
+    """The notes of a read-only store, which is never claimed."""
 
     def read(self, name: str) -> bytes | None:
         return None
@@ -86,7 +86,7 @@ def claim_token(notes: Notes) -> str:
 
 
 def note_fence(store: Place, name: str, token: str, error: type[RunError], lost: str) -> Fence:
-    """A fence that raises ``error``, which says what is ``lost``, unless a note of a store holds a token: one read."""
+    """A fence that raises ``error`` with the text ``lost`` unless a note of a store holds a token: one read."""
     notes = notes_of(store)
 
     def check() -> None:
@@ -98,7 +98,7 @@ def note_fence(store: Place, name: str, token: str, error: type[RunError], lost:
 
 @dataclass(frozen=True)
 class TileAttempt:
-    """An attempt at a tile, as a note has it: its own token, that of its run, its number there, and its process."""
+    """An attempt at a tile, the content of a note: tokens of the attempt and of its run, its number, its process."""
 
     token: str
     run: str
@@ -110,27 +110,27 @@ class TileAttempt:
         return json.dumps(vars(self)).encode()
 
     def remove(self, notes: Notes, name: str) -> None:
-        """Remove its note, unless that is another attempt's by now."""
+        """Remove the attempt's note, unless a later attempt has replaced it."""
         notes.remove(name, self.pack())
 
 
 def put_attempt(notes: Notes, name: str, run: str, most: int) -> TileAttempt:
-    """Note a new attempt of a run, over any older note.
+    """Write the note of a new attempt of a run, replacing an older note.
 
-    RunError if it holds the ``most``-th of that run: neither this nor any before it lived to remove its note.
+    RunError if the older note is of attempt number ``most`` of that run: all of them died before they removed it.
     """
-    found, process = None, f"{socket.gethostname()}, process {os.getpid()}"
+    note, process = None, f"{socket.gethostname()}, process {os.getpid()}"
     while True:
-        before = _read_note(found)
+        before = _read_note(note)
         number = before.get("number") if before.get("run") == run else 0
         number = number if isinstance(number, int) else 0
         if number >= most:
             last = before.get("process", "an unknown one")
             raise RunError(f"the process that solves it has died {number} times, the last was {last}")
         attempt = TileAttempt(uuid.uuid4().hex, run, number + 1, process)
-        if notes.put(name, attempt.pack(), expected=found):
+        if notes.put(name, attempt.pack(), expected=note):
             return attempt
-        found = notes.read(name)
+        note = notes.read(name)
 
 
 def _token(note: bytes | None) -> str:
@@ -139,19 +139,19 @@ def _token(note: bytes | None) -> str:
 
 def _read_note(note: bytes | None) -> dict[str, Any]:
     try:
-        found = json.loads(note or b"{}")
+        content = json.loads(note or b"{}")
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 @dataclass(frozen=True)
 class Folder:
     """Notes as files of a folder. The folder's lock, held for an instant, makes a conditional write atomic.
 
-    A file has a length that is a multiple of _BLOCK and ends in a checksum. It appears whole, by a rename; where there
-    is no room for a second file, or the system lets no open file be replaced, it is overwritten in place. So whoever
-    reads needs no lock: a text that contradicts its checksum is being written, and is read again.
+    The length of a file is a multiple of _BLOCK, and a checksum ends it. It appears whole, by a rename; it is
+    overwritten in place if the disk has no room for a second file, or the system cannot replace an open file. Readers
+    need no lock: a text that contradicts its checksum is being written, and is read again.
     """
 
     path: Path
@@ -160,13 +160,13 @@ class Folder:
         """See Notes. Empty for a note that stays damaged."""
         for _ in range(_LOOKS):
             try:
-                found = _text((self.path / name).read_bytes())
+                text = _text((self.path / name).read_bytes())
             except (FileNotFoundError, NotADirectoryError):
                 return None
             except PermissionError:  # Windows: it is just being replaced
-                found = None
-            if found is not None:
-                return found
+                text = None
+            if text is not None:
+                return text
             time.sleep(_BETWEEN_LOOKS)
         return b""
 
@@ -195,7 +195,7 @@ class Folder:
                 file.unlink(missing_ok=True)
 
     def _write(self, name: str, data: bytes, new: bool) -> bool:
-        """Write a file; a ``new`` one if there is none, else False."""
+        """Write a file; False if it is to be ``new`` and exists already."""
         target, whole = self.path / name, self.path / f"{name}.{uuid.uuid4().hex}{_PARTIAL}"
         try:
             whole.write_bytes(data)
@@ -225,9 +225,9 @@ class Folder:
 
     @contextmanager
     def _locked(self, tidy: bool = False) -> Iterator[None]:
-        """Alone with those who write notes; on a file system without locks a race of microseconds remains.
+        """Hold the lock of writers; on a file system without locks a race of microseconds remains.
 
-        With ``tidy`` the folder and its lock are deleted with its last note.
+        ``tidy`` deletes the folder and its lock after its last note.
         """
         lock = file_lock(self.path / _LOCK)
         with suppress(OSError):
@@ -254,7 +254,7 @@ def _file_of(text: bytes) -> bytes:
 
 
 def _text(file: bytes) -> bytes | None:
-    """The inverse; None for a file that is not whole."""
+    """The inverse; None for an incomplete file."""
     try:
         length, checksum = (int(part, 16) for part in file[-_END:].split())
     except ValueError:
@@ -268,8 +268,8 @@ def _text(file: bytes) -> bytes | None:
 class UrlNotes:
     """Notes as small objects under one prefix.
 
-    An object store makes each write one act (If-None-Match, If-Match). It has no removal under a condition: a note is
-    removed by one request right after a look at it, or is left empty, which reads and counts as none.
+    Writes to an object store can be conditional (If-None-Match, If-Match), removals cannot: a note is removed by one
+    request right after a look at it, or is left empty, which counts as absent.
     """
 
     place: ObjectPlace
@@ -280,8 +280,8 @@ class UrlNotes:
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
         if expected is None and self.place.put_new(name, data):
             return True
-        found = self.place.get_tagged(name)
-        return found is not None and found[0] == (expected or b"") and self.place.put_if(name, data, found[1])
+        tagged = self.place.get_tagged(name)
+        return tagged is not None and tagged[0] == (expected or b"") and self.place.put_if(name, data, tagged[1])
 
     def remove(self, name: str, expected: bytes) -> bool:
         if self.read(name) != expected:

@@ -1,7 +1,7 @@
-"""The spare of a store's metadata: a second object with the root's metadata as they were made.
+"""The spare of a store's metadata: a second object with the root's original metadata.
 
-Either object can be written again from the other. The spare lies in the folder of an array, where no reader of Zarr
-groups finds it.
+Either object can be written again from the other. The spare lies in the folder of an array, which readers of Zarr
+groups do not list.
 """
 
 import hashlib
@@ -22,19 +22,19 @@ Json = Mapping[str, Any]
 
 
 def packed_spare(root: bytes) -> bytes:
-    """The spare of these metadata of a root."""
+    """The spare of a root's metadata."""
     return hashlib.sha256(root).hexdigest().encode() + b"\n" + root
 
 
 def read_spare(place: Place) -> dict[str, Any] | None:
-    """The root's metadata by the spare of a store; None if it is missing or damaged, or another store's."""
+    """The root's metadata from the spare of a store; None if the spare is missing, damaged or another store's."""
     return spare_by(place, place.get(ROOT), place.get(SPARE))
 
 
 def spare_by(place: Place, root: bytes | None, data: bytes | None) -> dict[str, Any] | None:
-    """``read_spare``, given the object of the root's metadata and that of their spare.
+    """``read_spare`` with the bytes of both objects: the root's metadata and their spare.
 
-    A spare with another spec than the root's is another store's if the coordinates at the place go with the root.
+    A spare with another spec than the root's is another store's if the coordinates at the place match the root.
     """
     checksum, _, content = (data or b"").partition(b"\n")
     if hashlib.sha256(content).hexdigest().encode() != checksum:
@@ -49,18 +49,18 @@ def spare_by(place: Place, root: bytes | None, data: bytes | None) -> dict[str, 
 
 
 def remedy(place: Place) -> str:
-    """How metadata that are missing, damaged or wrong are mended, in words."""
+    """The remedy of missing, damaged or wrong metadata, in words."""
     return PACK if isinstance(place, ZipPlace) else f"atlas verify --repair {place} writes them again"
 
 
 def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
-    """The metadata of all arrays and groups that a root's metadata have copies of, by their keys."""
+    """The copies of metadata of arrays and groups in a root's metadata, by their keys."""
     nodes = (root.get("consolidated_metadata") or {}).get("metadata", {})
     return {f"{name}/{ROOT}": node for name, node in nodes.items()}
 
 
 def spare_faults(place: Place, spare: Json) -> dict[str, str]:
-    """What of a store's metadata is missing, damaged or not as its spare has it, in words by the keys."""
+    """The faults of a store's metadata, in words by key: missing, damaged, or unlike the spare."""
     faults = {}
     for key, right in {ROOT: spare, **nodes_of(spare)}.items():
         if fault := next(_faults(place.get(key), right, whole=key != ROOT), ""):
@@ -69,7 +69,7 @@ def spare_faults(place: Place, spare: Json) -> dict[str, str]:
 
 
 def mend_by_spare(place: Place, spare: Json, keys: Mapping[str, str]) -> None:
-    """Write these metadata as the spare has them, and the root's with copies of all that there is."""
+    """Write the metadata of these keys from the spare, and the root's with copies of all present metadata."""
     nodes = nodes_of(spare)
     for key in keys:
         if key != ROOT:
@@ -78,25 +78,25 @@ def mend_by_spare(place: Place, spare: Json, keys: Mapping[str, str]) -> None:
 
 
 def copy_metadata(place: Place, root: Json) -> None:
-    """Write a root's metadata with copies of the metadata of its arrays and groups as these have them now.
+    """Write a root's metadata with copies of the present metadata of its arrays and groups.
 
-    Such are the ones that ``root`` has copies of, and all others that are there now but the zoom levels: what a
-    search or a run has added since is in no spare.
+    These are the ones copied in ``root``, and all others except the zoom levels: a spare lacks groups that a search or
+    a run has added since.
     """
-    found = {key for key in place.list_keys() if key.endswith(f"/{ROOT}") and not key.startswith(f"{ZOOM}/")}
-    keys = sorted({*nodes_of(root), *(key for key in found if _parents(key) <= found)})
+    present = {key for key in place.list_keys() if key.endswith(f"/{ROOT}") and not key.startswith(f"{ZOOM}/")}
+    keys = sorted({*nodes_of(root), *(key for key in present if _parents(key) <= present)})
     copies = {}
     for key, data in sorted(place.get_all(keys).items()):
         try:
             node = alone(json.loads(data))
             copies[key.removesuffix(f"/{ROOT}")] = node | (_copies({}) if node.get("node_type") == "group" else {})
         except (ValueError, AttributeError, RecursionError):
-            continue  # damaged: whoever checks it says so
+            continue  # damaged, as a verification reports
     place.put(ROOT, json.dumps(alone(root) | _copies(copies)).encode())
 
 
 def _parents(key: str) -> set[str]:
-    """The keys of the metadata of the groups that an array or a group lies in, the root's left out."""
+    """The keys of the metadata of all groups above an array or a group, without the root's."""
     parts = key.split("/")[:-1]
     return {"/".join([*parts[:n], ROOT]) for n in range(1, len(parts))}
 
@@ -111,23 +111,23 @@ def alone(metadata: Json) -> dict[str, Any]:
 
 
 def root_fault(data: bytes | None, spare: Json) -> str:
-    """The first thing that is wrong with the object of a root's metadata, in words; "" where it is as its spare."""
+    """The first fault of the object of a root's metadata, in words; "" if it equals its spare."""
     return next(_faults(data, spare, whole=False), "")
 
 
 def unlike_copy(own: Any, copy: Json | None) -> str:
-    """The fault of metadata that differ from the root's copy of them, in words; "" where they do not."""
+    """The fault of metadata that differ from the root's copy, in words; "" if they are equal."""
     alike = isinstance(own, dict) and copy is not None and alone(own) == alone(copy)
     return "" if alike else f"differs from its copy in {ROOT}"
 
 
 def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
-    """The fault of an object of metadata: ``whole``, or a root's, of which attributes and copies are compared."""
+    """The faults of an object of metadata, compared as a ``whole``, or a root's by its attributes and copies."""
     if data is None:
         yield "is missing"
         return
     try:
-        found = alone(json.loads(data))
+        stored = alone(json.loads(data))
     except (ValueError, AttributeError, RecursionError) as error:
         yield f"is damaged ({message_of(error)})"
         return
@@ -136,14 +136,14 @@ def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
     except (AttributeError, TypeError) as error:
         yield f"is damaged ({message_of(error)})"
         return
-    attributes = found.get("attributes")
+    attributes = stored.get("attributes")
     if not isinstance(attributes, dict):
         yield "is damaged (it has no attributes)"
         return
     pairs = [(f"attribute {name}", attributes.get(name), value) for name, value in right["attributes"].items()]
     if whole:
         fields = [name for name in alone(right) if name != "attributes"]
-        pairs = [(name, found.get(name), right[name]) for name in fields] + pairs
+        pairs = [(name, stored.get(name), right[name]) for name in fields] + pairs
     for pair in pairs:
         yield from _unlike(*pair)
     if not whole:
@@ -152,7 +152,7 @@ def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
 
 
 def _unlike(name: str, found: Any, must: Any) -> Iterator[str]:
-    """Where two values differ, in the innermost parts that both have; the spec is kept as JSON, and looked into."""
+    """The differences of two values, in the innermost parts that both have; the spec, stored as JSON, is unpacked."""
     if isinstance(found, str) and isinstance(must, str) and must.startswith("{"):
         with suppress(ValueError, RecursionError):
             found, must = json.loads(found), json.loads(must)

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 READERS = 8
-"""Tiles read at once: a disk or a network answers several as soon as one."""
+"""Tiles read at the same time: a disk or a network answers several requests as soon as one."""
 
 
 class _Opened(dict[str, Any]):
-    """What the views of a handle have read and opened, by name; ``lock`` is held while that is done."""
+    """Objects read and opened by the views of a handle, by name; ``lock`` is held meanwhile."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -49,8 +49,8 @@ class MadeOnce(cached_property[_T]):
         with kept.lock:  # the threads of a worker come at once
             if name not in kept:
                 kept[name] = self.func(instance)
-            found: _T = kept[name]
-        return found
+            value: _T = kept[name]
+        return value
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class Atlas:
     """The handle of a store: its place, spec, solver version and contents.
 
     ``outline`` is its spec, without the values of axes and points. ``nodes`` are the root's copies of the metadata of
-    all its arrays and groups, by their paths. ``state`` is a digest of the root's metadata as they were read.
-    Everything else is read or opened at its first use, and ``kept`` in this process.
+    its arrays and groups, by path. ``state`` is a digest of the root's metadata when they were read. Everything else
+    is read or opened at its first use, and ``kept`` in this process.
     """
 
     place: Place
@@ -73,32 +73,32 @@ class Atlas:
     kept: _Opened = field(default_factory=_Opened, init=False, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {each.name: getattr(self, each.name) for each in fields(self)} | {"kept": None}
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)} | {"kept": None}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         vars(self).update(state, kept=_Opened())
 
     def __deepcopy__(self, memo: object) -> "Atlas":
-        return self  # nothing of it changes
+        return self  # a handle never changes
 
     def current(self) -> "Atlas":
-        """This one if the store's root is still as it was read, else the store as it is; errors as of ``open_handle``.
+        """This handle if the store's root has not changed since, else a new one; errors as for ``open_handle``.
 
-        One request, in place of all that opening a store takes.
+        It takes one request, fewer than opening the store.
         """
         with refused(self.place, "read"):
             same = self.state and _state(self.place.get(ROOT)) == self.state
         return self if same else open_handle(self.place)
 
     def at(self, place: Place) -> "Atlas":
-        """The same handle for another view of its place; what one of them has read and opened, the other has."""
+        """The same handle for another view of its place; both share everything that is read and opened."""
         other = object.__new__(Atlas)
         vars(other).update(vars(self), place=place)
         return other
 
     @property
     def path(self) -> Path:
-        """The store's folder; RunError where it lies at a URL."""
+        """The store's folder; RunError if it lies at a URL."""
         if self.place.local is None:
             raise RunError(f"{self.place}: not a folder of this machine")
         return self.place.local
@@ -120,10 +120,10 @@ class Atlas:
 
     @MadeOnce
     def spec(self) -> Spec:
-        """The spec that the store was made from.
+        """The spec of the store.
 
-        The values of its axes are read when they are first asked for; ChunkError then where they are damaged.
-        InputError if this version cannot read it, and where the store's cells differ from the spec's.
+        The values of its axes are read at their first use, with ChunkError if they are damaged. InputError if this
+        version cannot read the spec, or if the store's cells differ from the spec's.
         """
         try:
             spec = Spec.from_outline(self.outline, lambda: self.values)
@@ -131,8 +131,8 @@ class Atlas:
             raise InputError(f"{self.place}: its spec cannot be read by this version: {error}") from None
         shape = self.arrays[REGIME.name].get("shape")
         if not isinstance(shape, list | tuple) or tuple(shape[: len(spec.shape)]) != spec.shape:
-            found = f"{REGIME.name} has shape {shown(shape)}, must be {spec.shape}"
-            raise InputError(f"{self.place}: its metadata are damaged: {found}: {remedy(self.place)}")
+            damage = f"{REGIME.name} has shape {shown(shape)}, must be {spec.shape}"
+            raise InputError(f"{self.place}: its metadata are damaged: {damage}: {remedy(self.place)}")
         return spec
 
     @MadeOnce
@@ -142,12 +142,12 @@ class Atlas:
 
     @property
     def copies(self) -> dict[str, bytes]:
-        """The copies of coordinates that the store has, by their keys: see ``store.axes``."""
+        """The copies of coordinates in the store, by their keys: see ``store.axes``."""
         return copies(self.spec)
 
     @property
     def resolved(self) -> Mapping[str, Any]:
-        """The resolved spec as the store has it. ChunkError if its values are damaged."""
+        """The resolved spec of the store. ChunkError if its values are damaged."""
         return with_values(self.outline, self.values)
 
     @property
@@ -163,42 +163,42 @@ class Atlas:
 
     @MadeOnce
     def tiling(self) -> Tiling:
-        """How the store's cells are cut into tiles."""
+        """The tiles of the store."""
         return Tiling(self.spec.shape, self.tile)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The results that the store holds, ``regime`` last."""
+        """The result variables of the store, ``regime`` last."""
         return self.spec.variables
 
     @MadeOnce
     def allowances(self) -> tuple[Allowance, ...]:
-        """What its cells may have been given more of, if a retry made the store."""
+        """The allowances that a retry may have raised, if a retry made the store."""
         return allowances_in(self.spec) if self.origin is not None and self.origin.retry is not None else ()
 
     @property
     def regime(self) -> Variable:
-        """The result that is written last, by which a tile is done."""
+        """The result that is written last; a tile is done once it exists."""
         return next(variable for variable in self.spec.variables if variable.name == REGIME.name)
 
     def leading(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
-        """Arrays with one result for each cell: of all attractors, the first."""
+        """Arrays with one result for each cell: the first of all attractors."""
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @MadeOnce
     def readable(self) -> Mapping[str, Any]:
-        """The Zarr arrays of cells and coordinates by name, opened once; errors as of ``open_arrays``."""
+        """The Zarr arrays of cells and coordinates by name, opened once; errors as for ``open_arrays``."""
         return open_arrays(self)
 
     @MadeOnce
     def declared(self) -> Mapping[str, Any]:
-        """The same by the root's copies of their metadata, for who encodes what is to be written: without a request."""
+        """The same arrays by the root's copies of their metadata, without a request: for encoding chunks to write."""
         return arrays_by(self, self.nodes)
 
     @property
     def array_names(self) -> list[str]:
         """The names of the arrays of its root that hold cells or coordinates."""
-        return [*(each.name for each in (*self.variables, *self.allowances)), *coordinate_names(self.spec)]
+        return [*(variable.name for variable in (*self.variables, *self.allowances)), *coordinate_names(self.spec)]
 
     @MadeOnce
     def coordinates(self) -> dict[str, StoredArray]:
@@ -207,10 +207,10 @@ class Atlas:
 
 
 def open_handle(store: "Given | Atlas", storage_options: Mapping[str, Any] | None = None) -> Atlas:
-    """The handle of a store, given or read; InputError if there is none, or it is not ours, or of an unknown format.
+    """The handle of a store, given or read; InputError without a store, or for one that is no atlas of a known format.
 
-    Where the disk or the server refused, its OSError is that InputError's cause. NetworkError if the server does
-    not answer.
+    If the disk or the server refused, its OSError is the cause of the InputError. NetworkError if the server does not
+    answer.
     """
     if isinstance(store, Atlas):
         return store
@@ -238,8 +238,8 @@ def _open_handle(place: Place) -> Atlas:
     if not ours:
         raise InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
     if attrs.get("format_version") != FORMAT_VERSION:
-        found = shown(attrs.get("format_version"))
-        raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
+        version = shown(attrs.get("format_version"))
+        raise InputError(f"{place}: format version {version}, this program reads version {FORMAT_VERSION}")
     if regime not in objects:
         raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
     try:
@@ -271,7 +271,7 @@ def handle_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) 
 
 
 def find(store: Given) -> Atlas | None:
-    """The handle of a store, None if there is none yet; InputError if there is something else."""
+    """The handle of a store, None if there is none yet; InputError if something else lies at its place."""
     place = place_of(store)
     with refused(place, "written"):
         free = is_free(place)
@@ -279,7 +279,7 @@ def find(store: Given) -> Atlas | None:
 
 
 def is_free(place: Place) -> bool:
-    """Whether there is no store at a place, and nothing else on a disk."""
+    """Whether a place has no store, and on a disk nothing else either."""
     path = place.local
     if path is None:
         return not place.exists(ROOT)
@@ -287,12 +287,12 @@ def is_free(place: Place) -> bool:
 
 
 def done_tiles(handle: Atlas, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
-    """Indices of the tiles that are finished: those whose regime chunk exists, by these keys or by one listing."""
+    """Indices of the finished tiles, whose regime chunk exists, from these keys or from one listing."""
     root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra)
     keys = handle.place.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
     ours = (key.removeprefix(root).removesuffix(end) for key in keys if key.endswith(end))
-    found = (chunk_index(key, handle.tiling.grid) for key in ours)
-    return {index for index in found if index is not None}
+    indices = (chunk_index(key, handle.tiling.grid) for key in ours)
+    return {index for index in indices if index is not None}
 
 
 def is_done(handle: Atlas, index: tuple[int, ...]) -> bool:
@@ -320,19 +320,19 @@ def open_arrays(handle: Atlas) -> dict[str, Any]:
 
 
 def arrays_by(handle: Atlas, nodes: Mapping[str, Any]) -> dict[str, Any]:
-    """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError if these are damaged."""
-    found = {}
+    """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError for damaged metadata."""
+    arrays = {}
     for name in handle.array_names:
         try:
             if name in nodes:
-                found[name] = array_by(handle.place, name, nodes[name])
-        except Exception as error:  # what is no metadata may raise anything
+                arrays[name] = array_by(handle.place, name, nodes[name])
+        except Exception as error:  # Zarr may raise anything for damaged metadata
             raise ChunkError(handle.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
-    return found
+    return arrays
 
 
 def array_by(place: Place, path: str, node: Any) -> Any:
-    """A Zarr array of a store, for reading, as these metadata describe it; any error where they are damaged."""
+    """A Zarr array of a store, for reading, as these metadata describe it; damaged metadata may raise anything."""
     from zarr import Array, AsyncArray
     from zarr.storage import StorePath
 
@@ -342,18 +342,18 @@ def array_by(place: Place, path: str, node: Any) -> Any:
 
 
 def own_nodes(handle: Atlas) -> dict[str, Any]:
-    """The metadata that the arrays of the store's root have themselves, by name. ChunkError if they are damaged."""
-    found = {}
+    """The own metadata of the arrays of the store's root, by name. ChunkError if they are damaged."""
+    nodes = {}
     for key, data in handle.place.get_all(f"{name}/{ROOT}" for name in handle.array_names).items():
         try:
-            found[key.removesuffix(f"/{ROOT}")] = json.loads(data)
+            nodes[key.removesuffix(f"/{ROOT}")] = json.loads(data)
         except (ValueError, RecursionError) as error:
             raise ChunkError(handle.place, {key: f"is damaged ({message_of(error)})"}) from None
-    return found
+    return nodes
 
 
 def open_group(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
-    """The root group of a store, its metadata read anew: of each array its own."""
+    """The root group of a store, with the present metadata of each array instead of the root's copies."""
     import zarr
 
     from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load

@@ -27,9 +27,9 @@ from workers.results import LABEL, REGIME, Variable
 
 
 def write_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write a tile as whole objects and return its record. ``regime`` is last, and with it the tile is done for good.
+    """Write a tile as whole objects and return its record. The record and then ``regime`` are last: the tile is done.
 
-    The record comes right before. Another attempt at the tile writes the same bits.
+    Another attempt at the tile writes the same bits.
     """
     to, whole = handle.declared, _with_allowances(handle, index, arrays)
     objects, done = dict[str, bytes](), dict[str, bytes]()
@@ -45,9 +45,9 @@ def write_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.nd
 
 
 def take_tile(handle: Atlas, origin: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write a tile as ``write_tile`` does, but take over its objects from a store of the same cells and tiles.
+    """Write a tile like ``write_tile``, but copy its objects from a store of the same cells and tiles.
 
-    ``arrays`` are what was read there, which has shown that the objects are whole.
+    ``arrays`` are the values read from that store: its objects are whole.
     """
     row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
     *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
@@ -58,29 +58,29 @@ def take_tile(handle: Atlas, origin: Atlas, index: tuple[int, ...], arrays: Mapp
 
 
 def _begin_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Note which machine writes a tile, and remove what a lost tile left where there is to be no object; the record."""
+    """Record the machine that writes a tile, and remove old objects where the tile has none; returns its record."""
     record_machine(handle, this_machine())
-    sparse = (each for each in _written(handle) if each.sparse)
-    absent = [chunk_key(each, index) for each in sparse if is_blank(arrays[each.name], each)]
+    sparse = (variable for variable in _written(handle) if variable.sparse)
+    absent = [chunk_key(variable, index) for variable in sparse if is_blank(arrays[variable.name], variable)]
     if absent:
         handle.place.remove_all(absent)
     return record_of(handle, index, arrays)
 
 
 def _with_allowances(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Arrays of a tile with those that say how much each cell was given, by default what the spec says."""
-    return {each.name: _as_in_spec(handle, index, each) for each in ALLOWANCES} | dict(arrays)
+    """Arrays of a tile together with its allowances, by default the spec's settings."""
+    return {allowance.name: _as_in_spec(handle, index, allowance) for allowance in ALLOWANCES} | dict(arrays)
 
 
 def _written(handle: Atlas) -> list[Variable]:
-    """The variables of cells that the store has, ``regime`` last."""
+    """The variables of cells in the store, ``regime`` last."""
     return [*handle.allowances, *handle.variables]
 
 
 def relabel_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    """Give a tile of basins the labels in ``arrays``, which are known once all tiles are; all else there is as stored.
+    """Write the labels in ``arrays`` into a tile of basins, once all tiles are known; all other arrays are as stored.
 
-    Meanwhile its record is empty, so that a kill leaves none that contradicts the tile.
+    Meanwhile its record is empty, so a kill leaves no record that contradicts the tile.
     """
     array = handle.declared[LABEL.name]
     put_record(handle, index, np.zeros(WIDTH))
@@ -89,15 +89,15 @@ def relabel_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.
 
 
 def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
-    """The objects, by key, that a Zarr array has where these values fill a block of whole objects.
+    """The objects, by key, of a Zarr array with these values in a block of whole objects.
 
-    An object of nothing but fill values is among them unless ``sparse``, so that a missing one is a missing result.
+    Objects of fill values alone are included unless ``sparse``, so that a missing object is a missing result.
     """
     from zarr import Array, AsyncArray
     from zarr.storage import MemoryStore, StorePath
 
     objects: dict[str, Any] = {}
-    apart = AsyncArray(array.metadata, StorePath(MemoryStore(objects), array.path))  # nothing there to be read
+    apart = AsyncArray(array.metadata, StorePath(MemoryStore(objects), array.path))  # an empty store: nothing is read
     Array(apart).with_config({"write_empty_chunks": not sparse})[block] = values
     return {key: data.to_bytes() for key, data in objects.items()}
 
@@ -134,7 +134,7 @@ def read_tile(
     Raises ChunkError, which names every bad chunk; OSError if the place cannot be read at all.
     """
     arrays = open_arrays(handle) if arrays is None else arrays
-    wanted = {each.name for each in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
+    wanted = {variable.name for variable in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
     for variable in (*handle.variables, *ALLOWANCES):
@@ -144,33 +144,33 @@ def read_tile(
             values[variable.name] = _as_in_spec(handle, index, variable)
             continue
         key, array = chunk_key(variable, index), arrays[variable.name]
-        found = read_chunk(array, index)
-        if isinstance(found, str):
-            faults[key] = found
-        # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
-        elif not variable.sparse and is_blank(found, variable) and (lost := _lost(handle, array, key)):
+        chunk = read_chunk(array, index)
+        if isinstance(chunk, str):
+            faults[key] = chunk
+        # A missing chunk reads as fill values: only a chunk of fill values alone may be missing.
+        elif not variable.sparse and is_blank(chunk, variable) and (lost := _lost(handle, array, key)):
             faults[key] = lost
         else:
-            values[variable.name] = found
+            values[variable.name] = chunk
     if faults:
         raise ChunkError(handle.place, faults)
     return values
 
 
 def covered_variables(handle: Atlas, attributes: Mapping[str, Any]) -> list[Variable]:
-    """The variables that digests cover, by the attributes of their array; KeyError for one that the store lacks."""
+    """The variables in digests, by the attributes of the records' array; KeyError for a variable the store lacks."""
     known = {variable.name: variable for variable in (*handle.variables, *ALLOWANCES)}
     return [known[name] for name in attributes[COVERED]]
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:
-    """The cells of a tile in an array, from the array's own objects, so that no write can be misaligned."""
+    """The cells of a tile in an array, by the array's own objects, so that no write is misaligned."""
     sides = object_shape(array)
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, sides, array.shape, strict=False))
 
 
 def object_shape(array: Any) -> tuple[int, ...]:
-    """The cells of an array in one object: a shard, or a chunk where there are no shards."""
+    """The shape of an array's objects in cells: shards, or chunks without shards."""
     return tuple(array.shards or array.chunks)
 
 
@@ -193,7 +193,7 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
 
 
 def _lost(handle: Atlas, array: Any, key: str) -> str:
-    """The fault of an object that reads as fill values; of a shard, which does so too where it is empty."""
+    """The fault of an object that reads as fill values: missing, or an empty shard."""
     if not array.shards:
         return "" if handle.place.exists(key) else "is missing"
     data = handle.place.get(key)
@@ -201,6 +201,6 @@ def _lost(handle: Atlas, array: Any, key: str) -> str:
 
 
 def is_blank(values: np.ndarray, variable: Variable) -> bool:
-    """Whether there is nothing but fill values."""
+    """Whether all values are the fill value."""
     blank = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
     return bool(np.all(blank))

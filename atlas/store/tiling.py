@@ -14,11 +14,11 @@ from atlas.spec.spec import Slices
 Index = tuple[int, ...]
 
 PART = 64
-"""Cells along each side of what is solved, and read, at once of a larger tile."""
+"""Cells along a side of the parts in which a larger tile is solved and read."""
 
 
 def part_side(tile: int) -> int:
-    """The side of the parts that a side of a tile is stored in: its largest divisor from PART / 2 to PART, or all."""
+    """The side of the stored parts of a tile: the largest divisor of its side from PART / 2 to PART, else the side."""
     return next((side for side in range(PART, PART // 2 - 1, -1) if tile % side == 0), tile)
 
 
@@ -42,7 +42,10 @@ class Tile:
 
 @dataclass(frozen=True)
 class Tiling:
-    """Cells of a ``shape`` in tiles of another, ``tile``, slowest dimension first; the last tiles may hold fewer."""
+    """A block of cells of this ``shape`` cut into tiles of shape ``tile``, slowest dimension first.
+
+    The last tiles may hold fewer cells.
+    """
 
     shape: tuple[int, ...]
     tile: tuple[int, ...]
@@ -68,7 +71,7 @@ class Tiling:
             yield self.at(index)
 
     def at(self, index: Index) -> Tile:
-        """The tile of that index."""
+        """The tile with this index."""
         parts = zip(index, self.tile, self.shape, strict=True)
         return Tile(index, tuple(slice(i * t, min((i + 1) * t, n)) for i, t, n in parts))
 
@@ -82,9 +85,9 @@ class Tiling:
 
 
 def chunk_index(name: str, grid: tuple[int, ...]) -> Index | None:
-    """The index that a chunk's name, ``3/14``, stands for; None for one that a grid does not have, such as ``03/14``.
+    """The index in a chunk's name, such as ``3/14``; None for a name that no chunk of a grid has, such as ``03/14``.
 
-    Such names are what a killed write left behind, or nothing of ours.
+    A killed write may leave such names, or another program.
     """
     parts = name.split("/")
     if len(parts) != len(grid) or not all(part.isascii() and part.isdigit() for part in parts):

@@ -11,19 +11,19 @@ from atlas.store.place import Place
 
 
 def is_zarr_store(store: object) -> bool:
-    """Whether this is one of Zarr's stores, or of a class derived from theirs; Zarr is not loaded for it."""
+    """Whether this is one of Zarr's stores, or of a derived class, without loading Zarr."""
     module = sys.modules.get("zarr.abc.store")
     return module is not None and isinstance(store, module.Store)
 
 
 def zarr_place(store: Any) -> "ZarrPlace":
-    """The place of one of Zarr's stores, opened as Zarr opens it; InputError if it cannot be."""
+    """The place of one of Zarr's stores, opened by Zarr; InputError if that fails."""
     from zarr.core.sync import sync
     from zarr.storage import StorePath
 
     try:
         sync(StorePath.open(store, ""))
-    except Exception as error:  # a store of somebody else's may raise anything
+    except Exception as error:  # a store of another package may raise anything
         raise InputError(f"{store}: cannot be opened: {message_of(error)}") from None
     return ZarrPlace(store)
 
@@ -57,11 +57,11 @@ class ZarrPlace(Place):
         async def gather() -> list[Any]:
             return await asyncio.gather(*(self.store.get(key, prototype) for key in wanted))
 
-        found = zip(wanted, sync(gather()), strict=True)
-        return {key: data.to_bytes() for key, data in found if data is not None}
+        pairs = zip(wanted, sync(gather()), strict=True)
+        return {key: data.to_bytes() for key, data in pairs if data is not None}
 
     def version(self, key: str) -> Hashable:
-        return self.get(key)  # a Zarr store tells nothing else of an object
+        return self.get(key)  # a Zarr store has no cheaper token
 
     def exists(self, key: str) -> bool:
         from zarr.core.sync import sync

@@ -17,16 +17,16 @@ from workers.results import REGIME
 _SEEN = "seen"
 ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
 FILE_BLOCK = 4096
-"""Bytes that an object takes at least, if its size is unknown."""
+"""Least bytes of an object, if its size is unknown."""
 
 
 def sheet_place(handle: Atlas, plane: str, sheet: str) -> Place:
-    """Where a sheet of a plane lies, made or not; ValueError for a store that cannot have any."""
+    """The place of a sheet of a plane, made or not; ValueError for a store that cannot have sheets."""
     return handle.place.inner(f"{ZOOM}/{plane}/{sheet}")
 
 
 def make_plane(handle: Atlas, plane: str, described: Mapping[str, Any]) -> None:
-    """Make the group of a plane, and the group of all planes, where there are none."""
+    """Make the group of a plane, and the group of all planes, if they are missing."""
     for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
         if not handle.place.exists(f"{key}/{ROOT}"):
             handle.place.put_new(f"{key}/{ROOT}", _group(attributes))
@@ -42,11 +42,11 @@ def _group(attributes: Mapping[str, Any]) -> bytes:
 
 
 def sheets(handle: Atlas) -> list[tuple[str, str]]:
-    """The planes and the names of all sheets; none of a packed store, whose sheets are read as parts of it alone."""
+    """The planes and the names of all sheets; none for a read-only store."""
     if handle.place.only_read:
         return []
     local = handle.place.local
-    if local is not None:  # without a look at what lies in them
+    if local is not None:  # without listing the sheets' contents
         keys = [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
     else:
         keys = [key for key in handle.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
@@ -66,16 +66,16 @@ def sheet_bytes(handle: Atlas, plane: str, sheet: str) -> int:
 
 
 def seen_sheets(handle: Atlas) -> dict[tuple[str, str], float]:
-    """When each sheet was last looked at, in seconds since 1970, if that was noted."""
-    found: dict[tuple[str, str], float] = {}
+    """The times when sheets were last viewed, in seconds since 1970, as far as they were noted."""
+    times: dict[tuple[str, str], float] = {}
     for plane in {plane for plane, _ in sheets(handle)}:
         noted = _plane_group(handle, plane).get("attributes", {}).get(_SEEN, {})
-        found |= {(plane, sheet): float(when) for sheet, when in noted.items()}
-    return found
+        times |= {(plane, sheet): float(when) for sheet, when in noted.items()}
+    return times
 
 
 def note_seen(handle: Atlas, seen: Mapping[tuple[str, str], float]) -> None:
-    """Note when sheets were last looked at. For the claim's holder only."""
+    """Note the times when sheets were last viewed. For the claim's holder only."""
     for plane in {plane for plane, _ in seen}:
         key = f"{ZOOM}/{plane}/{ROOT}"
         group = _plane_group(handle, plane)
@@ -86,7 +86,7 @@ def note_seen(handle: Atlas, seen: Mapping[tuple[str, str], float]) -> None:
 
 
 def drop_sheet(handle: Atlas, plane: str, sheet: str) -> None:
-    """Remove a sheet: first what says that its tiles are done, so that a kill leaves none that lacks something."""
+    """Remove a sheet, beginning with the regimes: a kill then leaves unfinished tiles, none that lacks an array."""
     root = f"{ZOOM}/{plane}/{sheet}/"
     keys = list(handle.place.list_keys(root))
     done = [key for key in keys if f"/{REGIME.name}/c/" in key]
@@ -99,9 +99,9 @@ def drop_sheet(handle: Atlas, plane: str, sheet: str) -> None:
 
 
 def _plane_group(handle: Atlas, plane: str) -> dict[str, Any]:
-    """The metadata of a plane, empty if there are none that can be read."""
+    """The metadata of a plane, empty if they are missing or damaged."""
     try:
-        found = json.loads(handle.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
-        return found if isinstance(found.get("attributes"), dict) else {}
+        group = json.loads(handle.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
+        return group if isinstance(group.get("attributes"), dict) else {}
     except (ValueError, AttributeError, RecursionError):
         return {}

@@ -55,7 +55,7 @@ class Receipt:
     """The report of a finished tile.
 
     cells, counts, reasons          cells solved; by regime; by the reason of an uncertain result
-    taken                           cells copied from the origin of the store
+    reused                          cells copied from the origin of the store
     solve_seconds, write_seconds    inside the solver; inside the store
     processor_seconds               of the solver's thread
     periods                         forcing periods simulated
@@ -72,7 +72,7 @@ class Receipt:
     write_seconds: float
     periods: int
     peak_bytes: int
-    taken: int = 0
+    reused: int = 0
     processor_seconds: float = 0.0
     changed: int = 0
     record: tuple[float, ...] = ()
@@ -127,7 +127,7 @@ def solve_and_write(job: Job, handle: Atlas) -> Receipt:
     before, after = known.regime[known.due], handle.leading(arrays)[REGIME.name][known.due]
     return replace(
         receipt_of(handle, job.index, arrays, known.due, record),
-        taken=int((~known.due).sum()),
+        reused=int((~known.due).sum()),
         changed=int(((before != PENDING) & (before != after)).sum()),
         solve_seconds=middle - begin,
         processor_seconds=processor,

@@ -70,8 +70,8 @@ def test_every_curve_of_a_plane_of_b_and_f2_is_b_over_the_amplitude_constant(
 ) -> None:
     """Without a static load stops see b / |Y(f2)| only."""
     path, summary = searched
-    assert {curve.kind for curve in summary.found} == {"symmetry_breaking", "period_doubling"}
-    for curve in summary.found:
+    assert {curve.kind for curve in summary.curves} == {"symmetry_breaking", "period_doubling"}
+    for curve in summary.curves:
         ratios = curve.points[:, 0] / amplitudes(path, curve.points)
         assert np.ptp(ratios) < 1e-10 * ratios[0]
         assert curve.ends == ("edge", "edge")
@@ -90,14 +90,14 @@ def test_workers_do_not_go_with_a_client(tmp_path: Path, client: Client) -> None
 
 def test_the_search_is_its_naive_twin_to_the_bit(searched: tuple[Path, CurvesSummary]) -> None:
     path, summary = searched
-    assert all_same(summary.found, found_serially(plane_of(open_handle(path))))
+    assert all_same(summary.curves, found_serially(plane_of(open_handle(path))))
 
 
 def test_a_store_that_has_the_curves_gives_them_at_once(searched: tuple[Path, CurvesSummary]) -> None:
     path, summary = searched
     again = find_curves(path)
     assert again.tasks == 0
-    assert all_same(again.found, summary.found)
+    assert all_same(again.curves, summary.curves)
     assert not list(part_names(open_handle(path), CURVES))
 
 
@@ -120,7 +120,7 @@ def test_a_search_that_was_stopped_goes_on_and_finds_the_same_to_the_bit(
     assert list(part_names(open_handle(fresh), CURVES))
     resumed = find_curves(fresh, client=client)
     assert resumed.tasks < searched[1].tasks
-    assert all_same(resumed.found, searched[1].found)
+    assert all_same(resumed.curves, searched[1].curves)
 
 
 @pytest.mark.slow
@@ -133,22 +133,22 @@ def test_parts_of_another_search_are_not_used(
 
     with pytest.raises(KeyboardInterrupt):
         find_curves(fresh, CurveSettings(seeds=1), client=client, options=RunOptions(on_progress=stop))
-    assert all_same(find_curves(fresh, client=client).found, searched[1].found)
+    assert all_same(find_curves(fresh, client=client).curves, searched[1].curves)
 
 
 @pytest.mark.slow
 def test_a_budget_that_is_spent_is_told(fresh: Path, client: Client) -> None:
     summary = find_curves(fresh, CurveSettings(curves=1), client=client)
-    assert len(summary.found) == 1
-    assert summary.found.report["events_not_followed"] > 0
+    assert len(summary.curves) == 1
+    assert summary.curves.report["events_not_followed"] > 0
     assert "not followed" in str(summary)
 
 
 @pytest.mark.slow
 def test_a_curve_cut_short_by_the_budget_of_points_says_so(fresh: Path, client: Client) -> None:
     summary = find_curves(fresh, CurveSettings(points=20), client=client)
-    assert summary.found.report["points"] <= 22
-    assert any("budget" in curve.ends for curve in summary.found)
+    assert summary.curves.report["points"] <= 22
+    assert any("budget" in curve.ends for curve in summary.curves)
 
 
 @pytest.mark.slow
@@ -177,7 +177,7 @@ def test_verify_and_plain_xarray_and_a_zip_file_take_a_store_with_curves(
     assert atlas.verify(path, sample=0).fine
     assert "curves" not in xr.open_zarr(path)
     atlas.pack(path, tmp_path / "out.zip")
-    assert all_same(find_curves(tmp_path / "out.zip").found, summary.found)
+    assert all_same(find_curves(tmp_path / "out.zip").curves, summary.curves)
 
 
 @pytest.mark.slow
@@ -194,9 +194,9 @@ def test_the_accessor_gives_the_curves_as_a_table_and_one_kind_of_them(
     path, summary = searched
     ds = atlas.open(path)
     table = ds.atlas.curves()
-    assert len(table) == sum(len(curve.points) + len(curve.corners) for curve in summary.found)
+    assert len(table) == sum(len(curve.points) + len(curve.corners) for curve in summary.curves)
     assert set(ds.atlas.curves("symmetry_breaking")["kind"]) == {"symmetry_breaking"}
-    assert table.attrs["report"] == dict(summary.found.report)
+    assert table.attrs["report"] == dict(summary.curves.report)
     with pytest.raises(atlas.errors.InputError, match="did you mean 'fold'"):
         ds.atlas.curves("folt")
 
@@ -209,7 +209,7 @@ def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tupl
     found = atlas.open(path).atlas.distance_to(at, kind="symmetry_breaking").to_dict("records")
     along = next(entry for entry in found if entry["axis"] == "b")
     assert along["distance"] == pytest.approx(along["value"] - at["b"], abs=1e-15)
-    curve = summary.found.of_kind("symmetry_breaking")[0]
+    curve = summary.curves.of_kind("symmetry_breaking")[0]
     const = curve.points[0, 0] / amplitudes(path, curve.points[:1])[0]
     exact = const * amplitudes(path, np.array([[along["value"], at["f2"]]]))[0]
     assert along["value"] == pytest.approx(exact, rel=1e-9)
@@ -233,7 +233,7 @@ def chaotic(folder: Path) -> Path:
 
 def test_a_plane_of_chaos_has_no_curves(tmp_path: Path, client: Client) -> None:
     summary = find_curves(chaotic(tmp_path), client=client)
-    assert len(summary.found) == 0
+    assert len(summary.curves) == 0
     assert summary.as_dict()["edges"]["regions"]["all"] == 0
 
 
@@ -282,7 +282,7 @@ def exact_pair(kind: str, label: str, symmetric: bool) -> Any:
 @pytest.mark.slow
 def test_worker_processes_find_the_same_to_the_bit(fresh: Path, searched: tuple[Path, CurvesSummary]) -> None:
     found = find_curves(fresh, options=RunOptions(workers=2))
-    assert all_same(found.found, searched[1].found)
+    assert all_same(found.curves, searched[1].curves)
 
 
 @pytest.mark.slow
@@ -302,7 +302,7 @@ def test_after_a_kill_the_same_command_finds_the_same_to_the_bit(
     subprocess.run(command, env=environment, check=True, capture_output=True, timeout=600)
     found = read_curves(open_handle(fresh))
     assert found is not None
-    assert all_same(found, searched[1].found)
+    assert all_same(found, searched[1].curves)
 
 
 class TestBadInput:
@@ -354,7 +354,7 @@ class TestBadInput:
 def test_damaged_curves_are_found_anew(searched: tuple[Path, CurvesSummary], tmp_path: Path, client: Client) -> None:
     path = Path(shutil.copytree(searched[0], tmp_path / "out.zarr"))
     (path / "curves" / "position" / "c" / "0" / "0").write_bytes(b"nothing that anybody wrote")
-    assert all_same(find_curves(path, client=client).found, searched[1].found)
+    assert all_same(find_curves(path, client=client).curves, searched[1].curves)
 
 
 @pytest.mark.slow
@@ -363,9 +363,9 @@ def test_curves_of_cells_that_were_solved_again_are_found_anew(
 ) -> None:
     path = Path(shutil.copytree(searched[0], tmp_path / "out.zarr"))
     handle = open_handle(path)
-    stale = searched[1].found
+    stale = searched[1].curves
     write_curves(handle, type(stale)(stale.axes, (), {**stale.report, "digest": "of other cells"}))
-    assert all_same(find_curves(path, client=client).found, stale)
+    assert all_same(find_curves(path, client=client).curves, stale)
 
 
 def test_the_angle_between_force_and_phases_is_an_axis_of_curves(tmp_path: Path, client: Client) -> None:
