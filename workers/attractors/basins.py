@@ -1,8 +1,8 @@
 """``solve_basins``: which attractor each of many initial states of one machine reaches, by one table of attractors.
 
-The table is made first, from a set of initial states that depends on the parameters and ``Starts`` alone. What an
-initial state reaches beyond it is told by ``added`` once all of them are solved. So labels depend neither on the tiles
-in which they were solved nor on their order.
+The table is made first, from a set of initial states that depends on the parameters and ``Starts`` alone. Attractors
+beyond the table are labelled by ``added`` once all initial states are solved. So labels depend neither on the tiles in
+which the states were solved nor on their order.
 """
 
 import json
@@ -39,14 +39,16 @@ class AttractorTable(Coexistence):
         self.solve()
         (self.cell,) = self.cells
         self.attractors = self.cell.attractors
-        self.attractors.sort(key=lambda each: each.order)
+        self.attractors.sort(key=lambda attractor: attractor.order)
 
     def mirrors(self) -> NDArray[np.int64]:
-        """The label of the mirror image of each attractor, -1 where none is known; of a symmetric one its own."""
-        return np.array([self.label(each.image(self.cell.symmetric)) for each in self.attractors], dtype=np.int64)
+        """The labels of the attractors' mirror images, -1 where none is known; a symmetric attractor has its own."""
+        return np.array(
+            [self.label(attractor.image(self.cell.symmetric)) for attractor in self.attractors], dtype=np.int64
+        )
 
     def solved(self, states: Array, references: bool) -> Search:
-        """What motions from physical states (N, 2n) come to, compared with the attractors of the table."""
+        """The search from physical states (N, 2n), compared with the attractors of the table."""
         search = self.search(np.zeros(len(states), dtype=np.int64), states)
         search.solve(references)
         return search
@@ -62,11 +64,11 @@ def solve_basins(
     settings: Settings | None = None,
     starts: Starts | None = None,
 ) -> Results:
-    """What every initial state reaches, as arrays of the broadcast shape of the initial states; as solve_tile else.
+    """The attractor of every initial state, as arrays of the broadcast shape of the initial states; like solve_tile.
 
-    Only components of the initial state may have several values. Results are those of the attractor, and besides
-    ``label``, its place in the table, and ``settled``, the periods until the motion is on it. BEYOND_TABLE is the label
-    of what is on an attractor that the table has not: its results are its own. UNKNOWN_LABEL: no attractor is known.
+    Only components of the initial state may have several values. The results describe the attractor, with ``label``,
+    its place in the table, and ``settled``, the periods until the motion is on it. A motion on an attractor that is not
+    in the table has the label BEYOND_TABLE and its own results; UNKNOWN_LABEL means that no attractor is known.
     Raises ValueError for a parameter, other than an initial state, of several values.
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or Starts()
@@ -81,7 +83,7 @@ def solve_basins(
 
 
 def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
-    """The parameters of the one machine; its initial state is at rest, on any plane."""
+    """The parameters of the machine; its initial state is at rest, on any plane."""
     at_rest = {name: record.parameter(name).default for name in record.states}
     return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in record.parameters} | at_rest
 
@@ -98,13 +100,13 @@ def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Resu
     """Write the results of the initial states among these parameters (N,)."""
     search = table.solved(initial_state(table.record, params), references=False)
     label, regime = search.label.copy(), search.regime
-    for r in np.flatnonzero((label < 0) & np.isin(regime, SHOWN)).tolist():  # proved anew
+    for r in np.flatnonzero((label < 0) & np.isin(regime, SHOWN)).tolist():  # solved in full
         new = attractor_of(table.oscillators, search, r)
         label[r] = table.label(table.cell.same(new)[0] if new else None)
     for name, values in search.cells.found.items():
         arrays[name][:] = values
-    for k, each in enumerate(table.attractors):
-        for name, value in each.result.items():
+    for k, attractor in enumerate(table.attractors):
+        for name, value in attractor.result.items():
             arrays[name][label == k] = value
     on_attractor = (label >= 0) | np.isin(regime, ON_ATTRACTOR)
     arrays["periods_used"][:] = search.cells.used
@@ -114,9 +116,9 @@ def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Resu
 
 
 def added(table: AttractorTable, states: Array) -> NDArray[np.int64]:
-    """Labels (N,) of what the table has not, given by states (N, 2n) on its attractors; it gets what it has not.
+    """Labels (N,) of states (N, 2n) on attractors beyond the table; new attractors are added to it.
 
-    The order of the states decides the order of new labels. UNKNOWN_LABEL where a state turns out to be on none.
+    The order of the states decides the order of new labels. UNKNOWN_LABEL if a state is on no attractor after all.
     """
     labels = np.full(len(states), UNKNOWN_LABEL, dtype=np.int64)
     for k in range(len(states)):
@@ -126,22 +128,22 @@ def added(table: AttractorTable, states: Array) -> NDArray[np.int64]:
 
 
 def section_points(table: AttractorTable, count: int) -> Array:
-    """Physical section states (A, count, 2n) of every attractor: of an orbit each once, the rest NaN.
+    """Physical section states (A, count, 2n) of every attractor; an orbit has each of its states once, the rest NaN.
 
-    Of a cycle without a force they lie all along it, evenly in time.
+    States of a cycle without a force lie evenly in time along it.
     """
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
-    states = np.array([each.result["state"] for each in table.attractors]).reshape(N, size)
-    contact = np.array([each.contact for each in table.attractors], dtype=np.int64)
+    states = np.array([attractor.result["state"] for attractor in table.attractors]).reshape(N, size)
+    contact = np.array([attractor.contact for attractor in table.attractors], dtype=np.int64)
     oscillators = taken(table.oscillators, np.zeros(N, dtype=np.int64))
-    lengths = np.array([each.cycle.period if each.cycle else np.nan for each in table.attractors])
+    lengths = np.array([attractor.cycle.period if attractor.cycle else np.nan for attractor in table.attractors])
     cycles = np.flatnonzero(~np.isnan(lengths))
     if len(cycles):
         set_period(oscillators, cycles, lengths[cycles] / count)
     motions, _ = begin(oscillators, np.full(N, NO_REASON, dtype=np.int8), states, contact)
-    found = np.full((N, count, size), np.nan)
-    counts = np.array([min(each.period or count, count) for each in table.attractors], dtype=np.int64)
+    sections = np.full((N, count, size), np.nan)
+    counts = np.array([min(attractor.period or count, count) for attractor in table.attractors], dtype=np.int64)
     counts[cycles] = count
     points = sections_from(oscillators, motions, counts)
-    found[:, : points.shape[1]] = points
-    return found
+    sections[:, : points.shape[1]] = points
+    return sections

@@ -16,13 +16,13 @@ FIRST = np.zeros(1, dtype=np.int64)
 """The only row of a record of one machine."""
 
 LONGEST_KNOWN = 32
-"""Longest orbit that motions are compared with: longer ones are found anew, and seen to be the same then."""
+"""Longest orbit with which motions are compared; longer orbits are solved in full, and compared then."""
 
 
 class CellAttractors:
-    """The attractors that are known of one cell, whose oscillator is a record of many.
+    """The known attractors of one cell; its oscillator is a record of many.
 
-    undecided    initial states, by number, whose attractor is not known
+    undecided    initial states, by number, without a known attractor
     """
 
     def __init__(self, oscillator: Oscillator) -> None:
@@ -32,7 +32,7 @@ class CellAttractors:
         self.undecided: list[int] = []
 
     def put(self, start: int, search: Search, r: int) -> Attractor | None:
-        """The attractor, known or new, that motion r from an initial state reaches; None where that is not known."""
+        """The attractor, known or new, that motion r from an initial state reaches; None if it is unknown."""
         known = search.recognised(r)
         if known is None:
             new = attractor_of(self.oscillator, search, r)
@@ -53,33 +53,33 @@ class CellAttractors:
         return known
 
     def same(self, new: Attractor) -> tuple[Attractor | None, float]:
-        """The known attractor that another one is, and its distance: an orbit exactly, any other by statistics.
+        """The known attractor equal to a new one, or None, and their distance: orbits exactly, others by statistics.
 
-        What locks onto a stop follows the same release ever after, so that it is one attractor.
+        All motion that locks onto a stop follows the same release, so it is one attractor.
         """
         if new.regime == LOCKING:
             return next(iter(self.alike(new)), None), np.nan
         if new.reference is None:
-            return next((each for each in self.attractors if same_orbit(self.oscillator, each, new)), None), np.nan
+            return next((known for known in self.attractors if same_orbit(self.oscillator, known, new)), None), np.nan
         return nearest(self.alike(new), new.reference)
 
     def alike(self, attractor: Attractor) -> list[Attractor]:
-        """The known attractors of its regime."""
-        return [each for each in self.attractors if each.regime == attractor.regime]
+        """The known attractors of the same regime."""
+        return [known for known in self.attractors if known.regime == attractor.regime]
 
     def _add(self, new: Attractor) -> None:
-        """Add an attractor, and see of which known orbit one is the mirror image."""
-        for each in self.attractors if self.symmetric and new.reference is None else []:
-            if same_orbit(self.oscillator, each, new, half=True):
-                each.mirror, new.mirror = new, each
+        """Add an attractor, and pair it with a known orbit if that is its mirror image."""
+        for known in self.attractors if self.symmetric and new.reference is None else []:
+            if same_orbit(self.oscillator, known, new, half=True):
+                known.mirror, new.mirror = new, known
         self.attractors.append(new)
 
 
 def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | None:
-    """The attractor of a motion that was solved in full, as it alone shows it; None where that is not known.
+    """The attractor of a motion that was solved in full, without other motions; None if it is unknown.
 
-    An orbit or motion without impact that it has been proved to fall into, chaos or a torus that it was followed on, or
-    the class alone of what locks onto a stop.
+    It is an orbit or motion without impact with a proof, chaos or a torus with its statistics, or for a motion that
+    locks onto a stop the class alone.
     """
     regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
     new = Attractor(regime, search.result(r), int(search.cells.contact[r]), reference=reference)

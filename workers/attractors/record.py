@@ -12,7 +12,7 @@ from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QU
 STABLE = (NO_IMPACT, PERIODIC)
 STATISTICAL = (QUASIPERIODIC, CHAOTIC, APERIODIC)
 SHOWN = (*STABLE, LOCKING)
-"""Whose attractor a motion shows by itself: an orbit, or the class of what locks onto a stop."""
+"""Regimes in which one motion shows the attractor: an orbit, or the class of motion that locks onto a stop."""
 ON_ATTRACTOR = (*SHOWN, *STATISTICAL)
 
 
@@ -20,17 +20,17 @@ ON_ATTRACTOR = (*SHOWN, *STATISTICAL)
 class Attractor:
     """An attractor of a cell: its results by variable, and the initial states, by number, that reach it.
 
-    contact           that of the state among the results
-    h, period         of an orbit: the block coordinates of that state; jacobian, contraction of its turn, norm in
-                      which that shrinks
-    orbit             (p, n, 2) its states at t = (k + shift) T, where it was proved
-    cycle             of a machine without a force; orbit then has states (ALONG, n, 2) all along it
-    mirror            its mirror image, where that is another one and known
-    reference         (k, 4n) of any other: its batches, see ``same``
-    last              physical states, with their contacts, at which the motions of its initial states were left
+    contact           contact of the state among the results
+    h, period         for an orbit: block coordinates of that state, period
+    jacobian, contraction, norm   Jacobian of a turn, 1 - |mu|, and the norm in which the Jacobian shrinks deviations
+    orbit             (p, n, 2) its states at t = (k + shift) T, the section of its proof
+    cycle             for a machine without a force; orbit then has states (ALONG, n, 2) all along it
+    mirror            its mirror image, if known and another attractor
+    reference         (k, 4n) for chaos and tori: batches, see ``same``
+    last              last physical states, with their contacts, of the motions on it
     pooled, distance  initial states assigned to it by statistics; the largest distance among them
-    seen              periods for which all of them together were seen on it
-    transient         whether one of them has left it
+    seen              periods of all motions on it together
+    transient         whether a motion has left it
     """
 
     regime: int
@@ -55,10 +55,10 @@ class Attractor:
 
     @property
     def order(self) -> tuple[int, int]:
-        """The order of the attractors of a cell: the largest share first, then the first one found."""
+        """The sorting key of attractors of a cell: the largest share first, then the first initial state."""
         return -len(self.starts), min(self.starts)
 
     def image(self, symmetric: bool) -> "Attractor | None":
-        """Its mirror image, itself where it is its own; None where none is known. ``symmetric``: the machine is."""
+        """Its mirror image, which may be itself; None if unknown. ``symmetric``: whether the machine is symmetric."""
         own = bool(self.result["symmetric"]) or (self.regime == NO_IMPACT and symmetric)
         return self if own else self.mirror

@@ -1,13 +1,13 @@
 """The known attractor that a motion falls into: exactly for orbits, by statistics otherwise.
 
-An orbit is known by its section state h*, its period p and the Jacobian J of p periods there. A motion falls into it
-where a section state h of it lies near h* and what J does not explain of its last turns is less than half of the
-contraction: the test by which an orbit itself is accepted, see ``orbit.attraction``, without a new proof. Whether two
-orbits that were proved are one is seen on the section of one of the proofs: at t = k T both may impact.
+An orbit is given by its section state h*, its period p and the Jacobian J of p periods there. A motion falls into the
+orbit if one of its section states lies near h* and the part of its last turns that J does not explain is less than half
+of the contraction. This is the test by which an orbit itself is accepted, see ``orbit.attraction``, without a new
+proof. Two proved orbits are compared on the section of one of the proofs: at t = k T both may impact.
 
-Chaos and tori are known by batches of BATCH section states each: the means of the 2n block coordinates and of their
-squares. Two motions differ where one of these 4n means differs by more than DIFFERENT standard errors, of the
-pooled variance of the batches.
+Chaos and tori are given by batches of BATCH section states: the means of the 2n block coordinates and of their squares.
+Two motions differ if one of these 4n means differs by more than DIFFERENT standard errors, of the pooled variance of
+the batches.
 """
 
 from collections.abc import Sequence
@@ -29,26 +29,26 @@ from workers.orbit.section import motion_after
 from workers.results import NO_IMPACT, NO_REASON
 
 NEAR_ORBIT = 1e-2
-"""Distance from a known orbit, relative to the motion's scale, from which on a motion may be falling into it."""
+"""Largest distance from a known orbit, relative to the motion's scale, at which a motion is tested for it."""
 ALONG = 256
-"""States along a cycle without a force that it is drawn by, and that tell when a motion is near it."""
+"""States along a cycle without a force, for pictures and for the distance of a motion from it."""
 SAME_ORBIT = 1e-6
-"""Distance of section states of one orbit, found twice, relative to the motion's scale."""
+"""Largest distance of section states of equal orbits, relative to the motion's scale."""
 BATCH = 64
 """Section states of a batch."""
 REFERENCE, FIRST_LOOK, SECOND_LOOK = 64, 16, 48
-"""Batches that an attractor is known by; those by which a motion is compared with it, and once more if it differs."""
+"""Batches of an attractor; batches of a motion compared with it; further ones if it differs."""
 DIFFERENT = 5.0
-"""Standard errors from which on two motions are not on one attractor."""
+"""Standard errors beyond which two motions are on different attractors."""
 LEAST_SPREAD = 1e-9
-"""Spread of a mean that is rounding, relative to the root mean square of what is averaged."""
+"""Spread of a mean by rounding, relative to the root mean square of the averaged numbers."""
 
 
 class KnownOrbits(NamedTuple):
     """M orbits; cell c has first[c] to last[c] - 1.
 
-    h (M, n, 2), period (M,), jacobian (M, 2n, 2n) and contraction (M,), 1 - |mu|, of a turn; norm (M, 2n, 2n) in
-    which that shrinks deviations.
+    h (M, n, 2), period (M,); jacobian (M, 2n, 2n) and contraction 1 - |mu| (M,) of a turn; norm (M, 2n, 2n) in which
+    the Jacobian shrinks deviations.
     """
 
     first: Rows
@@ -62,10 +62,10 @@ class KnownOrbits(NamedTuple):
 
 @kernel
 def orbits_reached(blocks, sections, kept, rows, owner, known):
-    """Which known orbit of its cell each of these motions falls into, -1 for none.
+    """The known orbits, by number, into which these motions fall; -1 for none.
 
-    sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the cell of each motion. An orbit can
-    be told from three turns of the motion, or two on it.
+    sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the motions' cells. It takes three
+    turns of a motion, or two on the orbit.
     """
     found = np.full(len(rows), -1)
     last = sections.shape[1] - 1
@@ -105,9 +105,9 @@ def norms(blocks: Array, h: Array) -> Array:
 
 
 def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -> int:
-    """Periods after which the sections of a motion stay within NEAR_ORBIT of those a turn later.
+    """Periods after which the sections of a motion stay within NEAR_ORBIT of the sections a turn later.
 
-    sections (K, n, 2): the last that are known after ``flown`` periods; period: of the orbit that it falls into.
+    sections (K, n, 2): the last sections after ``flown`` periods; period: the period of the orbit.
     """
     away = norms(blocks, sections[period:] - sections[:-period])
     far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_of(blocks, sections[-1])))
@@ -115,9 +115,9 @@ def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -
 
 
 def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> int:
-    """``periods_to_settle`` of a motion that is on a cycle: periods until it stays within NEAR_ORBIT of the cycle.
+    """``periods_to_settle`` of a motion on a cycle: periods until it stays within NEAR_ORBIT of the cycle.
 
-    along (K, n, 2): states on the cycle in order, between which it is taken for straight.
+    along (K, n, 2): states on the cycle in order, connected by straight lines.
     """
     weight = np.sqrt(np.stack([blocks[:, COLUMN.metric], np.ones(len(blocks))], axis=1))
     a, s = ((weight * states).reshape(len(states), -1) for states in (along, sections))
@@ -158,22 +158,22 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
 
 
 def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
-    """Where the mirror image of a motion at block state h (n, 2) is, with its contact; NaN where that is not known."""
+    """The mirror image of a motion at block state h (n, 2), with its contact; NaN if it cannot be followed."""
     later = motion_after(osc, h, contact, 0.5)
     return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), -int(later.contact[0])
 
 
 def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
-    """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved.
+    """Whether an orbit, or with ``half`` its mirror image, equals a known one, on the section of the known proof.
 
-    Cycles without a force are the same where they are one set of states, whatever their phase.
+    Cycles without a force are equal if they are the same set of states, in any phase.
     """
     if (old.regime, old.period) != (new.regime, new.period):
         return False
     if old.cycle and new.cycle:
         return not half and old.cycle.is_through(new.result["state"], new.cycle.period)
-    neutral = old.jacobian is None and new.jacobian is None  # nothing pulls motion to one of these orbits
-    if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # there is one alone
+    neutral = old.jacobian is None and new.jacobian is None  # neither of these orbits attracts
+    if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # counts as one attractor
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(osc, motion.h, int(motion.contact[0]))[0] if half else motion.h
@@ -181,7 +181,7 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
 
 
 def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
-    """Physical states (N, 2n) on the mirror images of N motions through these ones, with their contacts (N,)."""
+    """Physical states (N, 2n) on the mirror images of N motions through these states, with their contacts (N,)."""
     motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, contact)
     for r in range(len(states)):
         motions.h[r], motions.contact[r] = image_of(one_of(oscillators, r), motions.h[r], int(contact[r]))
@@ -195,7 +195,7 @@ def batch_moments(sections: Array, rows: Rows, count: int) -> Array:
 
 
 def distance(one: Array, other: Array) -> float:
-    """How far apart the means of two motions are, in standard errors, by batches (k, 4n) of each: the largest of all.
+    """The largest distance between means of two motions, in standard errors, from their batches (k, 4n).
 
     |a - b| / sqrt(s^2 (1/k + 1/l)), s^2 the pooled variance of the batches.
     """
@@ -210,7 +210,7 @@ def distance(one: Array, other: Array) -> float:
 
 
 def nearest(attractors: Sequence[Attractor], batches: Array) -> tuple[Attractor | None, float]:
-    """That chaos or torus which batches (k, 4n) are nearest to, None where all differ; and the distance."""
+    """The chaos or torus nearest to batches (k, 4n), None if all differ; and the distance."""
     apart = [np.inf if known.reference is None else distance(known.reference, batches) for known in attractors]
     away = min(apart, default=np.inf)
     return attractors[apart.index(away)] if away <= DIFFERENT else None, away

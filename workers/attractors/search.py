@@ -1,4 +1,4 @@
-"""Motions compared with known attractors, and solved in full where they reach none."""
+"""Motions compared with known attractors, and solved in full if they reach none."""
 
 import math
 from collections.abc import Mapping
@@ -33,28 +33,29 @@ WATCHED_AT_ONCE = 1024
 """Periods of a stretch of watching."""
 
 MOST_MOTIONS, LEAST_MOTIONS = 4096, 64
-"""Motions under way together: as many as the memory for section states has room for, between these."""
+"""Most and fewest motions searched together; the memory for section states decides between them."""
 
 
 def motions_at_once(settings: Settings, size: int) -> int:
-    """How many motions of ``size`` state components are searched for together."""
+    """The number of motions of ``size`` state components that are searched together."""
     room = MEMORY_AT_ONCE // (8 * size * (settings.max_period + settings.section_samples + 1))
     return int(np.clip(room, LEAST_MOTIONS, MOST_MOTIONS))
 
 
 class Known:
-    """The attractors of many cells, each motion to be compared with the attractors of its own cell.
+    """The known attractors of many cells; a motion is compared with the attractors of its own cell.
 
-    attractors   all of them, cell by cell; a label is a place in this list
-    places       labels of the orbits that motions are compared with, in the order of ``orbits``
-    references   the chaos and the tori of each cell; cycles: those of machines without a force
+    attractors   all attractors, cell by cell; a label is a place in this list
+    places       labels of the compared orbits, in the order of ``orbits``
+    references   chaos and tori by cell
+    cycles       cycles of machines without a force by cell
     """
 
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
         n = oscillators.gap_row.shape[1]
-        self.attractors = [each for attractors in of_cells for each in attractors]
+        self.attractors = [attractor for attractors in of_cells for attractor in attractors]
         ends = np.cumsum([0, *map(len, of_cells)])
-        self.places = np.flatnonzero([each.jacobian is not None for each in self.attractors])
+        self.places = np.flatnonzero([attractor.jacobian is not None for attractor in self.attractors])
         self.references = [[a for a in attractors if a.reference is not None] for attractors in of_cells]
         self.cycles = [[a for a in attractors if a.cycle is not None] for attractors in of_cells]
         some, of_cell = [self.attractors[k] for k in self.places], np.searchsorted(self.places, ends)
@@ -70,18 +71,18 @@ class Known:
 
 
 class Search:
-    """N motions, each compared with the known attractors of its cell, ``owner`` (N,), and what they come to.
+    """N motions compared with the known attractors of their cells, ``owner`` (N,), and their outcomes.
 
-    They are of a system with parameters (N,) each. They begin at physical states (N, 2n), with contacts (N,) if they go
-    on from there; those with a reason have no oscillator. Their course ends where they fall into a known orbit. Those
-    whose transients are over leave it where chaos or a torus is known of their cell, to be compared with that.
+    The motions have parameters (N,). They begin at physical states (N, 2n), with contacts (N,) if they continue earlier
+    motions; motions with a reason have no oscillator. Their course ends when they fall into a known orbit. After its
+    transient a motion is compared with the known chaos and tori of its cell, if there are any.
 
-    cells        with the results of the motions that were solved in full
-    regime       of each motion, PENDING where it was recognised
-    label        place of the known attractor that each has reached, -1 for none
-    arrival      periods until it was within a hundredth of its scale on a known orbit, -1 where it reached none
-    distance     in standard errors from the attractor that it was assigned to by statistics
-    reference    of motions on a new chaos or torus, their batches
+    cells        the motions, with the results of those solved in full
+    regime       regimes, PENDING for recognised motions
+    label        places of the known attractors reached, -1 for none
+    arrival      periods until a motion is within a hundredth of its scale of a known orbit, -1 if it reached none
+    distance     distances in standard errors from the attractors assigned by statistics
+    reference    batches of motions on new chaos or tori
     compared     periods on the attractor after its class was known
     """
 
@@ -118,13 +119,13 @@ class Search:
         return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
 
     def last(self, r: int) -> tuple[Array, int]:
-        """The physical state that one motion has come to, and its contact."""
+        """The last physical state of one motion, and its contact."""
         motions = self.cells.batch.motions
         return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.contact[r, 0])
 
     @np.errstate(all="ignore")
     def solve(self, references: bool = True) -> None:
-        """Take the motions to their attractors; with ``references`` also to the statistics of a new chaos or torus."""
+        """Follow the motions to their attractors; ``references`` adds the statistics of new chaos and tori."""
         self.course.take()
         self._compare()
         if references:
@@ -133,7 +134,7 @@ class Search:
 
     @np.errstate(all="ignore")
     def watch(self, periods: Rows) -> None:
-        """Take them on for ``periods`` (N,): recognised, on an orbit, or on as they were, regime PENDING."""
+        """Follow the motions for ``periods`` (N,): they are recognised, come to an orbit, or stay PENDING."""
         rows, flown = self.cells.ready, self.cells.flown
         while len(rows):
             rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCHED_AT_ONCE))
@@ -142,7 +143,7 @@ class Search:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = same.REFERENCE) -> tuple[Rows, Array]:
-        """Those of these motions that go on for this many batches, on no orbit; and the batches (rows, batches, 4n)."""
+        """The motions of ``rows`` that last for so many batches, on no orbit; and the batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
             rows = self._advance(rows, same.BATCH, look=not self.cells.unforced or k == batches - 1)
@@ -151,7 +152,7 @@ class Search:
         return rows, means[rows]
 
     def _is_known(self, rows: Rows) -> Mask:
-        """Which of these motions fall into a known orbit, or are on a known cycle; they have its label."""
+        """A mask of the motions that fall into a known orbit or are on a known cycle, and get its label."""
         cells, orbits = self.cells, self.known.orbits
         blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.kept()
         found = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
@@ -165,29 +166,29 @@ class Search:
         return np.asarray(reached)
 
     def _is_on_cycle(self, course: CycleCourse, r: int) -> bool:
-        """Whether a motion is on a known cycle of its cell, to ONCE_ROUND: it passes one of its events in a turn."""
+        """Whether a motion passes, to ONCE_ROUND, an event of a known cycle of its cell within a turn."""
         cells, cycles = self.cells, self.known.cycles[self.owner[r]]
-        longest = max((each.cycle.period for each in cycles if each.cycle), default=0.0)
+        longest = max((known.cycle.period for known in cycles if known.cycle), default=0.0)
         turn = math.ceil(longest / cells.oscillators.period[r]) + 1 if cycles else 0
         for trail in islice(course.trails(r), turn):
             states, numbers = trail.after
-            for each in cycles:
-                if each.cycle and each.cycle.passes(states, numbers):
-                    self.label[r] = self.known.attractors.index(each)
+            for known in cycles:
+                if known.cycle and known.cycle.passes(states, numbers):
+                    self.label[r] = self.known.attractors.index(known)
                     kept = cells.batch.sections[r, cells.batch.sections.shape[1] - cells.kept()[r] :]
-                    self.arrival[r] = periods_along(cells.oscillators.gap.blocks[r], kept, cells.flown[r], each.orbit)
+                    self.arrival[r] = periods_along(cells.oscillators.gap.blocks[r], kept, cells.flown[r], known.orbit)
                     return True
         return False
 
     def _leaves(self, rows: Rows) -> Mask:
-        """Of whose cell chaos or a torus is known."""
+        """A mask of the motions in whose cells chaos or a torus is known."""
         self.to_compare[rows] = [len(self.known.references[c]) > 0 for c in self.owner[rows]]
         return self.to_compare[rows]
 
     def _advance(self, rows: Rows, periods: Rows | int, look: bool = True) -> Rows:
-        """Take these motions on by some periods; those that can go on, on no orbit so far as one is to be looked for.
+        """Advance these motions by some periods; returns those that can go on and, with ``look``, are on no orbit.
 
-        A cycle without a force is followed event by event to be found, which takes longer than its periods.
+        Without a force ``look`` follows the motion event by event, which takes longer than its periods.
         """
         cells, least = self.cells, self.cells.settings.max_periods
         cells.aim(rows, periods)
@@ -199,32 +200,32 @@ class Search:
         return self.course.end_on_orbits(rows, np.maximum(cells.budget(), least), np.full(len(self.owner), NEAR_LATER))
 
     def _compare(self) -> None:
-        """Assign motions to the chaos or the torus that they are on; continue with those that are on none."""
+        """Assign motions to the known chaos or torus that they are on, and continue the others."""
         rows, known = np.flatnonzero(self.to_compare), self.known
         for batches in (same.FIRST_LOOK, same.SECOND_LOOK):
             rows, means = self.sample(rows, batches)
             for r, of_motion in zip(rows, means, strict=True):
-                found, away = nearest(known.references[self.owner[r]], of_motion)
-                if found is not None:
-                    self.label[r], self.distance[r] = known.attractors.index(found), away
+                attractor, away = nearest(known.references[self.owner[r]], of_motion)
+                if attractor is not None:
+                    self.label[r], self.distance[r] = known.attractors.index(attractor), away
             rows = rows[self.label[rows] < 0]
         self.compared[rows] = 0
-        self.course.watched[rows] += (same.FIRST_LOOK + same.SECOND_LOOK) * same.BATCH  # they were to decide nothing
+        self.course.watched[rows] += (same.FIRST_LOOK + same.SECOND_LOOK) * same.BATCH  # these periods decide nothing
         self.cells.going[rows] = True
         self.course.observe(rows)
         self.course.take()
 
     def _measure(self) -> None:
-        """Write their machine's own results for motions of a known class, without a force all in units of time."""
+        """Write the machine's own results for motions of a known class; without a force all in units of time."""
         measure(self.cells, self.record.definition, self.params)
         observe(self.cells, self.record.definition, self.params)
         if self.cells.unforced:
             tell_in_time(self.cells, self.variables)
 
     def _refer(self) -> None:
-        """Go on with those motions that are on a chaos or torus that is not known, to tell what it is by.
+        """Continue the motions on unknown chaos or tori to collect their batches.
 
-        One that comes to an orbit meanwhile is on that.
+        A motion that comes to an orbit meanwhile belongs to the orbit.
         """
         arrays = self.cells.found
         before = {name: values.copy() for name, values in arrays.items()}

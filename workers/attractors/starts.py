@@ -15,11 +15,11 @@ from workers.settings import check_whole
 
 MOST_STARTS, MOST_KEPT = 10_000, 64
 WHOLE = {"starts": (1, MOST_STARTS), "seed": (0, 2**31), "keep": (1, MOST_KEPT)}
-"""The least and the greatest of each whole number that is asked for."""
+"""The least and the greatest values of whole numbers in a search."""
 REACH = 2.0
 """The default box, in amplitudes of the motion."""
 TRIES = 16
-"""Points of the sequence per initial state: those beyond a stop are passed over."""
+"""Points of the sequence per initial state: points beyond a stop are skipped."""
 CONFIDENCE = 0.05
 """Probability of missing an attractor of ``unseen_share``."""
 NORMAL_95 = 1.959963984540054
@@ -27,12 +27,12 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True)
 class Starts:
-    """From which initial states a cell is solved: its own first, then points that fill a box evenly.
+    """The initial states of a search in a cell: its own first, then points that fill a box evenly.
 
-    count    initial states, the cell's own among them; half of them where these all reach one attractor; 1 to 10,000
-    seed     of the points, a scrambled Halton sequence; 0 to 2^31
+    count    initial states, the cell's own among them, half of them if these all reach one attractor; 1 to 10,000
+    seed     seed of the points, a scrambled Halton sequence; 0 to 2^31
     box      (name, low, high) of components of the physical state; the others have the default, see ``boxes``
-    keep     attractors kept of each cell, those with the largest shares; 1 to 64
+    keep     number of attractors kept for each cell, those with the largest shares; 1 to 64
 
     Raises ValueError, in one line that names the field, for anything else.
     """
@@ -51,26 +51,26 @@ class Starts:
 
     @property
     def enough(self) -> int:
-        """Initial states after which a cell is done where all of them reach one attractor."""
+        """The number of initial states after which a cell is done if all reach one attractor."""
         return -(-self.count // 2)
 
     def waves(self) -> list[range]:
-        """The initial states by their numbers, in the parts that are solved one after the other."""
+        """The numbers of the initial states, in parts that are solved one after the other."""
         doublings = (2**k for k in range(self.enough.bit_length()))
         ends = {0, *(end for end in doublings if end < self.enough), self.enough, self.count}
         return [range(first, end) for first, end in pairwise(sorted(ends))]
 
 
 def initial_states(starts: Starts, oscillators: Oscillator, system: System, own: Array) -> Array:
-    """The initial states (N, starts, 2n) of N cells, in order; NaN where too few points of the box lie between stops.
+    """The initial states (N, starts, 2n) of N cells, in order; NaN if too few points of the box lie between stops.
 
-    own     (N, 2n) the cells' own, the first of each
+    own     (N, 2n) the cells' own initial states, which come first
     """
     N, size = own.shape
-    found = np.full((N, starts.count, size), np.nan)
-    found[:, 0] = own
+    chosen = np.full((N, starts.count, size), np.nan)
+    chosen[:, 0] = own
     if starts.count == 1:
-        return found
+        return chosen
     low, high = boxes(starts, oscillators, system)
     points, stops = _points(size, TRIES * (starts.count - 1), starts.seed), oscillators.rigid_stops
     for k in range(N):
@@ -80,16 +80,16 @@ def initial_states(starts: Starts, oscillators: Oscillator, system: System, own:
             y = states[:, : size // 2] @ row[k]
             free &= (y > lower[k]) & (y < upper[k])
         inside = np.flatnonzero(free)[: starts.count - 1]
-        found[k, 1 : 1 + len(inside)] = states[inside]
-    return found
+        chosen[k, 1 : 1 + len(inside)] = states[inside]
+    return chosen
 
 
 def boxes(starts: Starts, oscillators: Oscillator, system: System) -> tuple[Array, Array]:
     """Lowest and highest initial states (N, 2n) of N cells.
 
-    By default each displacement lies within REACH a of its rest position and each velocity within REACH v of 0. a and v
-    are the amplitudes of the impact-free answer to the force, but at least half of the gap, as far as the coordinate
-    takes part in it, and omega times that. Where the gap is that of one coordinate, that stays between the stops.
+    By default a displacement lies within REACH a of its rest position, a velocity within REACH v of 0. a and v are the
+    amplitudes of the impact-free response to the force; a is at least half of the gap, as far as the coordinate takes
+    part in it, and v at least omega times that. If the gap is one coordinate, it stays between the stops.
     """
     N, n = oscillators.gap_row.shape
     moves = oscillators.to_physical
@@ -119,16 +119,16 @@ def boxes(starts: Starts, oscillators: Oscillator, system: System) -> tuple[Arra
 @lru_cache(maxsize=8)
 def _points(size: int, count: int, seed: int) -> Array:
     """Points of the unit cube (count, size)."""
-    from scipy.stats import qmc  # it takes a while to load
+    from scipy.stats import qmc  # takes a while to load
 
     points: Array = qmc.Halton(size, scramble=True, rng=seed).random(count)
     return points
 
 
 def wilson(hits: NDArray[Any] | int, count: NDArray[Any] | int, z: float = NORMAL_95) -> tuple[Array, Array]:
-    """The ends of Wilson's interval of a share of which ``hits`` of ``count`` were seen, z standard errors wide.
+    """The ends of Wilson's interval of a share, after ``hits`` in ``count`` trials, for z standard errors.
 
-    (p + z^2/2n -+ z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n), p = hits/n; 0 to 1 where nothing was counted.
+    (p + z^2/2n -+ z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n), p = hits/n; 0 to 1 for a count of 0.
 
     >>> low, high = wilson(0, 32)
     >>> round(float(high), 4)

@@ -1,9 +1,8 @@
 """``solve_attractors``: all attractors of every cell that its initial states reach, with their shares.
 
-A cell's own initial state is solved as ``solve_tile`` does it. The others follow in waves, each of as many as came
-before, so that most of them meet known attractors: a motion that falls into a known attractor is done
-(see ``same``), any other one is solved in full. A cell is done early where half of its initial states all reach
-one attractor.
+A cell's own initial state is solved as by ``solve_tile``. The others follow in waves, each as large as all before it,
+so that most of them meet known attractors: a motion that falls into a known attractor is done (see ``same``), any other
+motion is solved in full. A cell is done early if half of its initial states all reach one attractor.
 
 Apparent chaos is watched for all of ``survival``, see ``Settings``, if any initial state of the cell has found a stable
 orbit. The periods of all motions on one attractor count together. If one motion leaves it, it is a transient: each
@@ -29,7 +28,7 @@ from workers.settings import Settings
 from workers.tile import initial_state, solve_parts
 
 WATCHED_AGAIN = 8
-"""What is left of a transient is watched for this part of ``survival``, each motion of it."""
+"""The remaining motions of a transient are watched for this part of ``survival``."""
 
 
 def solve_attractors(
@@ -38,11 +37,11 @@ def solve_attractors(
     settings: Settings | None = None,
     starts: Starts | None = None,
 ) -> Results:
-    """All attractors of every cell, as arrays of the parameters' broadcast shape; as solve_tile else.
+    """All attractors of every cell, as arrays of the parameters' broadcast shape; like solve_tile.
 
-    Every result but the cost has one more dimension ``attractor`` after that shape, of ``starts.keep``: the attractor
-    with the largest share first. Where there are fewer the rest is as without a result, regime PENDING. A cell that is
-    invalid, or of which no initial state is decided, has the result of its own initial state in the first place.
+    Every result but the cost has one more dimension ``attractor`` after that shape, of length ``starts.keep``: the
+    attractor with the largest share first. Unused places hold no result, regime PENDING. A cell that is invalid, or has
+    no decided initial state, has the result of its own initial state in the first place.
     ``System.variables(settings, attractors=True)`` has the variables.
     Raises ValueError also for the method "fixed".
     """
@@ -53,10 +52,10 @@ def solve_attractors(
         if name not in record.states:
             raise KeyError(f"box: {name} is no component of the state; they are {', '.join(record.states)}")
 
-    def solve_part(params: dict[str, Array], found: Results) -> None:
+    def solve_part(params: dict[str, Array], arrays: Results) -> None:
         coexistence = Coexistence(record, params, settings, starts)
         coexistence.solve()
-        coexistence.write(found)
+        coexistence.write(arrays)
 
     at_once = max(1, motions_at_once(settings, len(record.states)) // max(map(len, starts.waves())))
     variables = record.variables(settings, attractors=True)
@@ -64,9 +63,11 @@ def solve_attractors(
 
 
 class Coexistence:
-    """N cells of these parameters (N,) each, and the attractors that are known of them.
+    """N cells with parameters (N,), and their known attractors.
 
-    used (N,) forcing periods, tried (N,) initial states that have a motion; own: the search from the cells' own
+    used (N,)    forcing periods
+    tried (N,)   initial states that have a motion
+    own          the search from the cells' own initial states
     """
 
     def __init__(self, record: System, params: Mapping[str, Array], settings: Settings, starts: Starts) -> None:
@@ -79,7 +80,7 @@ class Coexistence:
         self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
 
     def solve(self) -> None:
-        """Solve the initial states wave by wave, then see whether what looks chaotic lasts."""
+        """Solve the initial states wave by wave, then watch whether apparent chaos lasts."""
         going = np.arange(len(self.cells))
         for wave in self.starts.waves():
             self._solve_wave(going, wave)
@@ -94,7 +95,7 @@ class Coexistence:
     ) -> Search:
         """Motions of cells ``owner`` (N,) from physical states (N, 2n), compared with the attractors of these regimes.
 
-        contact (N,) is that of motions that go on from there.
+        contact (N,) are the contacts of motions that continue earlier ones.
         """
         known = Known(self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells])
         oscillators, reasons = taken(self.oscillators, owner), self.reasons[owner]
@@ -116,96 +117,100 @@ class Coexistence:
         self._put(search, number, moving)
 
     def _put(self, search: Search, number: Rows, rows: Rows) -> None:
-        """Put these motions to their attractors, in the order of the initial states, by number; count what all cost."""
+        """Assign these motions to their attractors, in the order of the initial states, and count the cost of all."""
         np.add.at(self.used, search.owner, search.cells.used)
         for r in rows.tolist():
             self.cells[search.owner[r]].put(int(number[r]), search, r)
 
     def _watch(self) -> None:
-        """Watch what looks chaotic beside a stable orbit until it has survived, or ends.
+        """Watch apparent chaos beside a stable orbit until it has survived, or ends.
 
-        What is left of a transient is watched once more.
+        The remaining motions of a transient are watched once more.
         """
         for last in (False, True):
             every = [(c, a, self._missing(cell, a, last)) for c, cell in enumerate(self.cells) for a in cell.attractors]
-            suspects = [(c, each, missing) for c, each, missing in every if missing > 0]
+            suspects = [(c, suspect, missing) for c, suspect, missing in every if missing > 0]
             if not suspects:
                 return
-            of = np.repeat(np.arange(len(suspects)), [len(each.starts) for _, each, _ in suspects])
+            of = np.repeat(np.arange(len(suspects)), [len(suspect.starts) for _, suspect, _ in suspects])
             owner = np.array([c for c, _, _ in suspects])[of]
-            periods = np.array([-(-missing // len(each.starts)) for _, each, missing in suspects])[of]
-            number = np.concatenate([each.starts for _, each, _ in suspects])
-            search = self.search(owner, *_stacked([state for _, each, _ in suspects for state in each.last]), STABLE)
+            periods = np.array([-(-missing // len(suspect.starts)) for _, suspect, missing in suspects])[of]
+            number = np.concatenate([suspect.starts for _, suspect, _ in suspects])
+            search = self.search(
+                owner, *_stacked([state for _, suspect, _ in suspects for state in suspect.last]), STABLE
+            )
             search.watch(periods)
             ended = (search.label >= 0) | np.isin(search.regime, STABLE)
-            for k, (c, each, _) in enumerate(suspects):
-                each.seen += int(search.cells.flown[of == k].sum())
-                self._part(self.cells[c], each, number, search, np.flatnonzero((of == k) & ~ended), last=last)
+            for k, (c, suspect, _) in enumerate(suspects):
+                suspect.seen += int(search.cells.flown[of == k].sum())
+                self._part(self.cells[c], suspect, number, search, np.flatnonzero((of == k) & ~ended), last=last)
             self._put(search, number, np.flatnonzero(ended))
 
-    def _missing(self, cell: CellAttractors, each: Attractor, last: bool) -> int:
+    def _missing(self, cell: CellAttractors, suspect: Attractor, last: bool) -> int:
         """Periods for which an attractor is still to be watched."""
-        if each.regime not in (CHAOTIC, APERIODIC) or not any(a.regime in STABLE for a in cell.attractors):
+        if suspect.regime not in (CHAOTIC, APERIODIC) or not any(a.regime in STABLE for a in cell.attractors):
             return 0
         if last:
-            return self.settings.survival // WATCHED_AGAIN * len(each.starts) if each.transient else 0
-        return self.settings.survival - each.seen
+            return self.settings.survival // WATCHED_AGAIN * len(suspect.starts) if suspect.transient else 0
+        return self.settings.survival - suspect.seen
 
     def _part(
-        self, cell: CellAttractors, each: Attractor, number: Rows, search: Search, stay: Rows, last: bool
+        self, cell: CellAttractors, suspect: Attractor, number: Rows, search: Search, stay: Rows, last: bool
     ) -> None:
-        """Take an attractor for a transient where not all of its motions stay; those that do may be nowhere at last."""
-        each.transient |= len(stay) < len(each.starts)
-        each.starts, each.last = number[stay].tolist(), [search.last(r) for r in stay]
-        if each.transient and (last or not len(stay)):
-            cell.attractors.remove(each)
-            cell.undecided += each.starts
+        """Mark an attractor as a transient if some of its motions leave; the others may become undecided at last."""
+        suspect.transient |= len(stay) < len(suspect.starts)
+        suspect.starts, suspect.last = number[stay].tolist(), [search.last(r) for r in stay]
+        if suspect.transient and (last or not len(stay)):
+            cell.attractors.remove(suspect)
+            cell.undecided += suspect.starts
 
     def _pair(self) -> None:
-        """Pair chaos and tori with their mirror images: batches of each motion's mirror image tell them."""
+        """Pair chaos and tori with their mirror images, by the batches of the mirror images of their motions."""
         alone = [
-            (c, each)
+            (c, attractor)
             for c, cell in enumerate(self.cells)
-            for each in cell.attractors
-            if cell.symmetric and each.reference is not None and len(cell.alike(each)) > 1
+            for attractor in cell.attractors
+            if cell.symmetric and attractor.reference is not None and len(cell.alike(attractor)) > 1
         ]
         if not alone:
             return
         owner = np.array([c for c, _ in alone])
-        images = mirrored(taken(self.oscillators, owner), *_stacked([each.last[0] for _, each in alone]))
+        images = mirrored(taken(self.oscillators, owner), *_stacked([attractor.last[0] for _, attractor in alone]))
         search = self.search(owner, *images, ())
         going, means = search.sample(search.cells.ready)
         np.add.at(self.used, owner, search.cells.used)
         for r, of_image in zip(going, means, strict=True):
-            c, each = alone[r]
-            each.mirror, _ = nearest(self.cells[c].alike(each), of_image)
-        for _, each in alone:
-            if each.mirror is not None and each.mirror.mirror is not each:
-                each.mirror = None
+            c, attractor = alone[r]
+            attractor.mirror, _ = nearest(self.cells[c].alike(attractor), of_image)
+        for _, attractor in alone:
+            if attractor.mirror is not None and attractor.mirror.mirror is not attractor:
+                attractor.mirror = None
 
-    def write(self, found: Results) -> None:
+    def write(self, arrays: Results) -> None:
         """Write the result arrays of these cells."""
         for c, cell in enumerate(self.cells):
             ranked = sorted(cell.attractors, key=lambda a: a.order)
             shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
-            found["periods_used"][c] = self.used[c]
-            found["attractors"][c], found["starts"][c] = len(ranked), self.tried[c]
-            found["undecided"][c], found["left"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
+            arrays["periods_used"][c] = self.used[c]
+            arrays["attractors"][c], arrays["starts"][c] = len(ranked), self.tried[c]
+            arrays["undecided"][c], arrays["left"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
             if self.tried[c]:
-                found["unseen_share"][c] = unseen_share(self.tried[c])
+                arrays["unseen_share"][c] = unseen_share(self.tried[c])
             if not shown:
-                _write(found, c, 0, self.own.result(c))
-            for k, each in enumerate(shown):
-                more = _of_share(len(each.starts), int(self.tried[c])) | {
-                    "exact": each.regime in STABLE,
-                    "lumped": each.pooled,
-                    "lumped_distance": each.distance if each.pooled else np.nan,
-                    "survived": each.seen if each.regime in (CHAOTIC, APERIODIC) else each.result["survived"],
-                    "mirror": next((i for i, a in enumerate(shown) if a is each.image(cell.symmetric)), -1),
+                _write(arrays, c, 0, self.own.result(c))
+            for k, attractor in enumerate(shown):
+                more = _of_share(len(attractor.starts), int(self.tried[c])) | {
+                    "exact": attractor.regime in STABLE,
+                    "lumped": attractor.pooled,
+                    "lumped_distance": attractor.distance if attractor.pooled else np.nan,
+                    "survived": attractor.seen
+                    if attractor.regime in (CHAOTIC, APERIODIC)
+                    else attractor.result["survived"],
+                    "mirror": next((i for i, a in enumerate(shown) if a is attractor.image(cell.symmetric)), -1),
                 }
-                _write(found, c, k, each.result | more)
-                if 0 in each.starts:
-                    found["own"][c] = k
+                _write(arrays, c, k, attractor.result | more)
+                if 0 in attractor.starts:
+                    arrays["own"][c] = k
 
 
 def _of_share(hits: int, tried: int) -> dict[str, Any]:
@@ -219,7 +224,7 @@ def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
     return np.stack([state for state, _ in states]), np.array([contact for _, contact in states], dtype=np.int64)
 
 
-def _write(found: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:
+def _write(arrays: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:
     for name, value in result.items():
         if name != "periods_used":
-            found[name][cell, place] = value
+            arrays[name][cell, place] = value

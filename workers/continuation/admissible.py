@@ -66,14 +66,14 @@ def first_fault(motion: OrbitMotion, touches: Sequence[Touch] = (), lost: int = 
             return Fault(LOST, event)
         if durations[k] < -1e-9 * period:
             return _not_in_range(motion, k) or Fault(ORDER, event)
-    wrong, known = _would_stick(motion) or _would_hop(motion), [_in_turn(motion, each) for each in touches]
+    wrong, known = _would_stick(motion) or _would_hop(motion), [_in_turn(motion, touch) for touch in touches]
     return wrong or next(
         (fault for k in range(len(motion.plan.legs)) if (fault := _of_leg(motion, k, period, known, lost))), None
     )
 
 
 def _in_turn(motion: OrbitMotion, touch: Touch) -> Touch:
-    """A touch as it is in the turn that begins with the first event, maybe of the mirror image."""
+    """A touch in the turn that begins with the first event, or in its mirror image."""
     begin, span = float(motion.begins[0, 0]), float(motion.span[0])
     turns = math.floor((touch.time - begin) / span)
     flips = motion.itinerary.symmetric and turns % 2 != 0
@@ -91,7 +91,7 @@ def _would_stick(motion: OrbitMotion) -> Fault | None:
 
 
 def _would_hop(motion: OrbitMotion) -> Fault | None:
-    """A rest that takes the place of chatter whose hops are too long for that, as the load on the stop now changes.
+    """A rest in place of chatter whose hops take too long for that, since the load on the stop changes meanwhile.
 
     The load must change by a share of itself of HOPS at most while they last.
     """
@@ -125,7 +125,7 @@ def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
 
 
 def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch], lost: int) -> Fault | None:
-    """What else happens on a leg than its event at its end."""
+    """The first fault on a leg before the event at its end."""
     (leg, event), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
     tolerance = AT_ONCE * period
     if end - begin <= 1e-9 * period:
@@ -184,7 +184,7 @@ def peak_of(motion: OrbitMotion, why: Fault) -> float | None:
 
 
 def name_of_touch(motion: OrbitMotion, touch: Touch) -> str:
-    """What it is called where a signal touches an end of its range."""
+    """The name of the event at which a signal touches an end of its range."""
     k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
     code = motion.plan.legs[max(k, 0)][0].code
     contact, friction = touch.signal // SIGNALS, touch.signal - SIGNALS * len(code.contacts)

@@ -74,7 +74,7 @@ def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
 
 
 def _of_holding(step: Step, X: Array, motion: OrbitMotion, why: Fault) -> LocatedEvent | None:
-    """Where the force that would hold friction at an event is its static level."""
+    """The point at which the force that would hold friction at an event equals its static level."""
     if why.impact < 0 or why.signal < SIGNALS * motion.lin.elements.soft.shape[1]:
         return None
     turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.plan.turning)

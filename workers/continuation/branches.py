@@ -296,7 +296,7 @@ def _accounted_for(before: TestFunctions, passage: _Passage) -> _Passage | None:
     if not np.sum(sizes > 1.0 + DOUBT) <= count <= np.sum(sizes > 1.0 - DOUBT):
         return None
     point = after.point._replace(unstable=count)
-    points = tuple(point if each is after.point else each for each in passage.points)
+    points = tuple(point if known is after.point else known for known in passage.points)
     return passage._replace(points=points, after=after._replace(point=point))
 
 

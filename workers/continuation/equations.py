@@ -27,7 +27,7 @@ def admit(lin: OrbitMachines, itinerary: Itinerary) -> Mask:
 
 
 def _faults(lin: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
-    """For which machines (N,) the equations do not hold, and why."""
+    """The machines (N,) for which the equations do not hold, with the reasons."""
     unknown = itinerary.periods < (0 if itinerary.sides else 1)
     unknown |= not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides)
     yield np.array(unknown), f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1"

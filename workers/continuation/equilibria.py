@@ -52,7 +52,7 @@ class Equilibrium(NamedTuple):
 
     @property
     def unstable(self) -> int:
-        """How many exponents grow."""
+        """The number of exponents that grow."""
         return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> Point:
@@ -163,12 +163,12 @@ def equilibria(
         [point for _, point, _ in entries],
         [Event(kind, (Condition(kind),), point) for _, point, kind in entries if kind],
     )
-    ends = tuple(kind if (kind := each[-1][2] if each else "") == BORDER else EDGE for each in (back, ahead))
-    return Equilibria(BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([each.state for each, *_ in entries]))
+    ends = tuple(kind if (kind := way[-1][2] if way else "") == BORDER else EDGE for way in (back, ahead))
+    return Equilibria(BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([way.state for way, *_ in entries]))
 
 
 def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, Point, str]]:
-    """The equilibria on the way over values, each with its point and the kind of the event that it is."""
+    """The equilibria on the way over values, with their points and the kinds of their events."""
     here = first
     for value in values.tolist():
         there = equilibrium_near(family, np.array([value]), here.code)
@@ -177,7 +177,7 @@ def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tupl
             if far is None:
                 yield near, near.point(near.unstable), BORDER
                 return
-            low, high = sorted((near, far), key=lambda each: each.unstable)
+            low, high = sorted((near, far), key=lambda end: end.unstable)
             crossing = high.exponents[low.unstable]
             yield far, point_of_event(far, low.unstable, abs(crossing.imag)), HOPF if crossing.imag else FOLD
             here = far
@@ -188,7 +188,7 @@ def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tupl
 def _halved(
     family: Family, here: Equilibrium, there: Equilibrium | None, value: float
 ) -> tuple[Equilibrium, Equilibrium | None]:
-    """The first change on a step: the last equilibrium that is as stable, and the next one, None where it ends."""
+    """The first change of stability on a step: the last equilibrium before it, and the next one, None if it ends."""
     for _ in range(HALVINGS):
         middle = 0.5 * (here.values + value)
         if middle[0] in (here.values[0], value):

@@ -172,9 +172,9 @@ class _Walk:
         place[axis] = edge
 
         def at(value: float) -> Equilibrium | None:
-            moved = place.copy()
-            moved[other] = value
-            return self._equilibrium(moved)
+            shifted = place.copy()
+            shifted[other] = value
+            return self._equilibrium(shifted)
 
         low, high = place[other] - self.length, place[other] + self.length
         before = self._is_stable(at(low))

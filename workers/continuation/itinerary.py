@@ -36,8 +36,8 @@ class Leg(NamedTuple):
     def mirrored(self) -> "Leg":
         """The same of the mirror image, see ``turns_round``."""
         phase, contacts, slips = self.code
-        code = Code(phase, tuple(-each for each in contacts), tuple(-each for each in slips))
-        begun = tuple(turns_round(g, len(contacts)) * each for g, each in enumerate(self.begun))
+        code = Code(phase, tuple(-number for number in contacts), tuple(-number for number in slips))
+        begun = tuple(turns_round(g, len(contacts)) * number for g, number in enumerate(self.begun))
         return Leg(code, begun, self.signal, turns_round(self.signal, len(contacts)) * self.side)
 
     def label(self, before: Code) -> int:
@@ -108,8 +108,8 @@ class Itinerary(NamedTuple):
 
     def impacts(self, side: int) -> int:
         """How often a stop on this side is reached in the whole orbit."""
-        hits = [each for each in self.sides if (abs(each) - 1) % 4 == HIT]
-        return len(hits) if self.symmetric else sum(each * side > 0 for each in hits)
+        hits = [label for label in self.sides if (abs(label) - 1) % 4 == HIT]
+        return len(hits) if self.symmetric else sum(label * side > 0 for label in hits)
 
     def legs_after(self, first: int, sign: int) -> tuple[tuple[Leg, ...], ...]:
         """The legs from an event on, their mirror images for sign -1."""

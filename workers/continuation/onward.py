@@ -207,7 +207,10 @@ def _solved(
 ) -> tuple[Extended, Array] | None:
     """The orbit next to one as it was recorded beside an event, and ``near`` it at NEARER of the way."""
     (here, orbit, contacts, *_), free, values = event.point, equations.free, beside.values + beside.away
-    own = [each._replace(kappa=event.kappa) if each.kind == PAIR else each for each in event.conditions[:-1]]
+    own = [
+        condition._replace(kappa=event.kappa) if condition.kind == PAIR else condition
+        for condition in event.conditions[:-1]
+    ]
     try:
         span = orbit.span(equations.model(here))
         conditions = conditions_on(far, tuple(own), orbit, span)
@@ -231,7 +234,7 @@ def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:
     """Whether two itineraries have the same events and modes, whichever comes first."""
     if (one.periods, one.symmetric, len(one.sides)) != (other.periods, other.symmetric, len(other.sides)):
         return False
-    a, b = (_sequence(each.twice if each.symmetric else each) for each in (one, other))
+    a, b = (_sequence(itinerary.twice if itinerary.symmetric else itinerary) for itinerary in (one, other))
     return any(a == b[k:] + b[:k] for k in range(len(b)))
 
 

@@ -26,7 +26,7 @@ def recorded(
     if cycle is not None:
         return halved(machine, _cycle(machine, state, cycle), ASKED if symmetric else ALIKE)
     motions = passed(machine.oscillators, state, periods)
-    legs = [Leg(each.code, each.begun, each.signal, each.side) for each in motions]
+    legs = [Leg(motion.code, motion.begun, motion.signal, motion.side) for motion in motions]
     phases = machine.elements.starts.shape[1] > 2  # the section is nothing to a machine without them
     kept = [i for i, leg in enumerate(legs) if phases or leg.signal >= 0]
     first = next((i for i in kept if legs[i].signal >= 0), None)
@@ -40,27 +40,31 @@ def recorded(
 def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
     """A cycle from the event after its longest leg on, in whose middle it is cut: it may not close quite yet."""
     own = with_modes(machine.machines._replace(omega=np.array([2.0 * np.pi / period])))
-    motions = [each for each in passed(own.oscillators, state, 3) if each.signal >= 0]
-    times = np.array([each.time for each in motions])
+    motions = [motion for motion in passed(own.oscillators, state, 3) if motion.signal >= 0]
+    times = np.array([motion.time for motion in motions])
     lengths = np.diff(times)[: np.sum(times < 1.5 * period)]
     if not len(lengths):
         raise ValueError(f"nothing happens in {period:g} units of time, the period of the cycle")
     longest = int(np.argmax(lengths))
     ends = 0.5 * (times[longest] + times[longest + 1]) + period
-    turn = [each._replace(time=each.time - times[longest + 1]) for each in motions[longest + 1 :] if each.time < ends]
+    turn = [
+        motion._replace(time=motion.time - times[longest + 1])
+        for motion in motions[longest + 1 :]
+        if motion.time < ends
+    ]
     return turned_orbit(turn, motions[longest].code, 0, period)
 
 
 def turned_orbit(turn: Sequence[Passed], before: Code, periods: int, length: float = np.nan) -> Orbit:
     """The orbit of a turn from its first event on, in a mode until then; of periods 0 a cycle of a length."""
     chains, sides, times, speeds = list[list[Leg]](), list[int](), list[float](), list[float]()
-    for each in turn:
-        leg = Leg(each.code, each.begun, each.signal, each.side)
+    for motion in turn:
+        leg = Leg(motion.code, motion.begun, motion.signal, motion.side)
         if leg.signal >= 0:
             chains.append([])
             sides.append(leg.label(before))
-            times.append(each.time)
-            speeds.append(float(np.copysign(each.rate, sides[-1])))
+            times.append(motion.time)
+            speeds.append(float(np.copysign(motion.rate, sides[-1])))
         chains[-1].append(leg)
         before = leg.code
     itinerary = Itinerary(tuple(sides), periods, legs=tuple(map(tuple, chains))).bare

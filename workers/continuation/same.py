@@ -25,7 +25,8 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
         return np.inf
     halves = np.pi * a.periods / omega
     one, other = (
-        doubled(each, float(each.length) if a.is_cycle else halves) if a.symmetric else each for each in (one, other)
+        doubled(orbit, float(orbit.length) if a.is_cycle else halves) if a.symmetric else orbit
+        for orbit in (one, other)
     )
     if a.is_cycle:  # all that a turn is of it, in radians
         omega = 2.0 * np.pi / float(one.length)
