@@ -1,16 +1,16 @@
 """Impact Atlas: maps of chaos in vibro-impact oscillators.
 
-``Spec`` says what to compute, ``Settings`` how one cell is solved; ``run`` computes it into a store, ``open`` gives the
-store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``plan`` gives the cost before, ``status`` the
-progress meanwhile. ``extend`` computes a larger or finer atlas from it, ``retry`` one with some cells solved again,
-``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how a run
-computes. ``find_curves`` finds the exact curves that bound the regions of a plane, within the budget of
-``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one branch from cell to cell;
-``measure_attractors`` measures how stable the attractors of an atlas are.
-Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``stability`` measures how stable
-they are, ``saddles`` finds the unstable orbits between their basins, ``portrait`` draws its motion, ``branch`` follows
+``Spec`` describes an atlas, ``Settings`` the solution of a cell; ``run`` computes an atlas into a store, ``open`` gives
+the store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``plan`` estimates the cost, ``status``
+reports the progress. ``extend`` computes a larger or finer atlas, ``retry`` an atlas with some cells solved again,
+``verify`` checks that a store is complete and sound, ``pack`` makes it one file. ``RunOptions`` has the options of a
+run. ``find_curves`` finds the exact curves that bound the regions of a plane, within the budget of ``CurveSettings``;
+``label_attractors`` labels all attractors by branch from cell to cell; ``measure_attractors`` measures the stability of
+the attractors of an atlas.
+Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``stability`` measures their
+stability, ``saddles`` finds the unstable orbits between their basins, ``portrait`` draws its motion, ``branch`` follows
 its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`` gives a motion in time.
-``errors`` has what they raise.
+``errors`` has the exceptions.
 """
 
 from importlib import import_module

@@ -18,7 +18,7 @@ Window = Mapping[str, tuple[float, float]]
 
 
 def is_whole(given: object, kind: type = int) -> bool:
-    """Whether this is a whole number, of Python's or of another ``kind`` such as numbers.Integral; True is none."""
+    """Whether this is a whole number, of Python's or of another ``kind`` such as numbers.Integral, and no boolean."""
     return isinstance(given, kind) and not isinstance(given, bool)
 
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 from workers.model.parameter import unknown_name
 
 LONGEST_LINE = 500
-"""Characters of a message; of a longer one the middle is left out."""
+"""Most characters of a message; the middle of a longer one is left out."""
 
 MADE_BY = {"curves": "atlas find curves", "labels": "atlas attractors label", "stability": "atlas attractors measure"}
-"""The commands that make a group of a store anew that is damaged, of those that a run does not make."""
+"""The commands that make a damaged group of a store anew; a run makes all other groups."""
 
 PACK = "pack the atlas again"
 """The remedy for a damaged zip file."""
@@ -73,13 +73,13 @@ class ChunkError(RunError):
 
 
 def message_of(error: Exception) -> str:
-    """What an error of a library says, in one line."""
+    """The message of a library's error, in one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def check_names(kind: str, found: Iterable[object], known: Iterable[str]) -> None:
+def check_names(kind: str, given: Iterable[object], known: Iterable[str]) -> None:
     """Raise InputError, naming the nearest known name, at the first that is not known."""
     names = list(known)
-    for name in found:
+    for name in given:
         if not isinstance(name, str) or name not in names:
             raise InputError(unknown_name(kind, name if isinstance(name, str) else shown(name), names))

@@ -74,8 +74,8 @@ def peak_memory() -> int:
             status = Path("/proc/self/status").read_text(encoding="utf-8", errors="replace")
         except OSError:
             status = ""
-        if found := re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE):
-            return 1024 * int(found[1])
+        if match := re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE):
+            return 1024 * int(match[1])
     import resource
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

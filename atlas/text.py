@@ -32,8 +32,8 @@ def duration(seconds: float) -> str:
 
 def short_repr(value: Any) -> str:
     """A dataclass as a call with the fields that differ from their defaults, those apart that its repr leaves out."""
-    shown = [each for each in fields(value) if each.repr]
-    changed = [f"{each.name}={given!r}" for each in shown if (given := getattr(value, each.name)) != each.default]
+    shown = [entry for entry in fields(value) if entry.repr]
+    changed = [f"{entry.name}={given!r}" for entry in shown if (given := getattr(value, entry.name)) != entry.default]
     return f"{type(value).__name__}({', '.join(changed)})"
 
 
@@ -82,8 +82,8 @@ def plain(symbol: str) -> str:
     """A symbol of mathtext in Unicode: ``\\mu_m`` as μₘ."""
     text = symbol.replace(r"\_", _UNDERSCORE)
     text = re.sub(r"\\dot\s*\{?\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", text)
-    text = re.sub(r"\\([A-Za-z]+)", lambda found: SIGNS.get(found[1], found[1]), text)
-    text = re.sub(r"_\{([^}]*)\}|_(\w)", lambda found: _lowered(found[1] or found[2]), text)
+    text = re.sub(r"\\([A-Za-z]+)", lambda match: SIGNS.get(match[1], match[1]), text)
+    text = re.sub(r"_\{([^}]*)\}|_(\w)", lambda match: _lowered(match[1] or match[2]), text)
     return unicodedata.normalize("NFC", re.sub(r"[{}$\\,]", "", text)).replace(_UNDERSCORE, "_")
 
 

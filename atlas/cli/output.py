@@ -43,9 +43,9 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
     console.print(table)
 
 
-def print_cell(found: Mapping[str, Any], name: str) -> None:
+def print_cell(results: Mapping[str, Any], name: str) -> None:
     """Print the results of a cell as a table, and its attractors, if there are several, as another."""
-    shown = {**found, "system": name}
+    shown = {**results, "system": name}
     several = shown.pop("coexisting", [])
     print_table("", ["", ""], [(key, text(value)) for key, value in shown.items()])
     print_attractors(several)

@@ -61,14 +61,14 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
     with _asked(store, select, window, counted=not point and not as_json) as (ds, bounds):
         from atlas.query import queries as questions
 
-        found: dict[str, Any] = questions.at(ds, point) if point else dict(questions.fractions(leading(ds), bounds))
-        why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
+        results: dict[str, Any] = questions.at(ds, point) if point else dict(questions.fractions(leading(ds), bounds))
+        why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & results.keys() else {}
         if as_json:
-            click.echo(to_json(found | ({"reasons": why} if why else {})))
+            click.echo(to_json(results | ({"reasons": why} if why else {})))
         elif point:
-            _print_values(found, "coexisting")
+            _print_values(results, "coexisting")
         else:
-            print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
+            print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in results.items()])
             click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
 
 
@@ -104,8 +104,8 @@ def basin_measures(store: str, window: Bounds, select: Numbers, as_json: bool) -
     with _asked(store, select, window, counted=not as_json) as (ds, bounds):
         from atlas.query.basins import basins
 
-        found = basins(ds, bounds)
-        click.echo(to_json(found)) if as_json else _print_values(found, "attractors")
+        measures = basins(ds, bounds)
+        click.echo(to_json(measures)) if as_json else _print_values(measures, "attractors")
 
 
 @click.command(
@@ -145,10 +145,10 @@ def regions(
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query import connected
 
-        found = connected.regions(leading(ds), by, meant, bounds, min_cells)
-        rows = [connected.flat(region) for region in found]
-        if not _answered({"by": by, "regions": found}, rows, out, as_json):
-            _print_regions(found, by)
+        listed = connected.regions(leading(ds), by, meant, bounds, min_cells)
+        rows = [connected.flat(region) for region in listed]
+        if not _answered({"by": by, "regions": listed}, rows, out, as_json):
+            _print_regions(listed, by)
 
 
 @click.command(
@@ -177,14 +177,14 @@ def extremes(
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query.extremes import extremes as find
 
-        found = find(leading(ds), variable, by, bounds)
-        if _answered({"variable": variable, "by": by, "extremes": found}, found, out, as_json):
+        rows = find(leading(ds), variable, by, bounds)
+        if _answered({"variable": variable, "by": by, "extremes": rows}, rows, out, as_json):
             return
-        if not found:
+        if not rows:
             click.echo(f"no cell has a value of {variable}")
             return
-        columns = [key for key in found[0] if key != "cells"]
-        print_table("", columns, [tuple(text(row[key]) for key in columns) for row in found])
+        columns = [key for key in rows[0] if key != "cells"]
+        print_table("", columns, [tuple(text(row[key]) for key in columns) for row in rows])
 
 
 @contextmanager
@@ -200,37 +200,37 @@ def _asked(
         say(f"{plural(cost.chunks, 'chunk')} read from the store")
 
 
-def _print_values(found: dict[str, Any], listed: str = "") -> None:
+def _print_values(values: dict[str, Any], listed: str = "") -> None:
     """Names and values as a table, and the attractors that one of them lists as another."""
-    several = list(found.pop(listed, []))
-    print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+    several = list(values.pop(listed, []))
+    print_table("", ["", ""], [(name, text(value)) for name, value in values.items()])
     print_attractors(several)
 
 
-def _print_regions(found: Sequence[Mapping[str, Any]], by: str) -> None:
-    none = "no such region" if not found else ""
+def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
+    none = "no such region" if not listed else ""
     rows = [
         (
-            str(each["label"]),
-            str(each[by]),
-            str(each["cells"]),
-            f"{each['area']:.4g}",
-            f"{100 * each['share']:.3g} %",
-            *(f"{value:.6g}" for value in each["centre"].values()),
-            *(f"{low:.6g} to {high:.6g}" for low, high in each["box"].values()),
-            ", ".join(each["cut"]),
+            str(region["label"]),
+            str(region[by]),
+            str(region["cells"]),
+            f"{region['area']:.4g}",
+            f"{100 * region['share']:.3g} %",
+            *(f"{value:.6g}" for value in region["centre"].values()),
+            *(f"{low:.6g} to {high:.6g}" for low, high in region["box"].values()),
+            ", ".join(region["cut"]),
         )
-        for each in found[:SHOWN]
+        for region in listed[:SHOWN]
     ]
-    axes = list(found[0]["centre"]) if found else []
+    axes = list(listed[0]["centre"]) if listed else []
     columns = ["", by, "cells", "area", "share", *(f"centre {name}" for name in axes), *axes, "cut by"]
     if rows:
         print_table("", columns, rows)
-    if len(found) > SHOWN:
-        rest = sum(each["share"] for each in found[SHOWN:])
-        none = f"and {len(found) - SHOWN} smaller ones, {100 * rest:.3g} % in all: --json or -o FILE.csv lists them"
-    total = sum(each["share"] for each in found)
-    click.echo(none or f"{plural(len(found), 'region')}, {100 * total:.3g} % in all")
+    if len(listed) > SHOWN:
+        rest = sum(region["share"] for region in listed[SHOWN:])
+        none = f"and {len(listed) - SHOWN} smaller ones, {100 * rest:.3g} % in all: --json or -o FILE.csv lists them"
+    total = sum(region["share"] for region in listed)
+    click.echo(none or f"{plural(len(listed), 'region')}, {100 * total:.3g} % in all")
 
 
 def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out: Path | None, as_json: bool) -> bool:

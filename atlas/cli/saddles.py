@@ -65,7 +65,7 @@ def saddles(
     if out is not None and out.suffix.lower() != ".csv":
         raise InputError(f"{out.name}: found {out.suffix!r}, must end in .csv")
     with solving(record, ATTRACTORS):
-        found = find_saddles(
+        results = find_saddles(
             pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=box
         )
     if out is not None:
@@ -74,20 +74,20 @@ def saddles(
             out,
             [
                 {"saddle": k, "line": number, **dict(zip(names, state, strict=True))}
-                for k, saddle in enumerate(found["saddles"])
+                for k, saddle in enumerate(results["saddles"])
                 for number, line in enumerate(saddle["manifold"])
                 for state in line
             ],
         )
     if as_json:
-        click.echo(to_json(found | ({"file": str(out)} if out is not None else {})))
+        click.echo(to_json(results | ({"file": str(out)} if out is not None else {})))
         return
     shown = ("period", "between", "residual", "multipliers", "states", "slopes")
-    rows = [(name, *(text(saddle.get(name, "")) for saddle in found["saddles"])) for name in shown]
-    if found["saddles"]:
-        print_table("saddles", ["", *map(str, range(len(found["saddles"])))], rows)
-    for line in found["troubles"]:
+    rows = [(name, *(text(saddle.get(name, "")) for saddle in results["saddles"])) for name in shown]
+    if results["saddles"]:
+        print_table("saddles", ["", *map(str, range(len(results["saddles"])))], rows)
+    for line in results["troubles"]:
         click.echo(f"no saddle {line}")
-    click.echo(f"saddles: {len(found['saddles'])}, between {found['attractors']} attractors")
+    click.echo(f"saddles: {len(results['saddles'])}, between {results['attractors']} attractors")
     if out is not None:
         click.echo(str(out))

@@ -121,7 +121,7 @@ class GuardedStore(WrapperStore[Any]):
 
 @contextmanager
 def unread() -> Iterator[set[tuple[Place, str]]]:
-    """Have no chunk read inside, as if there were none; note which arrays are asked for one, by place and path."""
+    """Read no chunk inside the block, as if there were none; note the arrays that would be read, by place and path."""
     asked: set[tuple[Place, str]] = set()
     token = _asked.set(asked)
     try:

@@ -61,8 +61,8 @@ class RunOptions:
     def __post_init__(self) -> None:
         self._check_kinds()
         if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
-            found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
-            raise InputError(f"workers: found {found}, {most}, for a local cluster only")
+            given, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
+            raise InputError(f"workers: found {given}, {most}, for a local cluster only")
         whole = isinstance(self.tile, Sequence) and all(is_whole(n, Integral) for n in self.tile)
         if self.tile is not None and not whole:
             raise InputError(f"tile: found {shown(self.tile)}, must be the index of a tile, whole numbers")

@@ -171,8 +171,8 @@ def plan_of_run(spec: Spec, place: Place, handle: Atlas | None, workers: int, ti
         refuse_shortage(plan, place.local)
     grid = plan.tiling.grid
     if tile is not None and not (len(tile) == len(grid) and all(0 <= i < n for i, n in zip(tile, grid, strict=True))):
-        found, most = shown(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)
-        raise InputError(f"tile: found {found}, must be the index of a tile: {most}")
+        given, most = shown(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)
+        raise InputError(f"tile: found {given}, must be the index of a tile: {most}")
     return plan
 
 
@@ -182,8 +182,8 @@ def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:
     free = shutil.disk_usage(home).free
     needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
     if needed > free:
-        found = f"needs up to {byte_size(needed)}, {home} has {byte_size(free)} free"
-        raise InputError(f"{target}: {found}; take fewer cells or another disk")
+        shortage = f"needs up to {byte_size(needed)}, {home} has {byte_size(free)} free"
+        raise InputError(f"{target}: {shortage}; take fewer cells or another disk")
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ class Timing:
     """Seconds, each positive or 0; the defaults suit a cluster on a network.
 
     connect   for a scheduler to answer
-    worker    for a scheduler to get a worker in place of those that refused
+    worker    for a scheduler to get a worker after all others refused
     tick      between two looks at the cluster and the claim while tiles are solved
     poll      between two looks at a coordinator that is to begin
     beat      between two steps of a claim's counter

@@ -6,7 +6,7 @@ from workers.model.system import identity
 
 
 def differences(stored: Spec, given: Spec) -> list[str]:
-    """The differences of two specs, each in a few words."""
+    """The differences of two specs, a few words for each."""
     texts = []
     if stored.system != given.system:
         texts.append(f"system {stored.system} in the store, {given.system} in the spec")

@@ -68,7 +68,7 @@ def _finer(axis: Axis, factor: int) -> Axis:
 
 
 def keep_values(stored: Axis, given: Axis) -> Axis:
-    """The given axis, with stored values in place of those that differ by rounding only."""
+    """The given axis, with stored values in place of values that differ by rounding only."""
     old, new = np.array(stored.values), np.array(given.values)
     after = np.searchsorted(old, new)
     below, above = old[np.maximum(after - 1, 0)], old[np.minimum(after, len(old) - 1)]

@@ -106,8 +106,8 @@ class Spec:
         if points is not None and axes:
             raise InputError(f"found axes ({', '.join(axes)}) and points; give one of the two")
         if points is None and not 1 <= len(axes) <= MOST_AXES:
-            found = f"found {len(axes)} ({', '.join(axes)})" if axes else "found none"
-            raise InputError(f"axes: {found}, must be one to three")
+            count = f"found {len(axes)} ({', '.join(axes)})" if axes else "found none"
+            raise InputError(f"axes: {count}, must be one to three")
         columns = {} if points is None else checked_points(points, record)
         for name in axes:
             if name in parameters:

@@ -25,8 +25,8 @@ def checked_system(system: object, folder: Path | None = None) -> System:
     try:
         return find_system(system)
     except KeyError as error:
-        if (found := example_system(str(system))) is not None:
-            return found
+        if (described := example_system(str(system))) is not None:
+            return described
         raise InputError(error.args[0]) from None
     except ValueError as error:
         raise InputError(str(error)) from None

@@ -151,16 +151,16 @@ def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
         yield from (f"has consolidated metadata that differ from those of {key}" for key in wrong)
 
 
-def _unlike(name: str, found: Any, must: Any) -> Iterator[str]:
+def _unlike(name: str, own: Any, must: Any) -> Iterator[str]:
     """The differences of two values, in the innermost parts that both have; the spec, stored as JSON, is unpacked."""
-    if isinstance(found, str) and isinstance(must, str) and must.startswith("{"):
+    if isinstance(own, str) and isinstance(must, str) and must.startswith("{"):
         with suppress(ValueError, RecursionError):
-            found, must = json.loads(found), json.loads(must)
-    if isinstance(found, dict) and isinstance(must, dict) and found.keys() == must.keys():
+            own, must = json.loads(own), json.loads(must)
+    if isinstance(own, dict) and isinstance(must, dict) and own.keys() == must.keys():
         for key in must:
-            yield from _unlike(f"{name}.{key}", found[key], must[key])
-    elif isinstance(found, list) and isinstance(must, list) and len(found) == len(must) and dict in map(type, must):
-        for number, pair in enumerate(zip(found, must, strict=True)):
+            yield from _unlike(f"{name}.{key}", own[key], must[key])
+    elif isinstance(own, list) and isinstance(must, list) and len(own) == len(must) and dict in map(type, must):
+        for number, pair in enumerate(zip(own, must, strict=True)):
             yield from _unlike(f"{name}[{number}]", *pair)
-    elif found != must:
-        yield f"has {name} {shown(found)}, must be {shown(must)}"
+    elif own != must:
+        yield f"has {name} {shown(own)}, must be {shown(must)}"

@@ -77,7 +77,7 @@ def _label_band(
 ) -> Iterator[tuple[tuple[int, ...], NDArray[np.int64]]]:
     """The tiles of a band and their final labels, once written.
 
-    Cells beyond the ``reference`` attractors are labelled, also those that a dead attempt has labelled.
+    Cells beyond the ``reference`` attractors are labelled, also cells that a dead attempt has labelled.
     """
     from workers.attractors.basins import added
 

@@ -110,12 +110,12 @@ def _origin_of(handle: Atlas) -> Atlas:
     try:
         origin = known_handle(beside(handle.place, handle.origin.store))
     except InputError as error:
-        found = str(error)
+        trouble = str(error)
     else:
         if origin.run_id == handle.origin.run_id:
             return origin
-        found = f"{handle.origin.store}: another store than the one that was {done}"
-    raise RunError(f"{found}; {handle.place} copies cells of it: put it back, or {otherwise}")
+        trouble = f"{handle.origin.store}: another store than the one that was {done}"
+    raise RunError(f"{trouble}; {handle.place} copies cells of it: put it back, or {otherwise}")
 
 
 def count_shared(origin: Atlas, spec: Spec, done: set[tuple[int, ...]]) -> int:

@@ -155,10 +155,10 @@ class Search:
         """A mask of the motions that fall into a known orbit or are on a known cycle, and get its label."""
         cells, orbits = self.cells, self.known.orbits
         blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.kept()
-        found = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
-        reached = found >= 0
-        self.label[rows[reached]] = self.known.places[found[reached]]
-        for r, period in zip(rows[reached], orbits.period[found[reached]], strict=True):
+        orbit = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
+        reached = orbit >= 0
+        self.label[rows[reached]] = self.known.places[orbit[reached]]
+        for r, period in zip(rows[reached], orbits.period[orbit[reached]], strict=True):
             known = sections[r, sections.shape[1] - kept[r] :]
             self.arrival[r] = periods_to_settle(blocks[r], known, cells.flown[r], period)
         if isinstance(self.course, CycleCourse):
