@@ -57,8 +57,8 @@ def checked_suffix(path: Path, formats: Sequence[str]) -> str:
     """The suffix of a file, in lower case, which chooses among formats such as ".csv"; before long work."""
     suffix = path.suffix.lower()
     if suffix not in formats:
-        found = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
-        raise InputError(f"{path.name}: the suffix chooses the format, {found}; possible: {', '.join(formats)}")
+        given = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
+        raise InputError(f"{path.name}: the suffix chooses the format, {given}; possible: {', '.join(formats)}")
     return suffix
 
 

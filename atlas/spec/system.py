@@ -52,16 +52,16 @@ def system_of(attributes: Mapping[Any, Any], who: str = "") -> System:
 
     InputError, in the name of ``who`` needs it, if they name none that this program can make.
     """
-    found = _of_text(str(attributes.get("spec", "")))[1]
-    if isinstance(found, InputError):
-        raise InputError(f"{who}: {found}" if who else str(found))
-    return found
+    system = _of_text(str(attributes.get("spec", "")))[1]
+    if isinstance(system, InputError):
+        raise InputError(f"{who}: {system}" if who else str(system))
+    return system
 
 
 def stored_system(attributes: Mapping[Any, Any]) -> System | None:
     """The system of the store with these root attributes, or None if they name no known system."""
-    found = _of_text(str(attributes.get("spec", "")))[1]
-    return None if isinstance(found, InputError) else found
+    system = _of_text(str(attributes.get("spec", "")))[1]
+    return None if isinstance(system, InputError) else system
 
 
 def stored_name(attributes: Mapping[Any, Any]) -> str:

@@ -49,7 +49,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
     for first in range(0, max(len(rows), hybrid), AT_ONCE):
         some = rows[first : first + AT_ONCE]
         values = {name: value[some] for name, value in params.items()}
-        machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
+        machines = with_modes(cells, some, definition, values)
         periods, closes = turns_of(cells, some)
         states, codes = starts_of(cells, some, closes)
         meters = _meters(machines, definition, values)
@@ -63,6 +63,11 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
             counted, lost = cells.found["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
         put(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
+
+
+def with_modes(cells: Cells, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
+    """The machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
+    return taken(cells.oscillators, rows) if cells.oscillators.has_modes else build_hybrid(definition.hybrid(values))[0]
 
 
 def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from workers.cell.cells import LEAST_WORK, Cells
-from workers.cell.measuring import AT_ONCE, KNOWN, WORK_PER_PERIOD, starts_of, turns_of
+from workers.cell.measuring import AT_ONCE, KNOWN, WORK_PER_PERIOD, starts_of, turns_of, with_modes
 from workers.cell.outcome import put
 from workers.cell.stretch import begin
 from workers.kernel.hybrid.measuring import Meters
@@ -18,7 +18,7 @@ from workers.kernel.observing import COURSE, Seen, Sought, observe_motions
 from workers.model.definition import Definition
 from workers.model.hybrid import FIRST_NUMBER, build_hybrid
 from workers.model.observables import IMPACT_PHASE, KINDS, Observable, observables_of
-from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows
 from workers.results import NO_REASON
 
 Values = dict[str, Any]
@@ -28,12 +28,12 @@ Values = dict[str, Any]
 @np.errstate(all="ignore")
 def observe(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
     """Write the observables of cells of known class, from parameters (N,) each."""
-    observables, hybrid = observables_of(cells.settings.observe, definition), cells.oscillators.has_modes
+    observables = observables_of(cells.settings.observe, definition)
     rows = np.flatnonzero(np.isin(cells.found["regime"], KNOWN))
     for first in range(0, len(rows) if observables else 0, AT_ONCE):
         some = rows[first : first + AT_ONCE]
         values = {name: value[some] for name, value in params.items()}
-        machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
+        machines = with_modes(cells, some, definition, values)
         periods, closes = turns_of(cells, some)
         motions = *starts_of(cells, some, closes), periods, closes
         outputs = outputs_for(observables, definition, values)

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import types
+from numba import typeof, types
 from numba.core.errors import TypingError
 
-from workers.kernel.apart import FLOATS, apart
+from workers.kernel.apart import FLOATS, apart, load
 from workers.kernel.jit import kernel
 from workers.kernel.lend import whole
+from workers.model.system import find_system
 
 
 @apart(FLOATS[2], types.float64, types.boolean, result=types.float64)
@@ -58,3 +59,19 @@ def test_python_gets_the_same_bits_from_a_function_apart_as_a_kernel_does() -> N
 def test_a_kernel_that_gives_a_function_apart_another_type_is_not_compiled() -> None:
     with pytest.raises(TypingError, match="norm"):
         norm_of_a_row(np.ones(3))
+
+
+def test_a_function_of_machines_with_modes_is_compiled_when_a_kernel_first_sees_one() -> None:
+    @apart(FLOATS[1], result=types.float64, modes=True)
+    def first(row: Any) -> float:
+        return float(whole(row)[0])
+
+    typeof(find_system("two-mass").build(defaults("two-mass")))
+    load()
+    assert first.pointer.value is None
+    typeof(find_system("soft-impact").build(defaults("soft-impact")))
+    assert first.pointer.value is not None
+
+
+def defaults(name: str) -> dict[str, float]:
+    return {parameter.name: parameter.default for parameter in find_system(name).parameters}
