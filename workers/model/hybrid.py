@@ -4,6 +4,7 @@ A mode, see hybrid_modes.py, is built when a motion first reaches it.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +95,10 @@ class Table(NamedTuple):
     drifts: Array
     machines: HybridMachines
 
+    def without_modes(self, N: int) -> "Table":
+        """The table of N machines with one rigid contact."""
+        return no_table(N)
+
     def build_missing(self, rows: Rows) -> Rows:
         """Build the missing mode of each of these machines; returns the rows for which it has been built.
 
@@ -117,8 +122,9 @@ _AXES = Table._make([2, 2, 2, _OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 """Numbers of axes of the fields of a table for many machines."""
 
 
+@lru_cache(maxsize=64)
 def no_table(N: int) -> Table:
-    """The table of N machines with one rigid contact: no mode."""
+    """The table of N machines with one rigid contact: no mode. Nothing is written to it."""
     table: Table = empty(_AXES, N)
     codes = np.zeros((N, 0), dtype=np.int64)
     return table._replace(codes=codes, wrong=codes.copy(), missing=np.full((N, 1), -1))

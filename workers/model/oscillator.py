@@ -347,7 +347,13 @@ def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:
 
 def taken(record: Any, rows: Rows) -> Any:
     """These rows of a record of many, in this order."""
-    return map_fields(record, lambda field: field.take(rows, axis=0))
+
+    def take(record: Any) -> Any:
+        return map_fields(record, lambda field: field.take(rows, axis=0))
+
+    if isinstance(record, Oscillator) and not record.has_modes:  # its table has half of all fields, which are empty
+        return take(record._replace(table=None))._replace(table=record.table.without_modes(len(rows)))
+    return take(record)
 
 
 def one_of(oscillators: Any, k: int) -> Any:
