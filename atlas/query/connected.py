@@ -151,7 +151,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
         numbers[block.cells], pending[block.cells] = classes.number(block), block.regime == PENDING
     rising = np.ix_(*(side.order for side in sides))
     numbers, pending = numbers[rising], pending[rising]
-    found, values = _labelled(numbers, classes.ordered())
+    found, values = labelled(numbers, classes.ordered())
     cells = np.bincount(found.ravel(), minlength=len(values) + 1)[1:]
     areas = _sums(found, sides, len(values))[0]
     kept = np.flatnonzero(cells >= min_cells)
@@ -170,8 +170,13 @@ def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _Side:
     return _Side(name, order, points[order], edges[:-1][place], edges[1:][place])
 
 
-def _labelled(numbers: NDArray[np.int32], classes: list[tuple[int, Any]]) -> tuple[NDArray[np.int32], list[Any]]:
-    """Connected sets of equal numbers, labelled from 1 on, class by class, and the value of each."""
+def labelled(
+    numbers: NDArray[np.signedinteger[Any]], classes: list[tuple[int, Any]]
+) -> tuple[NDArray[np.int32], list[Any]]:
+    """Connected sets of equal numbers above 0, labelled from 1 on in the order of classes, and the value of each set.
+
+    ``classes``: the numbers that occur, with their values.
+    """
     found = np.zeros(numbers.shape, np.int32)
     owners: list[Any] = []
     boxes = ndimage.find_objects(numbers)

@@ -103,14 +103,12 @@ class CurvePlane(OrbitRows):
         """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
         orbit: regime, period, impacts, symmetry; 0 elsewhere.
         """
-        from scipy import ndimage  # not for every command: it takes longer to load than all else
+        from atlas.query.connected import labelled  # not for every command: SciPy takes longer to load than all else
 
-        numbers, count = np.zeros(len(self.regime), dtype=np.int64), 0
-        for kind in np.unique(self.kind[self.proven]):
-            own, found = ndimage.label(((self.kind == kind) & self.proven).reshape(self.shape))
-            numbers += np.where(own > 0, own + count, 0).ravel()
-            count += found
-        return numbers
+        kinds = np.where(self.proven, self.kind + 1, 0).reshape(self.shape)
+        return (
+            labelled(kinds, [(kind, kind) for kind in np.unique(kinds[kinds > 0]).tolist()])[0].ravel().astype(np.int64)
+        )
 
     @cached_property
     def region_sizes(self) -> Cells:
