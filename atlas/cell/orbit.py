@@ -42,6 +42,7 @@ SECTION_STATES = 4000
 """Section states of a motion that does not close."""
 CONVERGENCE = (8000, 1000, 100, 10)
 """Forcing periods over which exponents are averaged: as many as in Li & Tan (2011), or fewer where they cost much."""
+_RECORD = 4096
 
 
 @dataclass(frozen=True)
@@ -201,38 +202,55 @@ def _running(system: System, parameters: Mapping[str, float], settings: Settings
 def path_of(
     system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
 ) -> tuple[Array, Array, Array]:
-    """Times, states and impacts from the parameters' initial state on, by the solver's own motion.
+    """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""
+    from workers.kernel.coordinates import blocks_to_physical, motion_from
+    from workers.kernel.motion import RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+    from workers.kernel.period import propagate
 
-    Impacts of a lone rigid contact, which make a velocity jump, have two points, before and after it.
-    """
+    if system.has_modes:
+        return _path_through_modes(system, parameters, periods, cycle)
+    osc = system.build(parameters)
+    start = np.array([parameters[name] for name in system.states])
+    motion = motion_from(osc, start, record=_RECORD)
+    times, states, impacts = [0.0], [start], []
+    samples = samples_of(system)
+    piece = osc.period / samples
+    for i in range(periods * samples):
+        # A piece of a period is a short motion from a section at another phase of the force.
+        begins = osc._replace(tau=osc.tau + (i % samples) * piece * osc.gap.omega)
+        ends = osc._replace(tau=osc.tau + (i % samples + 1) * piece * osc.gap.omega)
+        motion.tally[RECORDED], motion.tally[WORK] = 0.0, WORK_OF_A_TRIAL
+        propagate(begins, motion, piece)
+        if motion.tally[STATUS] != RUNNING:
+            raise InputError(f"period {i // samples}: this cell cannot be followed")
+        found = motion.impacts[: int(motion.tally[RECORDED])].copy()
+        before, after = states[-1], blocks_to_physical(ends, motion)
+        for t, side, speed in found[found[:, 2] > 0.0]:
+            mean = before + (after - before) * t / piece
+            for velocity in (side * speed, -osc.R * side * speed):
+                times.append(i * piece + t)
+                states.append(_at_stop(osc, mean, side, velocity))
+        found[:, 0] += i * piece
+        impacts.append(found)
+        times.append((i + 1) * piece)
+        states.append(after)
+    return np.array(times), np.array(states), np.concatenate(impacts)
+
+
+def _path_through_modes(
+    system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
+) -> tuple[Array, Array, Array]:
+    """The same of a machine whose law changes."""
     from workers.history import trace, within_periods
 
     followed = trace(system, parameters, periods, cycle=cycle)
     oscillators, _ = system.build_many(_given(system, parameters, cycle))
     samples = samples_of(system)
     since = oscillators.period[0] / samples * np.arange(1.0, samples + 1.0)
-    within = within_periods(oscillators, followed.states[:-1], since)
-    times = np.append(followed.times[0], followed.times[:-1, None] + since)
-    states = np.concatenate([followed.states[:1], within.reshape(-1, within.shape[-1])])
-    if not system.has_modes:
-        times, states = _with_jumps(one_of(oscillators, 0), times, states, followed.impacts)
-    return times, states, followed.impacts
-
-
-def _with_jumps(osc: Any, times: Array, states: Array, impacts: Array) -> tuple[Array, Array]:
-    """A path with two points at each impact: the state there, between its neighbours on the path, on the stop."""
-    at, side, speed = impacts[impacts[:, 2] > 0.0].T
-    place = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    share = (at - times[place - 1]) / (times[place] - times[place - 1])
-    means = states[place - 1] + share[:, None] * (states[place] - states[place - 1])
-    jumps = [
-        _at_stop(osc, mean, s, velocity)
-        for mean, s, v in zip(means, side, speed, strict=True)
-        for velocity in (s * v, -osc.R * s * v)
-    ]
-    place = np.repeat(place, 2)
-    new = np.insert(states, place, np.array(jumps).reshape(-1, states.shape[1]), axis=0)
-    return np.insert(times, place, np.repeat(at, 2)), new
+    states = within_periods(oscillators, followed.states[:-1], since)
+    times = followed.times[:-1, None] + since
+    states = np.concatenate([followed.states[:1], states.reshape(-1, states.shape[-1])])
+    return np.concatenate([followed.times[:1], times.ravel()]), states, followed.impacts
 
 
 def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
