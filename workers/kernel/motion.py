@@ -82,8 +82,11 @@ def record_type(kind: type, *fields: int | types.Type) -> types.NamedTuple:
 MODE = record_type(Mode, 2, 2, 1, 4)
 MOTION = record_type(Motion, 2, WHOLE[1], 3, 1, 2, 1, 2, 1, 2)
 TABLES, _HELD = typeof(no_table(1)), typeof(empty(NO_HELD, 1))
-OSCILLATOR = record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, row_type(_HELD), row_type(TABLES))
-"""Types of records in kernels; TABLES of many, all others of one."""
+OSCILLATOR, RIGID = (
+    record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, row_type(_HELD), table)
+    for table in (row_type(TABLES), types.none)
+)
+"""Types of records in kernels; TABLES of many, all others of one; RIGID without a table of modes."""
 
 
 @typeof_impl.register(HybridMachines)

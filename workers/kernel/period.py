@@ -26,6 +26,7 @@ from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.hybrid.motion import through_events
 from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.lend import rigid
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
@@ -36,7 +37,7 @@ from workers.kernel.motion import (
     MAX_SPEED,
     MIN_SPEED,
     MOTION,
-    OSCILLATOR,
+    RIGID,
     RUNNING,
     SPREAD,
     STARTED_BEYOND,
@@ -123,7 +124,7 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
     spend(tally, evaluations)
 
 
-@apart(OSCILLATOR, MOTION, types.float64)
+@apart(RIGID, MOTION, types.float64)
 def through_impacts(osc, motion, duration):
     """The one loop of mode, first guard and reset: see propagate."""
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
@@ -227,7 +228,7 @@ def propagate(osc, motion, duration):
     if has_modes(osc):
         through_events(osc, motion, duration)
     else:
-        through_impacts(osc, motion, duration)
+        through_impacts(rigid(osc), motion, duration)
 
 
 @inline_always

@@ -27,7 +27,7 @@ from workers.kernel.lanes.layout import (
 from workers.kernel.lanes.rounds import take_round
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.lanes.signal import fields_of_harmonic
-from workers.kernel.lend import lend
+from workers.kernel.lend import lend, rigid
 from workers.kernel.motion import (
     EVALUATIONS,
     FREE,
@@ -45,10 +45,10 @@ from workers.kernel.motion import (
     WORK,
     Motion,
 )
-from workers.kernel.period import advance
+from workers.kernel.period import through_impacts
 from workers.kernel.signal import all_forced
 from workers.kernel.tangent import log_length, loss_spread, spread_rate
-from workers.model.oscillator import COLUMN, NUMBER, OF_LANE, Array, Oscillator
+from workers.model.oscillator import COLUMN, HEAD, NUMBER, OF_LANE, Array, Oscillator
 
 NUMBERS = len(NUMBER)
 
@@ -165,11 +165,11 @@ def over(r, done, periods, tally):
 @inline_always
 def go_alone(batch, r):
     """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
-    motion, osc = row_of(batch.motions, r), row_of(batch.oscillators, r)
+    motion, osc = row_of(batch.motions, r), row_of(rigid(batch.oscillators), r)
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.blocks, motion.V, motion.growth) if vectors else 0.0
     while not over(r, batch.done, batch.periods, batch.motions.tally):
-        advance(osc, motion)
+        through_impacts(osc, motion, osc.head[HEAD.period])
         if motion.tally[STATUS] != RUNNING:
             return
         k = batch.done[r]
