@@ -116,13 +116,9 @@ class Chosen:
         there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in moved) for i in (1, 2))
         return f"no curves at {here}: a store has curves of its own plane alone, {there}"
 
-    def scaled(self, ends: Ends) -> MapLook:
-        """These ends of its scale, if it has one, as options of ``render.figure``."""
-        return {"vmin": ends[0], "vmax": ends[1]} if has_scale(self.kind) else {}
-
     def look(self, ends: Ends = (None, None)) -> MapLook:
         """How its picture looks with these ends of its scale, as options of ``render.figure``."""
-        look = self.scaled(ends)
+        look: MapLook = {"vmin": ends[0], "vmax": ends[1]} if has_scale(self.kind) else {}
         look["overlay"] = self.overlays
         if CURVES in self.overlays:
             look["curves"] = self.curves

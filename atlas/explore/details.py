@@ -25,7 +25,6 @@ from atlas.explore.motionpanel import MotionPanel
 from atlas.explore.panel import Panel
 from atlas.explore.state import Store
 from atlas.explore.style import POINTER, TEXT
-from atlas.explore.subject import SubjectPlane
 from atlas.explore.view import Sight
 from atlas.explore.words import cell_given, cell_line, cell_text, point_line
 
@@ -112,10 +111,6 @@ class Details(Panel[Point]):
         self._follow.offer(None)
         self.work(partial(self._detail, cell, self.soon()))
 
-    def _cell(self, plane: SubjectPlane, point: tuple[float, float]) -> Cell | None:
-        sight = self._sight()
-        return None if sight is None else self._explorer.known.cell(plane, sight, *point)
-
     def _choose_nearest(self, point: tuple[float, float]) -> Show:
         plane, sight = self._store.now.chosen.plane, self._sight()
         at = point if sight is None else self._explorer.known.point(plane, sight, *point)
@@ -123,7 +118,8 @@ class Details(Panel[Point]):
 
     def _detail(self, at: Point, soon: Callable[[Show], None]) -> Show:
         plane, point = at[0], at[1:]  # not the plane of now: a slider may have moved on
-        cell = self._cell(plane, point)
+        sight = self._sight()
+        cell = None if sight is None else self._explorer.known.cell(plane, sight, *point)
         if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
             cell = self._explorer.known.solved(plane, *point)
         soon(partial(self._show, cell, "drawing its portrait"))

@@ -112,15 +112,12 @@ class Painter:
         self._thread.join()
 
     def _plan_repaint(self, plane: SubjectPlane, key: TileKey) -> None:
-        if self._asked and self._concerns(self._asked[0], plane, key):
+        """Plan another picture if a solved tile is seen in the last one."""
+        if self._asked and plane == self._asked[0].plane and self.sight is not None and self.sight.shows(key):
             with self._changed:
                 self._view = next(self._views)
                 self._plan.setdefault(None, self._rested)
                 self._changed.notify()
-
-    def _concerns(self, chosen: Chosen, plane: SubjectPlane, key: TileKey) -> bool:
-        """Whether a tile is seen in a picture."""
-        return plane == chosen.plane and self.sight is not None and self.sight.shows(key)
 
     def _mistaken(self, error: str) -> None:
         """Report an exception of a picture, and plan the picture anew if it was not begun."""
