@@ -112,8 +112,8 @@ class Chosen:
         if self.plane == subject.plane or CURVES not in self.overlays:
             return ""
         own = dict(subject.plane.parameters)
-        moved = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
-        there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in moved) for i in (1, 2))
+        changes = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
+        there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in changes) for i in (1, 2))
         return f"no curves at {here}: a store has curves of its own plane alone, {there}"
 
     def look(self, ends: Ends = (None, None)) -> MapLook:

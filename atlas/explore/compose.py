@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class InView:
-    """The cells in view as a dataset, where they are, and how often halved in density each of them (y, x) is known.
+    """The cells in view as a dataset, where they are, and how often halved in density a cell (y, x) is known.
 
     stages   at most STAGES + 1, also of a cell that is not known at all
     of       names this view, which has the same cells each time

@@ -16,7 +16,7 @@ from atlas.errors import InputError
 from atlas.spec.axis import Axis
 
 LEAST_STEP = 64.0
-"""Points are at least so many units in the last place apart: closer ones are no longer evenly spaced."""
+"""Units in the last place between two points, at least: closer ones are no longer evenly spaced."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Lattice:
         return self.edges(0, 0, len(self.axis) - 1)
 
     def level(self, low: float, high: float, pixels: int) -> int:
-        """The deepest level whose cells are not finer than pixels, where a window is so many of them wide.
+        """The deepest level whose cells are not finer than pixels, where a window is ``pixels`` wide.
 
         A quarter of a halving is let pass, as where overviews are chosen.
         """

@@ -69,7 +69,7 @@ class Panel(Generic[A]):
         self._background.run(whole, self._current(self.refuse))
 
     def soon(self) -> Callable[[Show], None]:
-        """What has something shown at once, in a thread of ``work`` that goes on; ask for it before that begins."""
+        """A function that shows something during ``work``, in its thread; to be made before that begins."""
         return self._background.later(self._current(_do))
 
     def _current(self, act: Callable[..., None]) -> Callable[..., None]:

@@ -11,7 +11,7 @@ from atlas.explore.lattice import Lattice
 TILE = 32
 """Cells of a tile along each axis."""
 STAGES = 3
-"""So many coarser levels come first: an eighth, a quarter, a half of the full density."""
+"""Coarser levels that come first: an eighth, a quarter, a half of the full density."""
 MOST_TILES = 4096
 """Tiles of a level that are looked at at once, more than any screen takes."""
 

@@ -81,8 +81,8 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> Ticks:
 
 def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
     """Where a cell lies, by symbols: its axes, and the parameters by which its plane is not that of the subject."""
-    moved = [name for name, value in subject.plane.parameters if parameters[name] != value]
-    return {symbol_of(subject.system, name): number(parameters[name]) for name in (*subject.axes, *moved)}
+    changed = [name for name, value in subject.plane.parameters if parameters[name] != value]
+    return {symbol_of(subject.system, name): number(parameters[name]) for name in (*subject.axes, *changed)}
 
 
 def cell_line(cell: Cell, subject: Subject) -> str:

@@ -78,7 +78,7 @@ def unpack(packed: Packed, width: int) -> NDArray[np.generic]:
 
 
 def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
-    """Values to so many bits of the mantissa, the nearest, ties to even; values that are not finite stay."""
+    """Values to ``bits`` bits of the mantissa, the nearest, ties to even; values that are not finite stay."""
     exact = np.asarray(values, np.float64)
     if bits >= MANTISSA:
         return exact
@@ -94,8 +94,8 @@ def fit(
 ) -> tuple[dict[str, Packed], list[str]]:
     """Arrays, packed, of at most ``limit`` characters as texts where that can be, and the names of those left out.
 
-    They are exact where they fit. Otherwise floats lose digits, one after the other, always one of those that have
-    most: the one named ``first``, then the largest text, ``last`` the last. Those are left out that have no more
+    They are exact where they fit. Otherwise floats lose digits, one after the other, always one with the
+    most digits: the one named ``first``, then the largest text, ``last`` the last. Those are left out that have no more
     digits to lose.
     """
     packed = {name: pack(read()) for name, read in arrays.items()}

@@ -72,8 +72,8 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
 def check_path(path: Path) -> None:
     """InputError unless a page can be written there: to be asked before the work."""
     if path.suffix.lower() != ".html":
-        found = f"found {path.suffix!r}" if path.suffix else "found none"
-        raise InputError(f"{path.name}: the suffix of a page is .html, {found}")
+        suffix = f"found {path.suffix!r}" if path.suffix else "found none"
+        raise InputError(f"{path.name}: the suffix of a page is .html, {suffix}")
     check_writable(path)
 
 
