@@ -30,6 +30,11 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
+def text_repr(value: object) -> str:
+    """The text of a value for a terminal, as its repr: a notebook shows the last value of a cell by it."""
+    return str(value)
+
+
 def short_repr(value: Any) -> str:
     """A dataclass as a call with the fields that differ from their defaults, those apart that its repr leaves out."""
     shown = [entry for entry in fields(value) if entry.repr]

@@ -141,7 +141,8 @@ def regions(
         raise InputError(f"{class_}: must be {', '.join(_PATTERN)}, or one of them =VALUE{hint}")
     meant: object = read_whole("period", value) if equals and by == "period" else value if equals else None
     by, meant = asked_class(by, meant)
-    _check_csv(out)
+    if out is not None:
+        checked_suffix(out, [".csv"])
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query import connected
 
@@ -173,7 +174,8 @@ def extremes(
     as_json: bool,
 ) -> None:
     """Where a VARIABLE of STORE, such as largest, has its smallest and largest values, in each class of cells."""
-    _check_csv(out)
+    if out is not None:
+        checked_suffix(out, [".csv"])
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query.extremes import extremes as find
 
@@ -245,8 +247,3 @@ def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out
     if as_json:
         click.echo(to_json(message))
     return out is not None or as_json
-
-
-def _check_csv(out: Path | None) -> None:
-    if out is not None and out.suffix.lower() != ".csv":
-        raise InputError(f"{out.name}: a list is written as .csv, found {out.suffix or 'no suffix'}")

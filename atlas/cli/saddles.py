@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from atlas.arguments import checked_suffix
 from atlas.cli.options import (
     Bounds,
     Numbers,
@@ -62,8 +63,8 @@ def saddles(
     weights = checked_weights(norm, record)
     if out is None and box:
         raise InputError("--box needs --out: it bounds the manifolds")
-    if out is not None and out.suffix.lower() != ".csv":
-        raise InputError(f"{out.name}: found {out.suffix!r}, must end in .csv")
+    if out is not None:
+        checked_suffix(out, [".csv"])
     with solving(record, ATTRACTORS):
         results = find_saddles(
             pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=box

@@ -24,7 +24,7 @@ from atlas.store.parts import drop_parts, kept_parts, part_names
 from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.task.site import PartReceipt
-from atlas.text import duration, plural
+from atlas.text import duration, plural, text_repr
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -57,8 +57,7 @@ class CurvesSummary:
             "workers": self.workers,
         }
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = text_repr
 
     def __str__(self) -> str:
         facts = self.as_dict()

@@ -14,7 +14,7 @@ from atlas.store.archive import refuse_packed
 from atlas.store.location import Given
 from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, kernels_for
-from atlas.text import duration, plural
+from atlas.text import duration, plural, text_repr
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,7 @@ class LabelSummary:
         """What ``atlas attractors label --json`` prints."""
         return {"store": self.store, **asdict(self.count), "seconds": self.seconds}
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = text_repr
 
     def __str__(self) -> str:
         count = self.count

@@ -45,7 +45,7 @@ from atlas.store.store import Atlas
 from atlas.store.tiles import read_tile
 from atlas.task.site import PartReceipt
 from atlas.task.solving import kernels_of
-from atlas.text import duration, plural
+from atlas.text import duration, plural, text_repr
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ class MeasureSummary:
         given = {name: {k: v for k, v in request.items() if k != "content"} for name, request in self.requests.items()}
         return {"store": self.store, "measures": dict(self.measures), **given, **times}
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = text_repr
 
     def __str__(self) -> str:
         lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]

@@ -17,7 +17,7 @@ from atlas.store.groups import groups_of, read_group
 from atlas.store.location import Given, place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Atlas, chunk_key, done_tiles, open_handle
-from atlas.text import byte_size, plural
+from atlas.text import byte_size, plural, text_repr
 
 SHOWN = 3
 """Number of missing chunks that a message names."""
@@ -38,8 +38,7 @@ class PackSummary:
         """Whether every tile is finished."""
         return self.tiles_done == self.tiles
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = text_repr
 
     def __str__(self) -> str:
         packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"

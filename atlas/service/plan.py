@@ -18,7 +18,7 @@ from atlas.spec.system import unused_lines
 from atlas.store.location import Place
 from atlas.store.store import Atlas
 from atlas.store.tiling import Index, Tiling
-from atlas.text import byte_size, duration, html_table, plural
+from atlas.text import byte_size, duration, html_table, plural, text_repr
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
@@ -119,8 +119,7 @@ class Plan:
             "note": self.note,
         }
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = text_repr
 
     @property
     def rows(self) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from atlas.store.record import WIDTH
 from atlas.store.records import Records, by_name, count_tiles
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Atlas
-from atlas.text import duration, html_table
+from atlas.text import duration, html_table, text_repr
 from workers.results import REASONS, REGIMES
 
 
@@ -66,8 +66,7 @@ class Status:
     def _reported(self, name: str) -> float:
         return self.run.number(name) if self.run else 0
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = text_repr
 
     @property
     def rows(self) -> list[tuple[str, str]]:

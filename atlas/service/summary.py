@@ -9,7 +9,7 @@ from typing import Any
 from atlas.service.plan import Plan
 from atlas.service.progress import Progress, reason_lines
 from atlas.task.task import Receipt
-from atlas.text import duration, plural, shares
+from atlas.text import duration, plural, shares, text_repr
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,7 @@ class Summary:
         """Share of the workers' time spent solving: the rest is writing, queues and waiting for the last tile."""
         return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = text_repr
 
     def __str__(self) -> str:
         done = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"

@@ -328,7 +328,7 @@ def test_the_command_writes_a_list_as_csv(handle: store.Atlas, tmp_path: Path, q
         (("regions", "omega=1:2"), "--window omega=1:2 limits an axis"),
         (("regions", "period=many"), "period: found 'many', must be a whole number"),
         (("regions", "period", "--min-cells", "0"), "min_cells: found 0, must be a whole number of cells"),
-        (("regions", "period", "-o", "a.nc"), "a.nc: a list is written as .csv, found .nc"),
+        (("regions", "period", "-o", "a.nc"), "a.nc: the suffix chooses the format, found '.nc'; possible: .csv"),
         (("extremes", "largest", "--by", "place"), "place"),
     ],
 )

@@ -200,7 +200,7 @@ def test_bad_input_is_one_line() -> None:
         atlas.saddles(system="capsule")
     for words, message in (
         (["--box", "x=0:1"], "--box needs --out"),
-        (["-o", "a.png"], "a.png: found '.png', must end in .csv"),
+        (["-o", "a.png"], "a.png: the suffix chooses the format, found '.png'; possible: .csv"),
     ):
         shown = CliRunner().invoke(main, ["attractors", "saddles", *words])
         assert (shown.exit_code, shown.stdout) == (2, "") and message in shown.stderr
