@@ -153,20 +153,19 @@ def called(
 ) -> Iterator[tuple[Atlas, RunOptions, ExitStack]]:
     """The beginning of a call that works on a store: its handle, its options with a reporter of progress, and a stack.
 
-    The stack is closed when the call ends. InputError for a client that contradicts the options, and without an atlas.
+    The stack is closed when the call ends. The handle waits ``options.patience`` seconds for a server that does not
+    answer. InputError for a client that contradicts the options, and without an atlas.
     """
     leave_if_bootstrapping()
     check_client(client, options)
     with reporting(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
-        yield waiting_handle(store, options), options, stack
-
-
-def waiting_handle(store: "Given | Atlas", options: RunOptions) -> Atlas:
-    """The handle of the store of a call; it waits ``options.patience`` seconds for a server that does not answer."""
-    if isinstance(store, Atlas):
-        return store.at(waiting(store.place, options.patience))
-    return open_handle(waiting(place_of(store, storage_options=options.storage_options), options.patience))
+        if isinstance(store, Atlas):
+            handle = store.at(waiting(store.place, options.patience))
+        else:
+            place = place_of(store, storage_options=options.storage_options)
+            handle = open_handle(waiting(place, options.patience))
+        yield handle, options, stack
 
 
 @contextmanager

@@ -1,12 +1,11 @@
 """Labelling the attractors of a finished atlas, in this process, into its store."""
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Unpack
 
 from atlas.orbits.labels.table import Count, labels_of, stored_count, write_labels
-from atlas.service.crew import claimed_place, waiting_handle
-from atlas.service.notebook import reporting
+from atlas.service.crew import called, claimed_place
 from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.system import must_offer
@@ -54,10 +53,7 @@ def label_attractors(
 
     Returns at once if the store has labels. Raises InputError if the store is not a finished atlas of all attractors.
     """
-    options = chosen(options, fields)
-    with reporting(options.on_progress) as report:
-        options = replace(options, on_progress=report)
-        handle = waiting_handle(store, options)
+    with called(store, None, chosen(options, fields)) as (handle, options, _):
         stored = stored_count(handle)
         if stored is not None:
             return LabelSummary(str(handle.place), stored)
