@@ -13,11 +13,14 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
+from atlas.cell.command import point_words
 from atlas.cli.main import main
 from atlas.cli.output import to_json
 from atlas.service.timing import TIMING, Timing
 from rig.faults import ATLAS
 from tests.paths import ROOT
+from workers import Settings
+from workers.model.system import find_system
 from workers.results import PERIODS_SPENT, REASONS
 
 SPEC = """
@@ -146,6 +149,17 @@ def test_render_writes_the_picture_and_names_it(folder: Path) -> None:
     shown = call("plot", folder / "out.zarr", "-o", folder / "map.png")
     assert (shown.exit_code, shown.stdout.strip()) == (0, str(folder / "map.png"))
     assert (folder / "map.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_words_of_a_point_name_what_is_not_the_default_and_nothing_else() -> None:
+    system = find_system("two-mass")
+    defaults = {parameter.name: parameter.default for parameter in system.parameters}
+    assert point_words(system, defaults, Settings()) == ["atlas", "point"]
+    found = point_words(system, defaults | {"R": 0.1 + 0.2}, Settings(max_periods=300, exponents="spectrum"), ["b"])
+    assert sorted(zip(found[2::2], found[3::2], strict=True)) == [
+        ("--exponents", "spectrum"), ("--max-periods", "300"), ("--set", "R=0.30000000000000004"),
+        ("--set", f"b={defaults['b']!r}"),
+    ]  # fmt: skip
 
 
 def test_point_gives_every_result_of_one_cell() -> None:

@@ -1,5 +1,6 @@
 """Claims about saddles between basins and their stable manifolds: motions to either side, branches, differences."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.robustness import saddles as of_saddles
 from atlas.robustness import tracking
 from atlas.robustness.manifold import OUTSIDE
+from atlas.robustness.saddles import manifold_of
 from workers import solve_tile, trace
 
 RIGID = {"omega": 1.1, "A": 0.15}
@@ -183,6 +186,23 @@ def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
     assert found is not None and found.period == 1
     assert sorted(found.multipliers.real) == pytest.approx([-0.9, 3.0], rel=1e-12)
     assert found.states == pytest.approx(np.array([[1.0, 0.0]]), abs=1e-10)
+
+
+@pytest.mark.parametrize(("inner", "turns"), [(0.9, 7), (-0.9, 8), (-0.85, 6), (-0.4, 2), (0.4, 1)])
+def test_a_manifold_is_grown_by_a_power_of_the_map_that_keeps_its_sides(
+    inner: float, turns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The least power whose inner multiplier is between 0 and 1/2: odd powers of a negative one change sides."""
+    taken = list[int]()
+    machine = SimpleNamespace(images=lambda states, periods: taken.append(periods) or states)
+    monkeypatch.setattr("atlas.robustness.section_map.SectionMap", lambda oscillator: machine)
+    monkeypatch.setattr("atlas.robustness.manifold.grow", lambda image, state, *_: image(state))
+    monkeypatch.setattr(of_saddles, "_beyond_stops", lambda *_: (np.zeros(2), np.ones(2)))
+    monkeypatch.setattr(of_saddles, "_across", lambda *_: None)
+    table, one = SimpleNamespace(cell=SimpleNamespace(oscillator=None)), np.ones((1, 2))
+    saddle = SimpleNamespace(weights=np.ones(2), multipliers=np.array([3.0, inner]), period=3, states=one, along=one)
+    manifold_of(table, saddle, (np.zeros(2), np.ones(2)))  # type: ignore[arg-type]
+    assert set(taken) == {3 * turns} and 0.0 < inner**turns <= 0.5
 
 
 def test_a_cell_with_one_attractor_has_no_saddle_and_says_why() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import atlas
 from atlas.orbits.curves.finish import as_curve
 from atlas.orbits.curves.following import Followed, Located, follow_event, lies_on, with_own_ends
-from atlas.orbits.curves.near import Passing, orbits_beside
+from atlas.orbits.curves.near import Passing, orbits_beside, passed
 from atlas.orbits.curves.record import curve_as_json, curve_from_json
 from tests.orbits.branches.test_branches_onward import along_amplitude, pushed
 from tests.workers.continuation.test_hybrid_branches import machine
@@ -268,3 +269,13 @@ def test_a_place_on_a_chord_over_a_change_has_the_orbit_of_the_nearer_end(follow
     orbits, values = orbits_beside([Passing(followed, k, 0.2), Passing(followed, k, 0.8)])
     assert [orbit.itinerary for orbit in orbits] == [followed.orbits[j].itinerary for j in (k, k + 1)]
     assert np.array_equal(values, followed.values[k : k + 2])
+
+
+def test_a_curve_passes_the_edges_within_one_cell_of_it_and_no_others() -> None:
+    """A diagonal: the point (5, 5 - 2 d) is d cells away along either axis, nearest at the middle between them."""
+    line = SimpleNamespace(places=lambda values: values)
+    away = np.array([0.0, 0.9, 1.1, 1.9])
+    edges, chords, shares = passed(line, np.array([[0.0, 0.0], [4.5, 4.5], [10.0, 10.0]]),
+                                   np.stack([np.full(4, 5.0), 5.0 - 2.0 * away], axis=1))  # type: ignore[arg-type]  # fmt: skip
+    assert (edges.tolist(), chords.tolist()) == ([0, 1], [1, 0])
+    assert shares == pytest.approx([0.5 / 5.5, 4.1 / 4.5])
