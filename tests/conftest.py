@@ -1,5 +1,6 @@
 """What several test files share: one in-process Dask client, a small plane, and its store."""
 
+import gc
 import json
 import os
 import shutil
@@ -14,10 +15,12 @@ from distributed import Client, LocalCluster
 
 import atlas
 from atlas.service import cluster
+from atlas.task.compile import YOUNG_OBJECTS
 from rig.browser import started
 from tests.planes import plane_of
 
 dask.config.set({"distributed.worker.profile.enabled": False})  # as local_cluster does, for clusters in this process
+gc.set_threshold(YOUNG_OBJECTS)
 cluster.DASHBOARD = "127.0.0.1:0"  # several tests at once: at a port that is taken Dask leaves a socket open
 
 HERE = Path(__file__).parent
@@ -62,6 +65,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     longest = json.loads(DURATIONS.read_text()).get(config.option.markexpr, {})
     places = {name: place for place, name in enumerate(longest)}
     items.sort(key=lambda item: places.get(item.path.relative_to(HERE).as_posix(), len(places)))
+    gc.collect()
+    gc.freeze()  # all modules and tests: every later search would go through them
 
 
 @pytest.fixture(scope="session")
