@@ -67,13 +67,13 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
     spec = Spec("two-mass", axes=axes, store={"tile": [tile, tile]})
     handle = find(path) or create(path, spec, (tile, tile))
     done = done_tiles(handle)
-    missing = [each for each in handle.tiling.tiles() if each.index not in done]
+    missing = [due for due in handle.tiling.tiles() if due.index not in done]
     begin = time.perf_counter()
     overviews = Overviews(handle)
-    for count, each in enumerate(missing):
+    for count, due in enumerate(missing):
         if count % 100 == 0:
             print(f"writing tile {count} of {len(missing)}", file=sys.stderr)
-        write_tile(handle, each.index, synthetic(spec, each))
+        write_tile(handle, due.index, synthetic(spec, due))
     put_together(handle)
     middle = time.perf_counter()
     print("writing overviews", file=sys.stderr)

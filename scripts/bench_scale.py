@@ -276,7 +276,7 @@ def _status(url: str, server: ObjectStore, whose: str, tiles: int) -> tuple[str,
         found = census.take(settled=settled)
         assert found.tiles_done == tiles
         looks.append(counted.columns())
-    seconds, requests = (", ".join(each) for each in zip(*looks, strict=True))
+    seconds, requests = (", ".join(column) for column in zip(*looks, strict=True))
     return f"status of {whose}, first and next", seconds, requests
 
 

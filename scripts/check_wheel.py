@@ -46,7 +46,7 @@ def run(*command: str | Path, folder: Path) -> str:
         list(map(str, command)), cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         encoding="utf-8", errors="replace", check=False,
     )  # fmt: skip
-    print(f"{'ok' if done.returncode == 0 else 'FAILED'}: {' '.join(Path(each).name for each in map(str, command))}")
+    print(f"{'ok' if done.returncode == 0 else 'FAILED'}: {' '.join(Path(word).name for word in map(str, command))}")
     if done.returncode:
         sys.exit(done.stdout[-4000:])
     return done.stdout

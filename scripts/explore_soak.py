@@ -78,11 +78,11 @@ def processes(workers: int) -> Iterator[tuple[str, int, list[int]]]:
         for name, *words in lines
     ]
     try:
-        yield address, started[0].pid, [each.pid for each in started[1:]]
+        yield address, started[0].pid, [process.pid for process in started[1:]]
     finally:
-        for each in started:
-            each.kill()
-            each.wait()
+        for process in started:
+            process.kill()
+            process.wait()
 
 
 class Visitor:
@@ -164,7 +164,7 @@ class Report:
     def line(self) -> None:
         """Say how it stands."""
         explorer = self._running.explorer
-        memory = resident(os.getpid()), resident(self._scheduler), max(resident(each) for each in self._workers)
+        memory = resident(os.getpid()), resident(self._scheduler), max(resident(worker) for worker in self._workers)
         self._memory.append(memory)
         self._minutes.append(self.seconds / 60.0)
         server, scheduler, worker = memory

@@ -81,7 +81,7 @@ def make(picture: str, page: Path, done: set[str]) -> None:
             print(f"== {line}", flush=True)
             subprocess.run(shlex.split(line), cwd=FOLDER, env=environment, check=True)
             done.add(line)
-    written = next(each for each in (FOLDER / picture, FOLDER / "docs" / picture) if each.exists())
+    written = next(path for path in (FOLDER / picture, FOLDER / "docs" / picture) if path.exists())
     shutil.move(written, DOCS / picture)
     done.discard(commands(picture, page)[-1])
 

@@ -39,8 +39,8 @@ class Mutation(NamedTuple):
 
 
 MUTATIONS = tuple(
-    Mutation(*each)
-    for each in (
+    Mutation(*row)
+    for row in (
         ("atlas/text.py", "if whole < 3600:", "if whole < 360:", "interface/test_text.py"),
         ("atlas/arguments.py", "and int(n) >= 1 for n in sizes", "and int(n) >= 0 for n in sizes", "interface/test_arguments.py"),
         ("atlas/spec/cells.py", "if not edges[0] <= value <= edges[-1]:", "if not edges[0] < value < edges[-1]:", "query/test_query.py spec/test_axes.py"),
@@ -123,7 +123,7 @@ def outcome(mutation: Mutation, folder: Path) -> str:
 
 def passes(tests: str, folder: Path) -> bool:
     """Whether tests pass with the packages of a folder, if it has any; SystemExit if none could run."""
-    paths = [f"tests/{each}" for each in tests.split()]
+    paths = [f"tests/{name}" for name in tests.split()]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider"]
     command += [f"--basetemp={folder / 'tests'}", "-o", f"pythonpath={folder} {ROOT}", *paths]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(folder), str(ROOT)))}
@@ -155,20 +155,20 @@ def main() -> int:
     given = parser.parse_args()
     end, sound = time.monotonic() + 60.0 * given.minutes, set[str]()
     found = {"caught": 0, "missed": 0, "stale": 0, "not tried": 0}
-    for each in MUTATIONS:
-        if given.part and not any(part in each.file for part in given.part):
+    for mutation in MUTATIONS:
+        if given.part and not any(part in mutation.file for part in given.part):
             continue
         became = "not tried"
         if not given.list and time.monotonic() < end:
-            if not given.trust and each.tests not in sound:
+            if not given.trust and mutation.tests not in sound:
                 with TemporaryDirectory(prefix="mutations-") as folder:
-                    if not passes(each.tests, Path(folder)):
-                        raise SystemExit(f"{each.tests}: fails without a mutation")
-                sound.add(each.tests)
+                    if not passes(mutation.tests, Path(folder)):
+                        raise SystemExit(f"{mutation.tests}: fails without a mutation")
+                sound.add(mutation.tests)
             with TemporaryDirectory(prefix="mutations-") as folder:
-                became = outcome(each, Path(folder))
+                became = outcome(mutation, Path(folder))
         found[became] += 1
-        print(f"{became}: {each.file}: {each.old!r} -> {each.new!r}  ({each.tests})", flush=True)
+        print(f"{became}: {mutation.file}: {mutation.old!r} -> {mutation.new!r}  ({mutation.tests})", flush=True)
     print(", ".join(f"{count} {name}" for name, count in found.items()))
     return 1 if found["missed"] or found["stale"] else 0
 

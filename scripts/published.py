@@ -31,9 +31,11 @@ def run(names: Sequence[str]) -> dict[str, Any]:
         began = time.perf_counter()
         found[name] = BY_NAME[name].run()
         print(f"{name}: {agreement(found[name])} agree ({time.perf_counter() - began:.1f} s)", flush=True)
-        for each in found[name]["statements"]:
-            if not each["agrees"]:
-                print(f"    {each['text']}: reference {each['reference']}, ours {each['ours']}", flush=True)
+        for statement in found[name]["statements"]:
+            if not statement["agrees"]:
+                print(
+                    f"    {statement['text']}: reference {statement['reference']}, ours {statement['ours']}", flush=True
+                )
     return found
 
 
@@ -42,7 +44,7 @@ def kept() -> dict[str, Any]:
     if not RESULTS.exists():
         return {}
     results = json.loads(RESULTS.read_text())
-    return {each["name"]: each for each in results["entries"]} if results["solver_version"] == SOLVER_VERSION else {}
+    return {entry["name"]: entry for entry in results["entries"]} if results["solver_version"] == SOLVER_VERSION else {}
 
 
 def write(found: dict[str, Any]) -> None:

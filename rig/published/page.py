@@ -54,7 +54,7 @@ def summary(entries: list[Record]) -> str:
 
 def agreement(entry: Record) -> str:
     """Number of agreeing statements of an entry, of all."""
-    return f"{sum(each['agrees'] for each in entry['statements'])} of {len(entry['statements'])}"
+    return f"{sum(statement['agrees'] for statement in entry['statements'])} of {len(entry['statements'])}"
 
 
 def section(entry: Record) -> str:

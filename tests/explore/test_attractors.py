@@ -94,7 +94,7 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
         shown = explorer.known.seen(subject.plane, sight, ["largest"]).ds
     assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
     handle = open_handle(coexistence)
-    assert all(open_handle(sheet_place(handle, *each)).spec.attractors is None for each in sheets(handle))
+    assert all(open_handle(sheet_place(handle, *sheet)).spec.attractors is None for sheet in sheets(handle))
     assert atlas.verify(coexistence, sample=1).fine
 
 

@@ -148,7 +148,7 @@ def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subje
     rows, found = question.read(question.function(question.value))
     assert (rows, question.cells) == (slice(1, 3), 10)
     states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
-    periods = [atlas.point({**grid.parameters, **each}, settings=subject.settings)["period"] for each in states]
+    periods = [atlas.point({**grid.parameters, **state}, settings=subject.settings)["period"] for state in states]
     labels = found.ravel().tolist()
     assert min(labels) >= 0 and len(set(periods)) == 2
     of_label = {label: {p for p, k in zip(periods, labels, strict=True) if k == label} for label in labels}

@@ -47,7 +47,7 @@ def followed(tab: Tab) -> tuple[str, float, float, int, float]:
 
 def data(tab: Tab, name: str) -> dict[str, Any]:
     """The data of the source that has a column of this name."""
-    return next(dict(each) for each in tab.models("ColumnDataSource", "data") if name in each)
+    return next(dict(model) for model in tab.models("ColumnDataSource", "data") if name in model)
 
 
 def handle(tab: Tab) -> Any:
@@ -135,8 +135,8 @@ def test_a_link_opens_the_followed_orbit_again_back_leads_there_and_escape_ends_
 def test_the_machine_moves_on_the_orbit_that_is_followed(tab: Tab) -> None:
     start(tab)
     tab.page.get_by_role("button", name="move the machine").first.click()
-    places = [each for each in tab.models("ColumnDataSource", "data") if "at" in each]
-    tab.until(lambda: [each for each in tab.models("ColumnDataSource", "data") if "at" in each] != places)
+    places = [model for model in tab.models("ColumnDataSource", "data") if "at" in model]
+    tab.until(lambda: [model for model in tab.models("ColumnDataSource", "data") if "at" in model] != places)
     handle(tab).focus()
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: followed(tab)[3] == -1)

@@ -39,7 +39,7 @@ def test_each_file_counts_as_a_whole_block_so_that_the_budget_bounds_files_too(h
 
 
 def test_the_command_and_python_have_the_same_budget() -> None:
-    (limit,) = [each.default for each in explore.params if each.name == "limit"]
+    (limit,) = [param.default for param in explore.params if param.name == "limit"]
     assert limit * GB == signature(session).parameters["most_bytes"].default == MOST_BYTES
 
 

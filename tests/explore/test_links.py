@@ -62,8 +62,8 @@ def proxy(port: int) -> Iterator[int]:
         listening.shutdown(socket.SHUT_RDWR)
         listening.close()
         thread.join()
-        for each in ends:
-            each.close()
+        for end in ends:
+            end.close()
 
 
 def test_back_leads_to_the_view_at_which_one_rested_and_not_to_those_between(tab: Tab) -> None:

@@ -209,7 +209,7 @@ def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(f
             assert len(tiles) > 3 and explorer.tiles.keeper.waiting == len(tiles)
             assert explorer.want("page", plane, sight, range(3, -1, -1)) == 0
             arrays = [explorer.tiles.whole(plane, key) for key in tiles]
-        assert all(each is not None and (each[REGIME.name] != PENDING).all() for each in arrays)
+        assert all(array is not None and (array[REGIME.name] != PENDING).all() for array in arrays)
 
 
 @pytest.mark.slow

@@ -66,8 +66,8 @@ def test_the_help_of_a_command_ends_with_lines_that_can_be_typed(path: tuple[str
 
 @pytest.mark.parametrize("path", all_commands(), ids=" ".join)
 def test_every_option_of_a_command_says_what_it_does(path: tuple[str, ...]) -> None:
-    options = [each for each in all_commands()[path].params if isinstance(each, click.Option)]
-    assert not [each.name for each in options if not each.help]
+    options = [param for param in all_commands()[path].params if isinstance(param, click.Option)]
+    assert not [option.name for option in options if not option.help]
 
 
 def test_every_kind_and_overlay_has_a_meaning_in_the_help() -> None:

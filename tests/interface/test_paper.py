@@ -119,7 +119,7 @@ def test_the_render_command_takes_overlays_and_a_second_atlas(
         ["forward.zarr", "-o", "both.png", "--against", "backward.zarr"],
     ]
     for store, dash, out, *options in drawn:
-        words = [str(tmp_path / each) if each.endswith(".zarr") else each for each in options]
+        words = [str(tmp_path / option) if option.endswith(".zarr") else option for option in options]
         result = runner.invoke(main, ["plot", str(tmp_path / store), dash, str(tmp_path / out), *words])
         assert result.exit_code == 0, result.output
         assert (tmp_path / out).exists()

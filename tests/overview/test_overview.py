@@ -293,7 +293,7 @@ def test_a_store_with_overviews_opens_as_a_tree_of_datasets(shared: store.Atlas)
         xr.testing.assert_identical(tree.to_dataset(), xr.open_zarr(shared.path))
         scales = tree["overviews"].attrs["multiscales"][0]
     assert scales["axes"] == ["b", "omega"]
-    assert [each["path"] for each in scales["datasets"]] == ["..", "1", "2", "3"]
+    assert [dataset["path"] for dataset in scales["datasets"]] == ["..", "1", "2", "3"]
     assert scales["datasets"][2]["scale"] == [4, 4]
 
 

@@ -53,7 +53,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> store.Atlas:
 
 
 def answered(*arguments: object, code: int = 0) -> str:
-    result = CliRunner().invoke(main, [str(each) for each in arguments])
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert result.exit_code == code, result.output
     return result.output
 

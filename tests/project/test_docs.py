@@ -166,8 +166,8 @@ def test_the_page_of_modules_lists_each_with_a_sentence() -> None:
 def test_every_variable_regime_and_reason_is_explained() -> None:
     explained = {name for page in ("data.md", "regimes.md") for name in spans(ROOT / "docs" / page)}
     settings = [Settings(exponents="spectrum", method="fixed", section_samples=1), Settings(exponents="none")]
-    variables = {variable.name for each in settings for variable in result_variables(each)}
-    variables |= {each.name for each in ALLOWANCES}
+    variables = {variable.name for setting in settings for variable in result_variables(setting)}
+    variables |= {allowance.name for allowance in ALLOWANCES}
     assert (variables | {reason.name for reason in REASONS}) <= explained
     regimes = re.findall(r"^\| (-?\d+) \| (\w+) \|", (ROOT / "docs/regimes.md").read_text(), re.MULTILINE)
     assert [(int(code), name) for code, name in regimes] == [(regime.code, regime.name) for regime in REGIMES]

@@ -41,7 +41,7 @@ def test_every_python_from_the_oldest_that_is_allowed_on_is_classified() -> None
 
 
 def test_what_builds_the_pages_is_pinned() -> None:
-    names = [re.split(r"[><=\[]", each)[0] for each in PROJECT["project"]["optional-dependencies"]["docs"]]
+    names = [re.split(r"[><=\[]", line)[0] for line in PROJECT["project"]["optional-dependencies"]["docs"]]
     pinned = (ROOT / "constraints.txt").read_text().lower()
     assert not [name for name in names if f"\n{name}==" not in pinned]
 

@@ -67,7 +67,9 @@ def test_there_are_at_least_twelve_entries_of_nine_works() -> None:
 
 
 def test_every_difference_has_a_reason() -> None:
-    differing = [each for entry in BY_STORED.values() for each in entry["statements"] if not each["agrees"]]
+    differing = [
+        statement for entry in BY_STORED.values() for statement in entry["statements"] if not statement["agrees"]
+    ]
     assert differing and all(each["reason"] for each in differing)
 
 
@@ -333,11 +335,11 @@ def test_the_impact_damper_breaks_its_symmetry_and_flutters_where_the_closed_for
 
 def test_the_exponents_of_fig_3_are_those_of_multiprecision_arithmetic() -> None:
     (orbit,) = (each for each in symmetric_orbit(naive.FIGURES[3]) if each.exponents[0] < 0)
-    assert [float(each) for each in orbit.exponents] == pytest.approx(li_tan_2011.FIG_3, abs=1e-14)
+    assert [float(exponent) for exponent in orbit.exponents] == pytest.approx(li_tan_2011.FIG_3, abs=1e-14)
 
 
 def test_the_symmetric_orbit_of_fig_6_has_a_multiplier_one_where_it_breaks_its_symmetry() -> None:
-    omega = next(each["reference"] for each in BY_STORED["li-tan-2011-fig6"]["statements"])
+    omega = next(statement["reference"] for statement in BY_STORED["li-tan-2011-fig6"]["statements"])
     with mp.workdps(40):
         near = [
             min(abs(value - 1) for value in orbit.multipliers)

@@ -211,7 +211,7 @@ def test_the_table_has_shares_mirror_images_and_section_points(solved: Path) -> 
 
 def test_a_plane_of_initial_states_says_how_mixed_it_is(solved: Path) -> None:
     found = atlas.open(solved).atlas.basin_measures()
-    assert sum(each["share"] for each in found["attractors"]) + found["unknown"] == pytest.approx(1.0)
+    assert sum(attractor["share"] for attractor in found["attractors"]) + found["unknown"] == pytest.approx(1.0)
     assert 0.0 < found["entropy"] <= math.log(len(found["attractors"]))
     assert found["attractors"][0]["regime"] == "periodic"
 

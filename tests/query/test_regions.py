@@ -66,11 +66,11 @@ def test_a_window_has_its_cells_area_share_centre_and_box() -> None:
 
 
 def test_cells_that_share_a_corner_only_are_two_regions() -> None:
-    assert [each["cells"] for each in regions(periods([[3, 0], [0, 3]]), "period", 3)] == [1, 1]
+    assert [region["cells"] for region in regions(periods([[3, 0], [0, 3]]), "period", 3)] == [1, 1]
 
 
 def test_neighbours_of_different_periods_are_two_regions() -> None:
-    assert [each["period"] for each in regions(periods([[2, 2, 3]]), "period")] == [2, 3]
+    assert [region["period"] for region in regions(periods([[2, 2, 3]]), "period")] == [2, 3]
 
 
 def test_regions_of_all_regimes_are_those_of_a_flood() -> None:
@@ -114,7 +114,7 @@ def test_a_window_at_the_edge_of_the_part_that_was_asked_for_is_cut_by_it() -> N
 
 def test_a_window_next_to_pending_cells_may_go_on_there() -> None:
     ds = plane([1, 2, 3], [0.1, 0.2, 0.3], [[C, C, C], [C, P, Q], [C, C, C]])
-    found = {each["regime"]: each["cut"] for each in regions(ds)}
+    found = {region["regime"]: region["cut"] for region in regions(ds)}
     assert found["periodic"] == ["pending cells"]
     assert set(found) == {"periodic", "chaotic"}
 
@@ -142,7 +142,7 @@ def test_labels_are_those_of_the_list() -> None:
 
 def test_small_regions_are_left_out_where_asked() -> None:
     ds = periods([[3, 0, 3, 3]])
-    assert [each["cells"] for each in regions(ds, "period", min_cells=2)] == [2]
+    assert [region["cells"] for region in regions(ds, "period", min_cells=2)] == [2]
     assert labels(ds, "period", min_cells=2).values.tolist() == [[0, 0, 1, 1]]
 
 
@@ -151,8 +151,12 @@ def test_regions_of_impacts_are_named_n_p_q_and_all_that_stick_are_one_class() -
         impacts_upper=(("b", "omega"), [[1, 2, -1, -1]]), impacts_lower=(("b", "omega"), [[1, 1, -1, -1]])
     )
     ds["period"][0, 3] = 3
-    assert {each["impacts"]: each["cells"] for each in regions(ds, "impacts")} == {"1-1-1": 1, "1-2-1": 1, "sticks": 2}
-    assert [each["impacts"] for each in regions(ds, "impacts", "1-2-1")] == ["1-2-1"]
+    assert {region["impacts"]: region["cells"] for region in regions(ds, "impacts")} == {
+        "1-1-1": 1,
+        "1-2-1": 1,
+        "sticks": 2,
+    }
+    assert [region["impacts"] for region in regions(ds, "impacts", "1-2-1")] == ["1-2-1"]
 
 
 def test_a_sweep_has_regions_too() -> None:
@@ -228,7 +232,7 @@ def test_tiles_that_records_say_enough_of_are_not_read(tmp_path: Path) -> None:
 def test_regions_by_records_are_those_of_the_cells(tmp_path: Path) -> None:
     ds = atlas.open(recorded(tmp_path / "a.zarr").path)
     assert regions(ds, "regime") == regions(ds.copy(deep=True).load(), "regime")
-    assert any("pending cells" in each["cut"] for each in regions(ds, "regime"))
+    assert any("pending cells" in region["cut"] for region in regions(ds, "regime"))
 
 
 # Extremes
@@ -246,18 +250,18 @@ def test_extremes_of_a_regime_name_the_cell_its_value_and_its_error() -> None:
 
 def test_extremes_of_the_plane_are_those_of_all_cells_with_a_class() -> None:
     ds = plane([1, 2], [0.1, 0.2], [[UNDETERMINED, P], [C, Q]])
-    assert [(each["value"], each["cells"]) for each in extremes(ds, "largest", "all")] == [(1.0, 2), (2.0, 2)]
+    assert [(extreme["value"], extreme["cells"]) for extreme in extremes(ds, "largest", "all")] == [(1.0, 2), (2.0, 2)]
 
 
 def test_an_infinite_exponent_is_no_extreme() -> None:
     ds = plane([1, 2], [0.1], [[P, P]])
     ds["largest"][0, 0] = -np.inf
-    assert [each["value"] for each in extremes(ds, "largest")] == [1.0, 1.0]
+    assert [extreme["value"] for extreme in extremes(ds, "largest")] == [1.0, 1.0]
 
 
 def test_impacts_that_are_infinitely_many_are_no_smallest_number() -> None:
     ds = periods([[1, 1, 1]]).assign(impacts_upper=(("b", "omega"), [[-1, 2, 5]]))
-    assert [each["value"] for each in extremes(ds, "impacts_upper", "all")] == [2, 5]
+    assert [extreme["value"] for extreme in extremes(ds, "impacts_upper", "all")] == [2, 5]
 
 
 def test_extremes_for_each_period_come_by_period() -> None:
@@ -309,7 +313,7 @@ def test_the_command_gives_regions_as_json(handle: store.Atlas) -> None:
 
 def test_the_command_gives_extremes_as_json(handle: store.Atlas) -> None:
     message = json.loads(call("find", "extremes", handle.path, "largest", "--by", "all", "--json").stdout)
-    assert (message["variable"], [each["extreme"] for each in message["extremes"]]) == (
+    assert (message["variable"], [extreme["extreme"] for extreme in message["extremes"]]) == (
         "largest",
         ["smallest", "largest"],
     )
@@ -341,8 +345,8 @@ def test_a_bad_question_is_answered_with_one_line(handle: store.Atlas, args: tup
 def test_python_gives_regions_and_extremes_as_data_frames(handle: store.Atlas) -> None:
     ds = atlas.open(handle.path)
     found, ends = ds.atlas.regions("period"), ds.atlas.extremes("largest", "all")
-    assert found["cells"].tolist() == [each["cells"] for each in regions(ds, "period")]
-    assert found["centre_omega"].tolist() == [each["centre"]["omega"] for each in regions(ds, "period")]
+    assert found["cells"].tolist() == [region["cells"] for region in regions(ds, "period")]
+    assert found["centre_omega"].tolist() == [region["centre"]["omega"] for region in regions(ds, "period")]
     assert ends["extreme"].tolist() == ["smallest", "largest"]
 
 

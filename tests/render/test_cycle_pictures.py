@@ -100,8 +100,8 @@ def test_basins_without_a_force_show_the_whole_cycle_and_are_sound(tmp_path: Pat
     ds = atlas.open(tmp_path / "belt.zarr")
     assert atlas.verify(tmp_path / "belt.zarr").fine
     shares = ds.atlas.basin_measures()["attractors"]
-    assert {each["regime"] for each in shares} == {"periodic", "no_impact"}
-    (cycle,) = (each for each in shares if each["regime"] == "periodic")
+    assert {share["regime"] for share in shares} == {"periodic", "no_impact"}
+    (cycle,) = (share for share in shares if share["regime"] == "periodic")
     said = "\n".join(text.get_text() for legend in figure(ds).legends for text in legend.get_texts())
     assert f"cycle of {cycle['cycle_period']:.4g}, {100 * cycle['share']:.3g} %" in said
     assert "natural periods" in said

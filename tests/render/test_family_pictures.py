@@ -82,7 +82,9 @@ def response(omega: float, k: float = 1.0, zeta: float = 0.0) -> float:
 def test_the_extremes_of_two_harmonics_are_those_of_the_closed_form(a: float) -> None:
     """Truth: cos phi + a cos 2 phi lies between -a - 1 / (8 a), where cos phi = -1 / (4 a), and 1 + a, for a > 1/4."""
     signal = LOADED_MANY._replace(waves=np.array([[[0.0, 1.0], [0.0, a], [0.0, 0.0], [0.0, 0.0]]]))
-    assert [float(each[0]) for each in grazing.extremes(signal)] == pytest.approx([1 + a, -a - 1 / (8 * a)], rel=1e-14)
+    assert [float(extreme[0]) for extreme in grazing.extremes(signal)] == pytest.approx(
+        [1 + a, -a - 1 / (8 * a)], rel=1e-14
+    )
 
 
 def test_no_value_of_any_harmonics_lies_beyond_their_extremes() -> None:
@@ -193,7 +195,7 @@ def test_shares_are_stacked_up_to_the_share_that_is_decided() -> None:
     drawn = render.figure(ds, "coexistence")
     heights = (np.arange(80) + 0.5) / 80
     shown = [
-        [each.get_paths()[0].contains_points([(at, y) for y in heights]).mean() for each in drawn.axes[1].collections]
+        [layer.get_paths()[0].contains_points([(at, y) for y in heights]).mean() for layer in drawn.axes[1].collections]
         for at in (1.0, 2.0, 3.0)
     ]
     np.testing.assert_array_equal(shown, np.nan_to_num(share))
@@ -336,7 +338,7 @@ def test_a_portrait_shows_what_the_stops_limit_with_its_stops(
 ) -> None:
     axes = render.figure(orbits[name]).axes[: len(rows)]
     assert [ax.get_ylabel() for ax in axes] == rows
-    assert [{float(each.get_ydata()[0]) for each in ax.lines if each.get_linestyle() == "--"} for ax in axes] == stops
+    assert [{float(line.get_ydata()[0]) for line in ax.lines if line.get_linestyle() == "--"} for ax in axes] == stops
 
 
 @pytest.mark.parametrize("width", ["85mm", "178mm"])

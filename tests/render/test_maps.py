@@ -322,7 +322,7 @@ def test_a_log_scale_spans_a_decade_at_least() -> None:
 def test_the_grazing_line_lies_where_the_impact_free_response_reaches_the_stops() -> None:
     """Truth: |Y| from the transfer matrix, written out here."""
     axes_of = render.figure(plane(), overlay=["grazing"]).axes[0]
-    line = next(each for each in axes_of.collections if each.get_zorder() == 3)
+    line = next(layer for layer in axes_of.collections if layer.get_zorder() == 3)
     points = np.concatenate([path.vertices for path in line.get_paths()])
     assert len(points) > 20
     for omega, b in points[:: len(points) // 10]:
@@ -363,7 +363,7 @@ def test_the_grazing_line_exists_where_neither_axis_is_the_clearance() -> None:
         largest=-np.ones((n, n)),
     )
     axes_of = render.figure(ds, overlay=["grazing"]).axes[0]
-    assert any(each.get_zorder() == 3 and each.get_paths() for each in axes_of.collections)
+    assert any(layer.get_zorder() == 3 and layer.get_paths() for layer in axes_of.collections)
 
 
 def test_isolated_cells_are_outlined_and_clouds_of_them_are_not() -> None:
@@ -399,7 +399,7 @@ def test_two_grazing_lines_side_by_side_are_solid_and_one_alone_is_dashed() -> N
         regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
     ).assign_coords(zeta=0.0005)  # fmt: skip
     _, crowded, alone = (
-        each for each in render.figure(ds, overlay="grazing").axes[0].collections if each.get_zorder() == 3
+        layer for layer in render.figure(ds, overlay="grazing").axes[0].collections if layer.get_zorder() == 3
     )
     found = [np.concatenate(each.get_segments()) for each in (crowded, alone)]
     assert np.abs(found[0][:, 0] - 1.75).max() < 0.3  # beside the narrow resonance
@@ -429,7 +429,7 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
     axes_of = render.figure(atlas({"omega": omega, "b": b}, regime=regime, largest=values), overlay=["isolines"]).axes[
         0
     ]
-    lines = next(each for each in axes_of.collections if each.get_zorder() == 2.5)
+    lines = next(layer for layer in axes_of.collections if layer.get_zorder() == 2.5)
     named = set()
     for path in lines.get_paths():
         if len(path.vertices):
@@ -452,9 +452,11 @@ def test_there_are_lines_for_every_overlay() -> None:
 
 def test_every_curve_over_a_map_has_a_white_casing() -> None:
     """Without it some could not be told from the cells below them: see test_colors."""
-    lines = [each for each in render.figure(plane(), "period", overlay="curves").axes[0].collections if each.get_gid()]
-    cased = [each for each in render.figure(plane(), "period", overlay="curves").axes[0].collections
-             if each.get_zorder() == 3.1 and colors.same_color(each.get_edgecolor(), "white")]  # fmt: skip
+    lines = [
+        layer for layer in render.figure(plane(), "period", overlay="curves").axes[0].collections if layer.get_gid()
+    ]
+    cased = [layer for layer in render.figure(plane(), "period", overlay="curves").axes[0].collections
+             if layer.get_zorder() == 3.1 and colors.same_color(layer.get_edgecolor(), "white")]  # fmt: skip
     assert len(lines) == len(cased) == 3
 
 
@@ -463,7 +465,7 @@ def test_exponents_without_a_slope_have_no_isolines() -> None:
     regime = np.full((n, n), PERIODIC, np.int8)
     ds = atlas({"omega": np.arange(1, 7), "b": np.arange(1, 7)}, regime=regime, largest=np.full((n, n), -0.3))
     assert not [
-        each for each in render.figure(ds, overlay=["isolines"]).axes[0].collections if each.get_zorder() == 2.5
+        layer for layer in render.figure(ds, overlay=["isolines"]).axes[0].collections if layer.get_zorder() == 2.5
     ]
 
 

@@ -83,7 +83,7 @@ def texts(figure: Figure) -> list[Text]:
 @pytest.mark.parametrize("kind", [*render.KINDS, "portrait", "beside2", "beside3", "beside4", "named", "compared"])
 def test_no_text_is_clipped_and_none_overlaps_another(kind: str, width: str) -> None:
     figure = draw(kind, width=width)
-    boxes = [(each.get_text(), each.get_window_extent()) for each in texts(figure)]
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure)]
     page = figure.bbox
     clipped = [
         t for t, b in boxes if b.x0 < page.x0 - 1 or b.x1 > page.x1 + 1 or b.y0 < page.y0 - 1 or b.y1 > page.y1 + 1

@@ -156,13 +156,13 @@ def test_a_portrait_has_all_its_panels_with_symbols_and_units(page: Figure) -> N
 
 def test_impacts_are_marked_in_both_histories(page: Figure) -> None:
     for i, ax in enumerate(page.axes[:2]):
-        (marks,) = (each for each in ax.lines if each.get_marker() in "^v" and len(each.get_xdata()))
+        (marks,) = (line for line in ax.lines if line.get_marker() in "^v" and len(line.get_xdata()))
         assert list(marks.get_xdata()) == pytest.approx([0, 1, 2, 3, 4, 5, 6][: len(marks.get_xdata())])
         assert marks.get_ydata()[0] == pytest.approx(orbit().states[0, i])
 
 
 def test_the_stops_are_drawn_where_they_are(page: Figure) -> None:
-    levels = [each.get_ydata()[0] for each in page.axes[0].lines if len(set(each.get_ydata())) == 1]
+    levels = [line.get_ydata()[0] for line in page.axes[0].lines if len(set(line.get_ydata())) == 1]
     assert {-0.15, 0.15} <= set(levels)
 
 
@@ -176,7 +176,7 @@ def test_exact_exponents_are_written_in_numbers_and_a_lost_one_as_infinite(page:
 
 
 def test_exact_exponents_are_lines_that_the_averages_run_into(page: Figure) -> None:
-    flat = {round(float(each.get_ydata()[0]), 6) for each in page.axes[6].lines if len(set(each.get_ydata())) == 1}
+    flat = {round(float(line.get_ydata()[0]), 6) for line in page.axes[6].lines if len(set(line.get_ydata())) == 1}
     assert {-0.2, -0.3, -0.5} <= flat
 
 
@@ -255,7 +255,7 @@ def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellOrbit, cl
     assert "chatter, enlarged" in titles[0]
     assert "chatter, enlarged" not in titles[1]
     (zoom,) = (ax for ax in render.figure(sticking).axes if ax.get_title(loc="left"))
-    impacts = next(each for each in zoom.lines if each.get_marker() in "^v")
+    impacts = next(line for line in zoom.lines if line.get_marker() in "^v")
     flights = np.diff(impacts.get_xdata())
     assert len(flights) > 3 and (np.diff(flights) < 0).all()
     assert np.ptp(zoom.get_xlim()) < 0.5  # forcing periods

@@ -196,7 +196,7 @@ def test_a_written_chaos_map_shows_known_cells_in_their_colours(tmp_path: Path) 
 
 
 def test_every_regime_has_its_own_colour_in_the_period_map() -> None:
-    codes = np.array([[each.code for each in REGIMES]], np.int8)
+    codes = np.array([[regime.code for regime in REGIMES]], np.int8)
     found = layers("period", regime=codes, period=(codes == PERIODIC).astype(np.int32))
     rgba, legend = paint(found), found.legend
     assert len({tuple(cell) for cell in rgba[0]}) == len(legend) == len(REGIMES)
@@ -207,7 +207,7 @@ def test_every_class_of_periods_has_its_own_colour() -> None:
     periods = np.array([[1, 2, 3, 4, 5, 6, 7, 8, 9, 17, 65]], np.int32)
     found = layers("period", regime=np.full(periods.shape, PERIODIC, np.int8), period=periods)
     rgba, legend = paint(found), found.legend
-    taken = {tuple(cell) for cell in rgba[0]} | {colour(each.code) for each in REGIMES if each.code != PERIODIC}
+    taken = {tuple(cell) for cell in rgba[0]} | {colour(regime.code) for regime in REGIMES if regime.code != PERIODIC}
     assert len(taken) == 9 + len(REGIMES) - 1
     assert [entry.label for entry in legend][-3:] == ["period 7–8", "period 9–16", "period ≥ 17"]
 

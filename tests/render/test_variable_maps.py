@@ -213,7 +213,7 @@ def test_a_sweep_marks_exponents_of_minus_infinity_at_its_foot() -> None:
     ax = next(ax for ax in render.figure(ds).axes if "Lyapunov" in ax.get_ylabel())
     assert r"▾: $-\infty$" in ax.get_ylabel()
     marks = [each for each in ax.lines if each.get_marker() == "v"]
-    assert [each.get_xdata().tolist() for each in marks] == [[float(ds["omega"][2])]]
+    assert [mark.get_xdata().tolist() for mark in marks] == [[float(ds["omega"][2])]]
 
 
 def test_contacts_without_end_and_those_of_no_orbit_are_no_numbers_of_a_map_nor_extremes() -> None:
@@ -227,4 +227,4 @@ def test_contacts_without_end_and_those_of_no_orbit_are_no_numbers_of_a_map_nor_
     shown = drawn(render.figure(ds, variable="stop_upper"))[0]
     neutral = [tuple(each[:3]) == rgb(scales.NEUTRAL) for each in shown]
     assert neutral == [True, False, False, True]
-    assert [each["value"] for each in extremes(ds, "stop_upper", "all")] == [2, 3]
+    assert [extreme["value"] for extreme in extremes(ds, "stop_upper", "all")] == [2, 3]

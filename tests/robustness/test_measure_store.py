@@ -86,13 +86,13 @@ def with_lines(store: Path, *points: list[tuple[float, float]], unstable: int = 
         Curve(
             "fold",
             1,
-            *np.ones((2, len(each)), int),
+            *np.ones((2, len(point)), int),
             True,
-            np.array(each),
-            np.full(len(each), unstable),
+            np.array(point),
+            np.full(len(point), unstable),
             ("edge", "edge"),
         )
-        for each in points
+        for point in points
     ]
     write_curves(open_handle(store), Curves(("omega", "b"), tuple(curves)))
     return store
@@ -224,7 +224,7 @@ def test_verify_finds_a_flipped_byte_of_a_measure_and_repair_drops_the_group(mea
 @pytest.mark.parametrize("kind", ["return_time", "reactivity", "amplification"])
 def test_each_measure_is_drawn_as_a_map(measured: Path, kind: str) -> None:
     drawn = atlas.open(measured).atlas.plot(kind)
-    assert any(each.get_ylabel() for each in drawn.axes[1:])
+    assert any(axis.get_ylabel() for axis in drawn.axes[1:])
 
 
 def test_a_store_without_measures_says_how_to_get_them(unmeasured: Path) -> None:

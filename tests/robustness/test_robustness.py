@@ -67,7 +67,7 @@ def test_a_triangular_matrix_has_the_norms_of_the_closed_form(a: float, b: float
 
     def norm(k: int) -> float:
         entries = (a**k, b * (a**k - d**k) / (a - d), d**k)
-        F, det = sum(each * each for each in entries), entries[0] * entries[2]
+        F, det = sum(entry * entry for entry in entries), entries[0] * entries[2]
         return math.sqrt(0.5 * (F + math.sqrt(max(F * F - 4.0 * det * det, 0.0))))
 
     matrix = np.array([[[a, b], [0.0, d]]])
@@ -132,7 +132,7 @@ def differences(table: AttractorTable, state: np.ndarray, step: float = 1e-7) ->
 
 def test_the_jacobians_of_all_phases_make_the_multipliers_of_the_orbit() -> None:
     table = table_of("two-mass", FIG3, 16)
-    (triple,) = [each for each in table.attractors if each.period == 3]
+    (triple,) = [attractor for attractor in table.attractors if attractor.period == 3]
     phases = phases_of(table.cell.oscillator, triple)
     assert not isinstance(phases, str)
     radius = np.abs(np.linalg.eigvals(cycled(phases.jacobians, 0, 3))).max()
@@ -141,7 +141,7 @@ def test_the_jacobians_of_all_phases_make_the_multipliers_of_the_orbit() -> None
 
 def test_each_phase_leads_to_the_next_one() -> None:
     table = table_of("two-mass", FIG3, 16)
-    (triple,) = [each for each in table.attractors if each.period == 3]
+    (triple,) = [attractor for attractor in table.attractors if attractor.period == 3]
     phases = phases_of(table.cell.oscillator, triple)
     assert not isinstance(phases, str)
     fixed = {name: float(values[0]) for name, values in table.params.items()}
@@ -223,7 +223,7 @@ def test_friction_that_holds_a_mass_at_rest_is_a_reason() -> None:
 
 def test_a_coordinate_that_drifts_is_a_reason() -> None:
     table = table_of("capsule", {}, 2)
-    periodic = [each for each in table.attractors if each.period]
+    periodic = [attractor for attractor in table.attractors if attractor.period]
     assert periodic and all(phases_of(table.cell.oscillator, each) == DRIFTS for each in periodic)
 
 

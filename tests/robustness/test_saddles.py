@@ -66,22 +66,22 @@ def test_saddles_are_fixed_points_with_multipliers_of_finite_differences(
 ) -> None:
     found = request.getfixturevalue(case)
     assert found["saddles"]
-    for each in found["saddles"]:
-        ours = np.array([complex(*pair) for pair in each["multipliers"]])
+    for saddle in found["saddles"]:
+        ours = np.array([complex(*pair) for pair in saddle["multipliers"]])
         assert np.sum(np.abs(ours) > 1.0) == 1
         if np.abs(ours).max() > 1e3:  # differences would leave the orbit
             continue
-        state = np.array(each["states"][0])
+        state = np.array(saddle["states"][0])
         given = {**found["parameters"], **dict(zip(found["norm"], state, strict=True))}
-        states = trace(system_of(found), given, each["period"]).states
+        states = trace(system_of(found), given, saddle["period"]).states
         assert states[-1] == pytest.approx(state, abs=1e-9)
-        assert states[:-1] == pytest.approx(np.array(each["states"]), abs=1e-9)
-        jacobian = differences(found, state, each["period"])
+        assert states[:-1] == pytest.approx(np.array(saddle["states"]), abs=1e-9)
+        jacobian = differences(found, state, saddle["period"])
         unstable = ours[np.argmax(np.abs(ours))].real
         naive = np.linalg.eigvals(jacobian)
         assert naive[np.argmax(np.abs(naive))].real == pytest.approx(unstable, rel=1e-5)
         assert np.linalg.det(jacobian) == pytest.approx(np.prod(ours).real, rel=1e-4, abs=1e-8)
-        left = np.array(each["normal"][0]) * list(found["norm"].values())
+        left = np.array(saddle["normal"][0]) * list(found["norm"].values())
         assert left @ jacobian == pytest.approx(unstable * left, abs=1e-4 * abs(unstable))
 
 
@@ -92,7 +92,9 @@ def test_a_saddle_is_the_unstable_orbit_of_the_branch_through_the_fold(rigid: di
     assert end["A"] == RIGID["A"]
     (saddle,) = rigid["saddles"]
     assert saddle["states"][0] == pytest.approx([end["x"], end["v"]], abs=1e-10)
-    assert max(abs(complex(*each)) for each in saddle["multipliers"]) == pytest.approx(abs(end["multiplier"]), rel=1e-9)
+    assert max(abs(complex(*multiplier)) for multiplier in saddle["multipliers"]) == pytest.approx(
+        abs(end["multiplier"]), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("case", ["rigid", "gears", "masses"])
@@ -101,11 +103,11 @@ def test_beside_a_saddle_motions_go_to_the_two_attractors_that_it_lies_between(
 ) -> None:
     found = request.getfixturevalue(case)
     w = np.array(list(found["norm"].values()))
-    for each in found["saddles"]:
-        state, normal = np.array(each["states"][0]), np.array(each["normal"][0]) / w
+    for saddle in found["saddles"]:
+        state, normal = np.array(saddle["states"][0]), np.array(saddle["normal"][0]) / w
         sides = regimes(found, state + np.array([[-1e-6], [1e-6]]) * normal)
         assert sides[0] != sides[1]
-        assert len(set(each["between"])) == 2
+        assert len(set(saddle["between"])) == 2
 
 
 @pytest.mark.parametrize("case", ["rigid", "gears"])

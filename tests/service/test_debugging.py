@@ -44,7 +44,7 @@ def test_the_traceback_of_a_tile_that_fails_is_in_its_failure_and_in_the_log(
 ) -> None:
     """Truth: "ZeroDivisionError: a mistake" was all that was left of it."""
     with caplog.at_level(logging.DEBUG, "atlas"):
-        (failure,) = [each for each in outcomes(client) if isinstance(each, TileFailure)]
+        (failure,) = [outcome for outcome in outcomes(client) if isinstance(outcome, TileFailure)]
     line = 'raise ZeroDivisionError("a mistake")'
     assert line in failure.traceback and "in faulty" in failure.traceback
     assert failure.traceback not in repr(failure)

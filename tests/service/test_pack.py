@@ -74,7 +74,7 @@ def test_a_picture_of_it_is_that_of_the_store(handle: store.Atlas, packed: Path,
 @pytest.mark.parametrize("args", [("status", "STORE"), ("query", "STORE"), ("find", "regions", "STORE", "period")])
 def test_commands_that_read_answer_as_of_the_store(handle: store.Atlas, packed: Path, args: tuple[str, ...]) -> None:
     of_store, of_file = (
-        json.loads(call(*(place if each == "STORE" else each for each in args), "--json").stdout)
+        json.loads(call(*(place if arg == "STORE" else arg for arg in args), "--json").stdout)
         for place in (handle.path, packed)
     )
     for message in (of_store, of_file):

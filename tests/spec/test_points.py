@@ -44,7 +44,7 @@ def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
 
 
 def answered(*arguments: object, code: int = 0) -> str:
-    result = CliRunner().invoke(main, [str(each) for each in arguments])
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert result.exit_code == code, result.output
     return result.output
 

@@ -231,7 +231,7 @@ def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_eac
     plain = requests(job)
     notes_of(URL).put(CLAIM, b'{"token": "ours"}', expected=None)
     fenced = requests(replace(job, index=(0, 1), site=replace(job.site, claim="ours")))
-    looks = 3 + sum(each.sparse for each in handle.variables)  # all results, the record, the regime
+    looks = 3 + sum(variable.sparse for variable in handle.variables)  # all results, the record, the regime
     assert len(fenced) == len(plain) + looks
     assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == looks
 

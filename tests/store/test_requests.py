@@ -116,6 +116,6 @@ def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_
     served.forget()
     run_job(replace(job, index=(1, 1)))
     read = Counter(request.key.removeprefix("bucket/") for request in served.requests if request.kind == "get")
-    looks = 3 + sum(each.sparse for each in handle.variables)  # before: all results, the record, the regime
+    looks = 3 + sum(variable.sparse for variable in handle.variables)  # before: all results, the record, the regime
     assert read == {".tiles.zarr.run/claim": looks, ".tiles.zarr.run/started-1-1": looks + 1}
     assert sum(served.counts.values()) <= 42

@@ -83,7 +83,7 @@ def test_so_have_labels_and_the_variables_of_all_attractors(tmp_path: Path) -> N
 @pytest.mark.parametrize("name", system_names())
 def test_so_have_the_parameters_and_the_results_of_each_packaged_machine(name: str) -> None:
     record = find_system(name)
-    assert {each.unit for each in record.parameters} <= UNITS
+    assert {parameter.unit for parameter in record.parameters} <= UNITS
     for settings in (atlas.Settings(exponents="spectrum", section_samples=1), atlas.Settings(method="fixed")):
         of_cells = result_variables(settings, own=record.own_variables)
         of_all, of_basins = (result_variables(settings, **{kind: True}) for kind in ("attractors", "basins"))

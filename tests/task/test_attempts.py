@@ -141,7 +141,7 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
 
     monkeypatch.setattr(LocalPlace, "put", put)
     write_tile(handle, (0, 0), arrays)
-    assert not {*removed} - {chunk_key(each, (0, 0)) for each in handle.variables if each.sparse}
+    assert not {*removed} - {chunk_key(variable, (0, 0)) for variable in handle.variables if variable.sparse}
     assert (0, 0) in done_tiles(open_handle(handle.path))
 
 

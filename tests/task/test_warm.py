@@ -187,7 +187,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[list[str]]]:
     stages: list[list[list[str]]] = []
 
     def counting(code: str, arguments: list[str], told: Callable[[int, str], None]) -> list[int]:
-        stages.append([json.loads(each) for each in arguments])
+        stages.append([json.loads(argument) for argument in arguments])
         return watched_together(COUNTING, arguments, told)
 
     monkeypatch.setattr(warm, "watched_together", counting)

@@ -148,7 +148,7 @@ def test_the_command_prints_events_and_how_branches_end() -> None:
 
 def test_the_command_answers_in_json() -> None:
     message = json.loads(call(*LINE, *CELL, "--json").stdout)
-    assert [(each["kind"], each["leaving"]) for each in message["events"]] == [("symmetry_breaking", -1)]
+    assert [(event["kind"], event["leaving"]) for event in message["events"]] == [("symmetry_breaking", -1)]
     assert message["branches"][0]["last_end"] == "edge"
     assert message["parameters"]["b"] == 0.15
 

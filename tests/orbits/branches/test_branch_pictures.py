@@ -49,8 +49,10 @@ def over(swept: xr.Dataset) -> Axes:
 
 def drawn_lines(ax: Axes, stable: bool) -> list[np.ndarray]:
     """The lines of stable or of unstable orbits."""
-    kinds: list[Any] = [each for each in ax.collections if isinstance(each, LineCollection) and each.get_zorder() == 4]
-    solid = [each for each in kinds if (each.get_linestyle()[0][1] is None) is stable]
+    kinds: list[Any] = [
+        layer for layer in ax.collections if isinstance(layer, LineCollection) and layer.get_zorder() == 4
+    ]
+    solid = [line for line in kinds if (line.get_linestyle()[0][1] is None) is stable]
     return [np.asarray(path) for each in solid for path in each.get_segments()]
 
 

@@ -75,6 +75,6 @@ def test_branches_lie_over_a_sweep_of_cycles(tmp_path: Path, client: Client) -> 
     atlas.run(atlas.Spec("belt", {"u": [0.3, 0.5, 0.6, 1.1]}, solve=solve), tmp_path / "belt.zarr", client=client)
     ds = atlas.open(tmp_path / "belt.zarr")
     ax = figure(ds, overlay="branches").axes[0]
-    assert any(len(each.get_segments()) for each in ax.collections if hasattr(each, "get_segments"))
+    assert any(len(layer.get_segments()) for layer in ax.collections if hasattr(layer, "get_segments"))
     stored = ds.atlas.branch(u=0.5, along="u", window=(0.4, 0.7))
     assert stored.events["u"].tolist() == pytest.approx([END], abs=1e-9)

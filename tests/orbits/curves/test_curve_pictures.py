@@ -42,7 +42,7 @@ def lines(ax: Axes, kind: str) -> list[np.ndarray]:
 
 def corners(ax: Axes) -> list[Line2D]:
     """The marks of points of codimension two."""
-    return [each for each in ax.lines if each.get_gid() == "corner"]
+    return [line for line in ax.lines if line.get_gid() == "corner"]
 
 
 def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
@@ -102,7 +102,7 @@ def test_each_kind_of_point_of_codimension_two_has_a_mark_of_its_own() -> None:
     kinds = ("cusp", "resonance_1_2", "fold_flip", "cusp")
     marked = tuple(Corner(kind, 1.5 + k, 0.3, 5) for k, kind in enumerate(kinds))
     figure = drawn(Curves(("omega", "b"), (curve("fold", points, corners=marked),)))
-    shapes = {float(each.get_xdata()[0]): each.get_marker() for each in corners(figure.axes[0])}
+    shapes = {float(corner.get_xdata()[0]): corner.get_marker() for corner in corners(figure.axes[0])}
     assert shapes[1.5] == shapes[4.5]
     assert len(set(shapes.values())) == 3
     assert labels(figure)[-3:] == ["cusp", "fold–flip", "1:2 resonance"]
@@ -195,7 +195,7 @@ def test_an_end_that_no_point_of_codimension_two_explains_is_marked() -> None:
     given = curve("fold", points, corners=(Corner("cusp", 1.5, 0.3, 0),))
     for ends, marked in ((("cusp", "budget"), [4.5]), (("cusp", "edge"), [])):
         figure = drawn(Curves(("omega", "b"), (replace(given, ends=ends),)))
-        found = [each for each in figure.axes[0].lines if each.get_gid() == "end"]
+        found = [line for line in figure.axes[0].lines if line.get_gid() == "end"]
         assert [float(each.get_xdata()[0]) for each in found] == marked
         assert ("end of a curve" in labels(figure)) == bool(marked)
 

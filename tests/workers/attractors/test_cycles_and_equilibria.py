@@ -105,7 +105,7 @@ def test_a_centre_is_told_after_one_stretch() -> None:
 def test_phases_do_not_count_and_no_state_of_a_cycle_is_another_attractor() -> None:
     """Initial states all along one cycle reach it."""
     table = AttractorTable(belt(), {p.name: p.default for p in belt().parameters}, SETTINGS, Starts(16))
-    (cycle,) = (k for k, each in enumerate(table.attractors) if each.cycle)
+    (cycle,) = (k for k, attractor in enumerate(table.attractors) if attractor.cycle)
     points = section_points(table, 40)[cycle]
     found = solve_basins(belt(), {"x": points[:, 0], "v": points[:, 1]}, SETTINGS, Starts(16))
     assert found["label"].tolist() == [cycle] * 40

@@ -104,15 +104,17 @@ def test_impacts_of_chaos_are_those_of_the_oracle(params: dict[str, float]) -> N
     cell = {"mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "R": 0.8, "tau": math.pi} | params
     cell |= dict(zip(("x1", "x2", "v1", "v2"), map(float, found["state"]), strict=True))
     orbit = simulate(cell, 4, digits=40)
-    count = len([each for each in orbit.impacts])
+    count = len([impact for impact in orbit.impacts])
     assert count >= 4
     assert found["impact_speed"][: min(count, 6)] == pytest.approx(
-        [float(each.speed) for each in orbit.impacts][:6], abs=1e-7
+        [float(impact.speed) for impact in orbit.impacts][:6], abs=1e-7
     )
     for side, name in ((1, "impact_phase_upper"), (-1, "impact_phase_lower")):
-        known = [(params["omega"] * float(each.t) + math.pi) % TWO_PI for each in orbit.impacts if each.side == side]
+        known = [
+            (params["omega"] * float(impact.t) + math.pi) % TWO_PI for impact in orbit.impacts if impact.side == side
+        ]
         assert found[name][: min(len(known), 6)] == pytest.approx(known[:6], abs=1e-7)
-    assert found["section_v2"][:4] == pytest.approx([float(each[3]) for each in orbit.sections[:4]], abs=1e-7)
+    assert found["section_v2"][:4] == pytest.approx([float(section[3]) for section in orbit.sections[:4]], abs=1e-7)
 
 
 def observed_on(name: str, asked: tuple[Observable, ...]) -> dict[str, Any]:
@@ -137,7 +139,7 @@ def test_contacts_of_the_oracles_orbits_are_seen_when_and_how_fast_they_are_reac
         asked = Observable("impact_phase", str(c), c), Observable("impact_speed", str(c), c)
         found = observed_on(name, asked)
         number = int(found[asked[0].number][0])
-        events = [each for each in expected_events(RECORDS[name]) if each[1] in ("impact", "hit") and each[2] == c]
+        events = [event for event in expected_events(RECORDS[name]) if event[1] in ("impact", "hit") and event[2] == c]
         chatters = any(kind == "rest" and index == c for _, kind, index, _ in expected_events(RECORDS[name]))
         if not chatters:
             assert number == len(events)

@@ -42,14 +42,14 @@ def test_the_curve_at_which_the_cycle_on_the_belt_ends_is_that_of_its_closed_for
 def test_a_curve_of_folds_passes_the_folds_of_branches_across_it() -> None:
     system = flutter(lower=-0.5)
     run, _ = followed(system, "P", (1.6, 1.9))
-    fold = next(each for each in run.events if each.kind == "fold" and each.point.values[0] > 1.645)
+    fold = next(event for event in run.events if event.kind == "fold" and event.point.values[0] > 1.645)
     family = family_of(system, {}, ("P", "d"))
     window = {"P": (1.5, 1.8), "d": (0.45, 0.55)}
     found = curve(family, fold, np.array([fold.point.values[0], 0.5]), window)
     assert all(np.min(np.abs(point.multipliers - 1.0)) < 1e-7 for point in found.points)
     at = min(found.points, key=lambda point: abs(point.values[1] - 0.52))
     across, _ = followed(system, "P", (1.6, 1.9), d=float(at.values[1]))
-    folds = [float(each.point.values[0]) for each in across.events if each.kind == "fold"]
+    folds = [float(event.point.values[0]) for event in across.events if event.kind == "fold"]
     assert min(abs(each - at.values[0]) for each in folds) < 1e-9
 
 

@@ -184,7 +184,7 @@ def test_an_impact_pair_has_half_its_clearance_on_each_side() -> None:
 
 def test_one_mass_has_one_stop_or_two_by_a_parameter() -> None:
     stops = [machine_of("single-mass", s=s, b=2.0) for s in (0.0, 1.0, 4.0)]
-    assert [(float(each.lower), float(each.upper)) for each in stops] == [(-math.inf, 2.0), (-2.0, 2.0), (-0.5, 2.0)]
+    assert [(float(stop.lower), float(stop.upper)) for stop in stops] == [(-math.inf, 2.0), (-2.0, 2.0), (-0.5, 2.0)]
 
 
 def test_an_impact_damper_is_damped_as_its_equation_says() -> None:
