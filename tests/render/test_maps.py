@@ -20,6 +20,7 @@ from atlas.query.plane import rising
 from atlas.query.queries import boundary
 from atlas.render import classes, kinds, overlays, painters, scales
 from atlas.render.layers import Entry, paint
+from atlas.render.words import number
 from tests.pictures import NAN, atlas, branches, colour, curves, keeping, labelled, labels, layers, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -309,6 +310,20 @@ def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
     ds = plane()
     ds["stuck_fraction"] = ds["stuck_fraction"] * 0.0
     assert len(render.figure(ds, "sticking").axes) == 1
+
+
+def test_ends_of_a_scale_that_are_equal_are_refused() -> None:
+    with pytest.raises(InputError, match=r"the scale must rise: found 0\.5 to 0\.5; give vmin, vmax or both"):
+        render.figure(plane(), "exponent", vmin=0.5, vmax=0.5)
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(math.pi, r"\pi"), (2.5 * math.pi, r"5\pi/2"), (-11.0 * math.pi / 6.0, r"-11\pi/6"), (13.0 * math.pi, "40.8407"),
+     (0.0, "0"), (1.5e-7, r"1.5 \times 10^{-7}")],
+)  # fmt: skip
+def test_numbers_are_shown_to_six_digits_or_as_simple_multiples_of_pi(value: float, shown: str) -> None:
+    assert number(value) == shown
 
 
 def test_a_log_scale_spans_a_decade_at_least() -> None:
