@@ -70,7 +70,7 @@ MUTATIONS = tuple(
         ("atlas/robustness/linear.py", "-1.0 / largest", "-2.0 / largest", "robustness/test_robustness.py"),
         ("atlas/robustness/norm.py", "if weight <= 0.0:", "if weight < 0.0:", "robustness/test_robustness.py"),
         ("atlas/robustness/saddles.py", "turns += turns % 2 if inner < 0.0 else 0", "pass", "robustness/test_saddles.py"),
-        ("atlas/robustness/stored_cells.py", "if shock.reached >= 0 else", "if shock.reached > 0 else", "robustness/test_measure_store.py"),
+        ("atlas/robustness/stored_cells.py", "if shock.reached >= 0 else", "if shock.reached > 0 else", "robustness/test_measure_store.py::test_shocks_of_a_store_are_those_of_single_cells"),
         ("atlas/cell/command.py", "if value != field.default:", "if value == field.default:", "interface/test_cli.py query/test_query.py explore/test_cell.py"),
         ("atlas/cell/shown.py", "turns = max(1, -(-count // _span(orbit)))\n    times", "turns = 1\n    times", "render/test_portrait.py"),
         ("atlas/render/words.py", "1e-12 and 0 < abs(times) <= 12", "1e-12 and 0 < abs(times) <= 1", "render/test_maps.py"),
