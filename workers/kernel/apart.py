@@ -37,6 +37,8 @@ def load(modes: bool = False) -> None:
     ``modes``: also those that only kernels of machines with modes call.
     """
     global _compiles
+    if not _waiting[False] and not (modes and _waiting[True]):
+        return  # without the lock: a thread that compiles a kernel holds Numba's, which the lock's holder may wait for
     with _loading:  # other threads wait until all are compiled
         if _compiles:  # a function calls only functions defined before it
             return

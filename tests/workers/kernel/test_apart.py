@@ -1,6 +1,7 @@
 """Claims about functions that kernels call where they lie."""
 
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from numba import typeof, types
 from numba.core.errors import TypingError
 
-from workers.kernel.apart import FLOATS, apart, load
+from workers.kernel.apart import FLOATS, _loading, apart, load
 from workers.kernel.jit import kernel
 from workers.kernel.lend import whole
 from workers.model.system import find_system
@@ -71,6 +72,16 @@ def test_a_function_of_machines_with_modes_is_compiled_when_a_kernel_first_sees_
     assert first.pointer.value is None
     typeof(find_system("soft-impact").build(defaults("soft-impact")))
     assert first.pointer.value is not None
+
+
+def test_a_thread_that_needs_nothing_compiled_does_not_wait_for_one_that_compiles() -> None:
+    """It may hold the compiler's own lock, for which the other one waits."""
+    load(modes=True)
+    waiting = threading.Thread(target=load, daemon=True)
+    with _loading:
+        waiting.start()
+        waiting.join(30.0)
+        assert not waiting.is_alive()
 
 
 def defaults(name: str) -> dict[str, float]:
