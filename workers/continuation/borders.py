@@ -35,9 +35,9 @@ def leaving(step: Step, why: Fault) -> LocatedEvent | None:
     """The event at which the orbit ceases to be admissible on a step, the first one; ``why`` it is not at the end."""
     low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
-        found = _of_fault(step, X, why)
-        if found is not None:
-            return found
+        event = _of_fault(step, X, why)
+        if event is not None:
+            return event
         half = 0.5 * (low + high)
         middle = step.solution(half)
         if not middle.converged:
@@ -101,16 +101,16 @@ def _of_loss(step: Step, X: Array, motion: OrbitMotion, why: Fault, near: float 
     if not orbit.itinerary.sides and motion.lin.elements.starts.shape[1] == 2 and not eq.conditions:
         # of any number of periods it is the answer of one, which touches once in that
         orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
-    found = solution(eq, orbit, conditions, contacts, X)
+    solved = solution(eq, orbit, conditions, contacts, X)
     before, after = (eq.motion(end).turn.signals[0, 1, why.impact] for end in (step.here, step.there))
     share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
     if (
-        found is None
-        or not step.is_near(eq.values(step.guess(share)), found[0].values(found[1]), near)
-        or fault(*found)
+        solved is None
+        or not step.is_near(eq.values(step.guess(share)), solved[0].values(solved[1]), near)
+        or fault(*solved)
     ):
         return None
-    event = event_of(*found)
+    event = event_of(*solved)
     if event.last == GRAZING:
         lost = CONTACT_LOST if motion.lin.elements.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
         event = event._replace(last=lost, kind=event.kind if own else lost)

@@ -109,10 +109,10 @@ def branch(
     values = np.array([value])
     equations = Extended(family, orbit, (), values, bounds[1] - bounds[0])
     row = np.eye(1, len(equations.scale), equations.states)[0] / equations.scale
-    found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
-    if not found.converged:
+    solved = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
+    if not solved.converged:
         raise ValueError(f"Newton's method finds no orbit at {family.free[0]} = {value:g}")
-    return follow(equations, found.X, bounds, resolution, budget, until)
+    return follow(equations, solved.X, bounds, resolution, budget, until)
 
 
 def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> Start:
@@ -135,10 +135,10 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
         unit[len(critical) - square.m : -1] -= unit[len(critical) - square.m]
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
-    found = solve(equations, X, unit / equations.scale)
-    if not found.converged:
+    solved = solve(equations, X, unit / equations.scale)
+    if not solved.converged:
         raise ValueError(f"Newton's method finds no orbit beside the {event.kind}; try another amplitude")
-    return Start(equations.orbit(found.X), float(equations.values(found.X)[0]))
+    return Start(equations.orbit(solved.X), float(equations.values(solved.X)[0]))
 
 
 def follow(
@@ -317,19 +317,19 @@ def _meeting(step: Step) -> _Passage | None:
 
 def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, until: Until | None) -> _Passage:
     """The events of a step and its last point, at which the direction has this ``end``, unless it ends before that."""
-    found, limit, last = list[LocatedEvent](), math.inf, after.point
+    events, limit, last = list[LocatedEvent](), math.inf, after.point
     if after.fault is not None:
         ceases = leaving(step, after.fault)
         if ceases is None:
             return _Passage(INADMISSIBLE)
-        found, limit, end, last = [ceases], ceases.share, ceases.event.kind, ceases.event.point
+        events, limit, end, last = [ceases], ceases.share, ceases.event.kind, ceases.event.point
     for name in changed(before, after):
         met = located(step, before, after, name, exists=after.fault is not None)
         if met is not None and met.share <= limit:
-            found.append(met)
+            events.append(met)
             if _ends_pair(step.equations, met.event) or (until and until(met.event)):
                 limit, end, last = met.share, met.event.kind, met.event.point
-    passed = tuple(met.event for met in sorted(found, key=lambda met: met.share) if met.share <= limit)
+    passed = tuple(met.event for met in sorted(events, key=lambda met: met.share) if met.share <= limit)
     return _Passage(end, passed, (*(event.point for event in passed if event.point is not last), last), after)
 
 

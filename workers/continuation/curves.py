@@ -47,10 +47,10 @@ def curve(
     equations = equations.at(X)
     # the nearest point of the curve: across its tangent as it is known there
     tangent = tangent_at(equations, equations.with_jacobian(X[None])[1][0], np.ones(len(X)))
-    found = solve(equations, X, tangent / equations.scale)
-    if not found.converged:
+    solved = solve(equations, X, tangent / equations.scale)
+    if not solved.converged:
         raise ValueError(f"Newton's method finds no {event.kind} there")
-    return follow(equations, found.X, bounds, resolution, budget, None)
+    return follow(equations, solved.X, bounds, resolution, budget, None)
 
 
 def loses_impact(event: Event) -> bool:

@@ -53,8 +53,8 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
         solved = newton(
             lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, first.unknowns, scale, farthest=FARTHEST
         )
-        found = motion(solved.X, np.arange(1))
-        if not solved.converged[0] or not found.span[0] > 0.0 or first_fault(found):
+        closed = motion(solved.X, np.arange(1))
+        if not solved.converged[0] or not closed.span[0] > 0.0 or first_fault(closed):
             return None
-        logs = np.log(np.sort(np.abs(multipliers(found)[0]))[::-1])
-        return Cycle(found, float(found.span[0] / itinerary.turn), logs / itinerary.turn)
+        logs = np.log(np.sort(np.abs(multipliers(closed)[0]))[::-1])
+        return Cycle(closed, float(closed.span[0] / itinerary.turn), logs / itinerary.turn)

@@ -193,17 +193,17 @@ def _halved(
         middle = 0.5 * (here.values + value)
         if middle[0] in (here.values[0], value):
             break
-        found = equilibrium_near(family, middle, here.code)
-        if found is not None and found.unstable == here.unstable:
-            here = found
+        between = equilibrium_near(family, middle, here.code)
+        if between is not None and between.unstable == here.unstable:
+            here = between
         else:
-            there, value = found, float(middle[0])
+            there, value = between, float(middle[0])
     return here, there
 
 
-def point_of_event(found: Equilibrium, unstable: int, frequency: float) -> Point:
+def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> Point:
     """The point of an event: at a Hopf point the length of the orbit is that of the cycle which begins there."""
-    point = found.point(unstable)
+    point = equilibrium.point(unstable)
     if not frequency:
         return point
     return point._replace(orbit=point.orbit._replace(length=np.array(2.0 * np.pi / frequency)))

@@ -108,25 +108,25 @@ def monitored(equations: Extended, X: Array) -> TestFunctions:
     equations = equations.at(X)
     (point, others), motion, own = _point(equations, X), equations.motion(X), equations.conditions
     kind = own[0].kind if own else None
-    found = {}
+    functions = {}
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
         if kind == SPEED:  # J_z is singular there for any z
-            found[name] = _function(float(np.prod(others - z).real), (*own, Condition(name)))
+            functions[name] = _function(float(np.prod(others - z).real), (*own, Condition(name)))
         elif kind != name:
             sign, log = np.linalg.slogdet(motion.linearised(z)[0])
             own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
-            found[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
+            functions[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
     if kind == UNIT:
-        found[CUSP] = _function(float(equations.curvature(motion)[0]), (*own, Condition(CUSP)))
-        found["double"] = _function(float(np.prod(1.0 - others).real), _resonance(1.0))
+        functions[CUSP] = _function(float(equations.curvature(motion)[0]), (*own, Condition(CUSP)))
+        functions["double"] = _function(float(np.prod(1.0 - others).real), _resonance(1.0))
     if kind == MINUS_ONE:
-        found["double"] = _function(float(np.prod(1.0 + others).real), _resonance(-1.0))
+        functions["double"] = _function(float(np.prod(1.0 + others).real), _resonance(-1.0))
     if kind == PAIR:
         kappa = 0.5 * equations.totals[0]
-        found |= {name: _function(kappa - angle, _resonance(angle)) for angle, name in ANGLES.items()}
+        functions |= {name: _function(kappa - angle, _resonance(angle)) for angle, name in ANGLES.items()}
     else:
-        found[PAIR] = _pairs(others, own)
-    return TestFunctions(equations, point, found, fault(equations, X))
+        functions[PAIR] = _pairs(others, own)
+    return TestFunctions(equations, point, functions, fault(equations, X))
 
 
 def fault(equations: Extended, X: Array) -> Fault | None:
@@ -221,9 +221,9 @@ def located(
     a, b = before.functions[name], after.functions[name]
     low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
     for _ in range(TRIES):
-        found = solved_on(step, step.guess(guess), b.conditions, exists=exists)
-        if found is not None:
-            return found
+        solved = solved_on(step, step.guess(guess), b.conditions, exists=exists)
+        if solved is not None:
+            return solved
         guess = 0.5 * (low + high)
         middle = step.solution(guess)
         if not middle.converged:
@@ -244,8 +244,8 @@ def origin(step: Step, to: Itinerary) -> Event | None:
         return None
     a, b = (float(np.linalg.norm(difference(eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
     guess = step.guess(a / (a + b))
-    found = solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
-    return None if found is None else event_of(*found)
+    solved = solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
+    return None if solved is None else event_of(*solved)
 
 
 def halves_met(step: Step) -> Itinerary | None:
@@ -272,15 +272,15 @@ def solved_on(
     The orbit of one at which orbits cease, its own grazes allowed, has to be admissible.
     """
     eq = step.equations
-    found = solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
-    share = None if found is None else step.share_of(found[1])
-    if found is None or share is None or not is_minimal(found[0].motion(found[1])):
+    solved = solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
+    share = None if solved is None else step.share_of(solved[1])
+    if solved is None or share is None or not is_minimal(solved[0].motion(solved[1])):
         return None
-    if (exists or conditions[-1].kind in BORDERS) and fault(*found):
+    if (exists or conditions[-1].kind in BORDERS) and fault(*solved):
         return None
-    if conditions[-1].kind in (UNIT, MINUS_ONE) and not _has_multiplier(*found):
+    if conditions[-1].kind in (UNIT, MINUS_ONE) and not _has_multiplier(*solved):
         return None
-    event = event_of(*found)
+    event = event_of(*solved)
     kappa = abs(event.kappa)
     return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else LocatedEvent(share, event)
 
@@ -303,10 +303,10 @@ def solution(
     X = square.pack(orbit, contacts, values)
     try:
         square = square.at(X)
-        found = solve(square, X)
+        solved = solve(square, X)
     except (NoOscillatorError, np.linalg.LinAlgError):
         return None
-    return (square.at(found.X), found.X) if found.converged else None
+    return (square.at(solved.X), solved.X) if solved.converged else None
 
 
 def event_of(square: Extended, X: Array) -> Event:

@@ -62,10 +62,11 @@ class Condition(NamedTuple):
 def conditions_on(
     orbit: Orbit, conditions: tuple[Condition, ...], former: Orbit, span: float
 ) -> tuple[Condition, ...] | None:
-    """Conditions on a former orbit as those on one with other events, at about the same time else; None where an event
-    that one of them is of is gone.
+    """Conditions on a former orbit, as conditions on an orbit with other events but about the same times.
+
+    None where the event of a condition is gone.
     """
-    found, later = [], time_shift(orbit, former, span)
+    kept, later = [], time_shift(orbit, former, span)
     for condition in conditions:
         if condition.kind in (SPEED, ONSET, ENDS):
             near, flips = _apart(orbit, former, span, later)
@@ -73,8 +74,8 @@ def conditions_on(
                 return None
             place = int(np.argmin(near[:, condition.impact]))
             condition = condition._replace(impact=place, side=int(flips[place, condition.impact]) * condition.side)
-        found.append(condition)
-    return tuple(found)
+        kept.append(condition)
+    return tuple(kept)
 
 
 def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:
@@ -187,17 +188,17 @@ class Extended:
         """The same equations, bordered with null vectors at X, in the directions of the former ones; and the pair asked
         for is the one found there.
         """
-        found, motion = copy(self), self.motion(X)
-        found.borders, found.totals = list(self.borders), list(self.totals)
+        renewed, motion = copy(self), self.motion(X)
+        renewed.borders, renewed.totals = list(self.borders), list(self.totals)
         for i, condition in enumerate(self.conditions):
             if condition.kind in (UNIT, MINUS_ONE):
                 U, _, Vt = np.linalg.svd(self._bordered_matrix(condition, motion)[0])
                 (a, b), left, right = self.borders[i], U[:, -1], Vt[-1]
-                found.borders[i] = left * np.sign(np.sum(a * left) or 1.0), right * np.sign(np.sum(b * right) or 1.0)
+                renewed.borders[i] = left * np.sign(np.sum(a * left) or 1.0), right * np.sign(np.sum(b * right) or 1.0)
             if condition.kind == PAIR:
                 total, _, _ = pair_near(multipliers(motion), np.array([self.totals[i]]))
-                found.totals[i] = float(total[0])
-        return found
+                renewed.totals[i] = float(total[0])
+        return renewed
 
     def _all(self, X: Array, motion: OrbitMotion) -> Array:
         """All equations (B, equations) at unknowns (B, N), which are these motions."""
@@ -241,8 +242,8 @@ class Extended:
         if motion.plan.impacts or motion.itinerary.is_cycle:
             return along
         size = self.scale[: motion.start.shape[1]]
-        found = motion.unknowns_along(along * size) / self.scale[: self.states]
-        return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+        direction = motion.unknowns_along(along * size) / self.scale[: self.states]
+        return np.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
     def _solved(self, i: int, motion: OrbitMotion) -> Array:
         """(w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular, along w."""
@@ -269,7 +270,7 @@ def solve(equations: Extended, X: Array, row: Array | None = None) -> Solved:
     It fails as ``newton``, and where there is no oscillator.
     """
     try:
-        found = newton(equations.residual, equations.with_jacobian, X[None], equations.scale[None], row)
+        solved = newton(equations.residual, equations.with_jacobian, X[None], equations.scale[None], row)
     except NoOscillatorError:
         return Solved(X, np.zeros((0, 0)), 0, False)
-    return Solved(found.X[0], found.jacobian[0], found.steps, bool(found.converged[0]))
+    return Solved(solved.X[0], solved.jacobian[0], solved.steps, bool(solved.converged[0]))

@@ -74,7 +74,7 @@ class _Walk:
     def begin(self, values: Array) -> list[float]:
         """The directions, as angles, in which the curve leaves the point from which it is followed."""
         self.start = (values - self.low) / self.width
-        counts = [found.unstable for angle in self._circle() if (found := self._seen(self.start, angle)) is not None]
+        counts = [here.unstable for angle in self._circle() if (here := self._seen(self.start, angle)) is not None]
         if len(set(counts)) < 2:
             raise ValueError("no equilibrium changes its stability around the Hopf point")
         self.least = min(counts)
@@ -111,8 +111,8 @@ class _Walk:
     def _seen(self, center: Array, angle: float) -> Equilibrium | None:
         return self._equilibrium(center + self.length * np.array([math.cos(angle), math.sin(angle)]))
 
-    def _is_stable(self, found: Equilibrium | None) -> bool:
-        return found is not None and found.unstable <= self.least
+    def _is_stable(self, equilibrium: Equilibrium | None) -> bool:
+        return equilibrium is not None and equilibrium.unstable <= self.least
 
     def _circle(self) -> list[float]:
         return [STEP * (k + 0.5) for k in range(ANGLES)]
@@ -157,7 +157,7 @@ class _Walk:
         return self._between(beside, center + self.length * np.array([math.cos(angle), math.sin(angle)]))
 
     def _between(self, beside: list[Equilibrium | None], place: Array) -> Point | None:
-        seen = sorted((found for found in beside if found is not None), key=lambda found: found.unstable)
+        seen = sorted((there for there in beside if there is not None), key=lambda there: there.unstable)
         if len(seen) < 2 or len(seen[1].exponents) <= self.least or not seen[1].exponents[self.least].imag:
             return None
         frequency = abs(float(seen[1].exponents[self.least].imag))

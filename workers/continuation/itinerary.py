@@ -95,8 +95,8 @@ class Itinerary(NamedTuple):
 
     def span(self, lin: OrbitMachines) -> Array:
         """The length (N,) of a turn of machines."""
-        found: Array = self.turn * 2.0 * math.pi / lin.omega
-        return found
+        length: Array = self.turn * 2.0 * math.pi / lin.omega
+        return length
 
     @property
     def sections(self) -> int:

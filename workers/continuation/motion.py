@@ -177,18 +177,18 @@ class OrbitMotion:
     def ends(self) -> Array:
         """When each leg ends (N, L)."""
         table, starts, period = self.plan.table, self.lin.elements.starts, 2.0 * math.pi / self.lin.omega
-        found, events = np.empty((len(self.start), len(table))), table[:, EVENT] != NO_EVENT
-        found[:, events] = self.times
-        found[:, -1] = (self.times[:, 0] if self.itinerary.sides else 0.0) + self.span
+        times, events = np.empty((len(self.start), len(table))), table[:, EVENT] != NO_EVENT
+        times[:, events] = self.times
+        times[:, -1] = (self.times[:, 0] if self.itinerary.sides else 0.0) + self.span
         turns = None
         for k in np.flatnonzero(~events[:-1]).tolist():
-            phase, before = self.plan.legs[k][0].code.phase, found[:, k - 1] if k else 0.0 * period
+            phase, before = self.plan.legs[k][0].code.phase, times[:, k - 1] if k else 0.0 * period
             low, high = starts[:, phase], starts[:, phase + 1]
             if turns is None or events[k - 1]:  # of the phase that the event is in, or next to
                 turns = np.round(before / period - 0.5 * (low + high))
-            found[:, k] = (high + turns) * period
+            times[:, k] = (high + turns) * period
             turns = turns + (phase + 2 == starts.shape[1])
-        return found
+        return times
 
     @cached_property
     def begins(self) -> Array:
