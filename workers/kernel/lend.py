@@ -6,7 +6,6 @@ function that lent them: no function returns them.
 
 from typing import Any, TypeVar
 
-import numpy as np
 from numba import types
 from numba.core.cgutils import alloca_once_value, create_struct_proxy
 from numba.core.datamodel import models
@@ -14,7 +13,7 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, register_model, type_callable
 
 from workers.kernel.borrow import many_type, many_value, row_of, row_type, row_value, without_counts
-from workers.model.oscillator import map_fields
+from workers.model.oscillator import many_of
 
 __all__ = ["as_many", "lend", "lend_value", "lent_as", "rigid", "row_in", "whole", "with_phase"]
 
@@ -36,8 +35,7 @@ def as_many(record: Given) -> Given:
 
     Functions of rows of many, and functions called by symbol, accept it.
     """
-    many: Given = map_fields(record, lambda field: np.asarray(field)[None])
-    return many
+    return many_of(record)
 
 
 def whole(given: Given) -> Given:

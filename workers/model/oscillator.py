@@ -5,13 +5,14 @@ field.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Given = TypeVar("Given")
 Reasons = NDArray[np.int8]
 Rows = NDArray[np.int64]
 """A mask of rows, or their numbers."""
@@ -362,7 +363,7 @@ def one_of(oscillators: Any, k: int) -> Any:
     return one
 
 
-def many_of(osc: Oscillator) -> Oscillator:
-    """One oscillator as a record of many, of the same arrays."""
-    many: Oscillator = map_fields(osc, lambda field: np.asarray(field)[None])
+def many_of(record: Given) -> Given:
+    """One record as a record of many, of the same arrays."""
+    many: Given = map_fields(record, lambda field: np.asarray(field)[None])
     return many

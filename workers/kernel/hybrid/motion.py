@@ -63,7 +63,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.LegRecord
     Stops early with tally[STATUS] set if the motion cannot continue.
     """
-    trips = trips_for(row_in(as_many(table), 0), 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
+    trips = trips_for(table, 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
     take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration)
 
 
@@ -170,4 +170,4 @@ def through_events(osc, motion, duration):
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if osc.table.drifts > 0.0 and framed else 0
     n, m = motion.h.shape[0], motion.V.shape[0] + more
-    take_on(osc, motion, trips_for(row_in(as_many(osc.table), 0), 1, n, m, framed, square), more, duration)
+    take_on(osc, motion, trips_for(osc.table, 1, n, m, framed, square), more, duration)
