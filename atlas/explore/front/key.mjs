@@ -90,6 +90,7 @@ function curveEntries({ looks, marks, ends }, look, change) {
     lines.push(lineEntry("codimension_two", `codimension two: ${kinds.map(({ label }) => label).join(", ")}`, look, change,
       ({ context, width, height }) => outlined(context, kinds[0].shape, width / 2, height / 2)));
   if (ends.length) lines.push(make("li", {}, swatch((canvas) => dot(canvas.context, canvas.width / 2, canvas.height / 2)), "end of a curve"));
+  if (!lines.length) return [];
   const title = Object.values(looks).some(({ fixed }) => fixed) ? "lines" : "curves";
   return [make("h2", { textContent: title }), make("ul", {}, ...lines)];
 }
