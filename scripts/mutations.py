@@ -1,14 +1,15 @@
 # ruff: noqa: E501  (a mutation is a row)
 """One-line mistakes put into the code one at a time: which of them does a test notice?
 
-Usage: python -m scripts.mutations [PART ...] [--list] [--minutes M] [--trust]
+Usage: python -m scripts.mutations [PART ...] [--list] [--minutes M] [--limit S] [--trust]
 
 PART chooses the mutations whose file's path contains it, such as atlas/store or workers/kernel; all by default. A
 mutation is made in a copy of its package in a temporary folder, which the tests import in place of the checkout's, so
-that nothing in the checkout changes. The tests named beside it are run until the first fails: the mutation is caught.
-A run that exceeds LIMIT seconds counts as caught, too: the mistake is noticed. Before, the tests have to pass without
-it, unless ``--trust`` says that they do. No new mutation begins after ``--minutes``. Each of workers/ compiles all
-kernels that its tests need. The exit code is 1 if a mutation is missed, or is stale: its line is not in its file once.
+that nothing in the checkout changes. The tests named beside it are run until the first fails: the mutation is caught,
+and the test is printed. Tests that run longer than ``--limit`` seconds are stopped: the mutation may have made a loop
+endless, or the machine is busy. Before, the tests have to pass without it, unless ``--trust`` says that they do. No new
+mutation begins after ``--minutes``. Each of workers/ compiles all kernels that its tests need. The exit code is 1 if a
+mutation is missed or stopped, or is stale: its line is not in its file once. ``--list`` finds the stale ones.
 """
 
 import argparse
@@ -23,8 +24,7 @@ from typing import NamedTuple
 
 from rig import ROOT
 
-LIMIT = 900.0
-"""Seconds for the tests of one mutation."""
+CAUGHT, MISSED, STOPPED, STALE, UNTRIED = "caught", "missed", "stopped", "stale", "not tried"
 NONE_SELECTED = 5
 """Exit code of pytest if its files hold no test that is not slow: their slow ones run in its place."""
 
@@ -50,7 +50,7 @@ MUTATIONS = tuple(
         ("atlas/spec/axis.py", "one == another and self.values == other.values", "one == another", "spec/test_axes.py spec/test_points.py"),
         ("atlas/store/tiling.py", "return index if canonical and all", "return index if all", "store/test_tiling.py store/test_store.py store/test_spare.py"),
         ("atlas/store/record.py", "(by_regime == sizes) & (by_reason == sizes)", "by_regime == sizes", "store/test_records.py"),
-        ("atlas/store/record.py", "found.update(variable.name.encode())", "pass", "store/test_records.py"),
+        ("atlas/store/record.py", "digest.update(variable.name.encode())", "pass", "store/test_records.py"),
         ("atlas/store/record.py", "row[CELLS] = np.bincount(places,", "row[CELLS] = np.bincount(places[:-1],", "store/test_records.py"),
         ("atlas/overview/levels.py", "> self.least:", ">= self.least:", "overview/test_overview.py"),
         ("atlas/overview/levels.py", "min((i + 1) * c, n)", "(i + 1) * c", "overview/test_overview.py overview/test_stacks.py"),
@@ -104,25 +104,28 @@ MUTATIONS = tuple(
         ("workers/cell/averages.py", "(mean > CLEAR * error)", "(mean > 0.1 * CLEAR * error)", "workers/cell"),
         ("workers/attractors/starts.py", "(y > lower[k]) & (y < upper[k])", "y < upper[k]", "workers/attractors/test_starts.py"),
         ("workers/attractors/same.py", "if here < nearest:", "if here > nearest:", "workers/attractors"),
-        ("workers/sweep.py", "if not -len(shape) <= axis < len(shape):", "if not axis < len(shape):", "workers service/test_continuation.py"),
+        ("workers/sweep.py", "if not -len(shape) <= axis < len(shape):", "if not axis < len(shape):", "service/test_continuation.py"),
     )
 )  # fmt: skip
 
 
-def outcome(mutation: Mutation, folder: Path) -> str:
-    """Whether the tests notice a mutation: "caught", "missed" or "stale"."""
+def is_stale(mutation: Mutation) -> bool:
+    """Whether the text of a mutation does not stand in its file once."""
     path = ROOT / mutation.file
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
-    if text.count(mutation.old) != 1:
-        return "stale"
+    return not path.exists() or path.read_text(encoding="utf-8").count(mutation.old) != 1
+
+
+def outcome(mutation: Mutation, folder: Path, limit: float) -> tuple[str, str]:
+    """Whether the tests notice a mutation: CAUGHT, MISSED or STOPPED, and the first test that fails."""
     package = mutation.file.split("/")[0]
     shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    text = (ROOT / mutation.file).read_text(encoding="utf-8")
     (folder / mutation.file).write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
-    return "missed" if passes(mutation.tests, folder) else "caught"
+    return run_tests(mutation.tests, folder, limit)
 
 
-def passes(tests: str, folder: Path) -> bool:
-    """Whether tests pass with the packages of a folder, if it has any; SystemExit if none could run."""
+def run_tests(tests: str, folder: Path, limit: float) -> tuple[str, str]:
+    """MISSED if tests pass with the packages of a folder, if it has any; SystemExit if none could run."""
     paths = [f"tests/{name}" for name in tests.split()]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider"]
     command += [f"--basetemp={folder / 'tests'}", "-o", f"pythonpath={folder} {ROOT}", *paths]
@@ -130,8 +133,10 @@ def passes(tests: str, folder: Path) -> bool:
     if (folder / "workers").exists():
         environment["NUMBA_CACHE_DIR"] = str(folder / "kernels")
 
-    def run() -> subprocess.CompletedProcess[bytes]:
-        return subprocess.run(command, cwd=ROOT, env=environment, timeout=LIMIT, capture_output=True, check=False)
+    def run() -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            command, cwd=ROOT, env=environment, timeout=limit, capture_output=True, check=False, text=True
+        )
 
     try:
         done = run()
@@ -139,38 +144,40 @@ def passes(tests: str, folder: Path) -> bool:
             command[command.index("not slow")] = "slow"
             done = run()
     except subprocess.TimeoutExpired:
-        return False
+        return STOPPED, f"after {limit:g} s"
     if done.returncode not in (0, 1, 2):  # 2: a module cannot even be imported
-        raise SystemExit(f"{tests}: pytest ended with {done.returncode}\n{done.stdout.decode()[-2000:]}")
-    return done.returncode == 0
+        raise SystemExit(f"{tests}: pytest ended with {done.returncode}\n{done.stdout[-2000:]}")
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return (CAUGHT, " ".join(failed[:1])) if done.returncode else (MISSED, "")
 
 
 def main() -> int:
-    """Try the mutations and print what became of each; 1 if one is missed or stale."""
+    """Try the mutations and print the outcome of each; 1 if one is missed, stopped or stale."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", nargs="*", help="of the path of a file; default: all")
     parser.add_argument("--list", action="store_true", help="print the mutations and try none")
     parser.add_argument("--minutes", type=float, default=60.0, help="after which no mutation begins")
+    parser.add_argument("--limit", type=float, default=900.0, help="seconds for the tests of one mutation")
     parser.add_argument("--trust", action="store_true", help="do not run the tests without the mutation before")
     given = parser.parse_args()
     end, sound = time.monotonic() + 60.0 * given.minutes, set[str]()
-    found = {"caught": 0, "missed": 0, "stale": 0, "not tried": 0}
+    counts = dict.fromkeys((CAUGHT, MISSED, STOPPED, STALE, UNTRIED), 0)
     for mutation in MUTATIONS:
         if given.part and not any(part in mutation.file for part in given.part):
             continue
-        became = "not tried"
-        if not given.list and time.monotonic() < end:
+        became, by = STALE if is_stale(mutation) else UNTRIED, ""
+        if became == UNTRIED and not given.list and time.monotonic() < end:
             if not given.trust and mutation.tests not in sound:
                 with TemporaryDirectory(prefix="mutations-") as folder:
-                    if not passes(mutation.tests, Path(folder)):
+                    if run_tests(mutation.tests, Path(folder), given.limit)[0] != MISSED:
                         raise SystemExit(f"{mutation.tests}: fails without a mutation")
                 sound.add(mutation.tests)
             with TemporaryDirectory(prefix="mutations-") as folder:
-                became = outcome(mutation, Path(folder))
-        found[became] += 1
-        print(f"{became}: {mutation.file}: {mutation.old!r} -> {mutation.new!r}  ({mutation.tests})", flush=True)
-    print(", ".join(f"{count} {name}" for name, count in found.items()))
-    return 1 if found["missed"] or found["stale"] else 0
+                became, by = outcome(mutation, Path(folder), given.limit)
+        counts[became] += 1
+        print(f"{became}: {mutation.file}: {mutation.old!r} -> {mutation.new!r}  ({by or mutation.tests})", flush=True)
+    print(", ".join(f"{count} {name}" for name, count in counts.items()))
+    return 1 if counts[MISSED] or counts[STOPPED] or counts[STALE] else 0
 
 
 if __name__ == "__main__":
