@@ -62,9 +62,9 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     known = np.isfinite(last).all(axis=-1)
     if known.any():
         oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
-        moved = last[known].copy()
+        states_inside = last[known].copy()
         for row, upper, lower in oscillators.rigid_stops:
-            put_inside(row, upper, lower, moved)
+            put_inside(row, upper, lower, states_inside)
         built = reasons == NO_REASON  # solve_tile marks the others invalid
-        states[known] = np.where(built[:, None], moved, last[known])
+        states[known] = np.where(built[:, None], states_inside, last[known])
     return {name: states[..., k] for k, name in enumerate(record.states)}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from workers.cell.cells import Cells, Results
-from workers.cell.cycles import tell_in_time
+from workers.cell.cycles import convert_to_time
 from workers.cell.measuring import measure
 from workers.cell.observing import observe
 from workers.cell.solve import solve
@@ -46,14 +46,14 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
     """
     record, settings = find_system(system), settings or Settings()
 
-    def solve_part(params: dict[str, Array], found: Results) -> None:
+    def solve_part(params: dict[str, Array], arrays: Results) -> None:
         unforced, starts = record.definition.unforced, initial_state(record, params)
-        cells = Cells(*record.build_many(params), starts, settings, found, unforced=unforced)
+        cells = Cells(*record.build_many(params), starts, settings, arrays, unforced=unforced)
         solve(cells)
         measure(cells, record.definition, params)
         observe(cells, record.definition, params)
         if unforced:
-            tell_in_time(cells, variables)
+            convert_to_time(cells, variables)
 
     kept, variables = settings.max_period + settings.section_samples, record.variables(settings)
     most = MODES_AT_ONCE if record.has_modes else sys.maxsize

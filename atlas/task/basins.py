@@ -79,7 +79,7 @@ def _label_band(
 
     Cells beyond the ``reference`` attractors are labelled, also cells that a dead attempt has labelled.
     """
-    from workers.attractors.basins import added
+    from workers.attractors.basins import labels_beyond
 
     labels = {index: _labels(handle, index) for index in band}
     beyond = {index: (label == BEYOND_TABLE) | (label >= reference) for index, label in labels.items()}
@@ -88,7 +88,7 @@ def _label_band(
         places = np.concatenate([_places(handle, index, mask) for index, mask in beyond.items()])
         states = np.concatenate([read_tile(handle, index, ["state"])["state"][mask] for index, mask in beyond.items()])
         order, last = np.argsort(places), np.empty(places.size, dtype=np.int64)
-        last[order] = added(table, states[order])
+        last[order] = labels_beyond(table, states[order])
         ends = np.cumsum([int(mask.sum()) for mask in beyond.values()])
         for (index, mask), new in zip(beyond.items(), np.split(last, ends[:-1]), strict=True):
             labels[index][mask] = new

@@ -202,7 +202,7 @@ def compile_piece(piece: str, part: str = CELLS) -> None:
     """Compile a piece of the kernels that solve cells of this part, CELLS or MODES, without solving cells."""
     from workers.cell.stretch import run
     from workers.kernel.apart import load
-    from workers.orbit.newton import no_orbits, settle_each
+    from workers.orbit.newton import no_orbits, settle_cells
 
     load(modes=part == MODES)
     if piece == APART:
@@ -212,7 +212,7 @@ def compile_piece(piece: str, part: str = CELLS) -> None:
         run(batch, np.zeros(1, dtype=np.int64))  # of no periods
     else:
         n, periods, near = batch.oscillators.gap_row.shape[1], batch.periods, np.zeros(1)
-        settle_each(
+        settle_cells(
             batch.oscillators, batch.motions, batch.sections, periods, near, 1, periods, none, no_orbits(1, n), periods
         )
 

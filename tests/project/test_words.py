@@ -28,8 +28,9 @@ NAMES = {"each", "found", "told", "moved", "taken"}
 NAMED = (
     "atlas/service", "atlas/store", "atlas/cli", "atlas/check", "atlas/spec", "atlas/task", "atlas/overview",
     "atlas/explore", "atlas/explore/front", "atlas/explore/static",
+    "workers", "workers/orbit", "workers/attractors", "workers/cell",
 )  # fmt: skip
-"""Rooms whose names and docstrings are clean too; files of ``atlas`` itself are as well."""
+"""Rooms whose names and docstrings are clean too, as are files of ``atlas`` itself."""
 ROOMS = [file for package in ("atlas", "workers") for file in sorted((ROOT / package).rglob("*.py"))]
 
 

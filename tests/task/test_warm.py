@@ -240,7 +240,7 @@ def test_children_side_by_side_end_when_one_who_hears_of_them_gives_up() -> None
 def test_pieces_are_the_kernels_that_cells_take() -> None:
     for piece in (warm.APART, warm.BATCH, warm.SETTLE):
         warm.compile_piece(piece)
-    before = {kernel: list(kernel.alone.signatures) for kernel in (run.run_batch, newton.settle_each)}
+    before = {kernel: list(kernel.alone.signatures) for kernel in (run.run_batch, newton.settle_cells)}
     assert all(len(signatures) >= 1 for signatures in before.values())
     warm.warm_up()
     assert {kernel: list(kernel.alone.signatures) for kernel in before} == before

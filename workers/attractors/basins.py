@@ -1,8 +1,8 @@
 """``solve_basins``: which attractor each of many initial states of one machine reaches, by one table of attractors.
 
 The table is made first, from a set of initial states that depends on the parameters and ``Starts`` alone. Attractors
-beyond the table are labelled by ``added`` once all initial states are solved. So labels depend neither on the tiles in
-which the states were solved nor on their order.
+beyond the table are labelled by ``labels_beyond`` once all initial states are solved. So labels depend neither on the
+tiles in which the states were solved nor on their order.
 """
 
 import json
@@ -103,7 +103,7 @@ def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Resu
     for r in np.flatnonzero((label < 0) & np.isin(regime, SHOWN)).tolist():  # solved in full
         new = attractor_of(table.oscillators, search, r)
         label[r] = table.label(table.cell.same(new)[0] if new else None)
-    for name, values in search.cells.found.items():
+    for name, values in search.cells.results.items():
         arrays[name][:] = values
     for k, attractor in enumerate(table.attractors):
         for name, value in attractor.result.items():
@@ -115,7 +115,7 @@ def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Resu
     arrays[LABEL.name][:] = np.where(label >= 0, label, np.where(on_attractor, BEYOND_TABLE, UNKNOWN_LABEL))
 
 
-def added(table: AttractorTable, states: Array) -> NDArray[np.int64]:
+def labels_beyond(table: AttractorTable, states: Array) -> NDArray[np.int64]:
     """Labels (N,) of states (N, 2n) on attractors beyond the table; new attractors are added to it.
 
     The order of the states decides the order of new labels. UNKNOWN_LABEL if a state is on no attractor after all.

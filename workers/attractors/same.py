@@ -31,13 +31,13 @@ from workers.results import NO_IMPACT, NO_REASON
 NEAR_ORBIT = 1e-2
 """Largest distance from a known orbit, relative to the motion's scale, at which a motion is tested for it."""
 ALONG = 256
-"""States along a cycle without a force, for pictures and for the distance of a motion from it."""
+"""States along a cycle without a force: for pictures, and for the distance of a motion from the cycle."""
 SAME_ORBIT = 1e-6
 """Largest distance of section states of equal orbits, relative to the motion's scale."""
 BATCH = 64
 """Section states of a batch."""
 REFERENCE, FIRST_LOOK, SECOND_LOOK = 64, 16, 48
-"""Batches of an attractor; batches of a motion compared with it; further ones if it differs."""
+"""Batches of an attractor; batches of a motion compared with it; further batches if the motion differs."""
 DIFFERENT = 5.0
 """Standard errors beyond which two motions are on different attractors."""
 LEAST_SPREAD = 1e-9
@@ -64,10 +64,10 @@ class KnownOrbits(NamedTuple):
 def orbits_reached(blocks, sections, kept, rows, owner, known):
     """The known orbits, by number, into which these motions fall; -1 for none.
 
-    sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the motions' cells. It takes three
-    turns of a motion, or two on the orbit.
+    sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the motions' cells. A motion
+    needs three turns for that, or two on the orbit.
     """
-    found = np.full(len(rows), -1)
+    numbers = np.full(len(rows), -1)
     last = sections.shape[1] - 1
     for e in range(len(rows)):
         r = rows[e]
@@ -94,9 +94,9 @@ def orbits_reached(blocks, sections, kept, rows, owner, known):
                 reached = k < last - at and stays_nearer(blocks[r], P, J, h, before, separation(blocks[r], start, h))
                 k -= p
             if reached:
-                found[e] = m
+                numbers[e] = m
                 break
-    return found
+    return numbers
 
 
 def norms(blocks: Array, h: Array) -> Array:

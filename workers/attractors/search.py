@@ -19,7 +19,7 @@ from workers.attractors.same import (
 )
 from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER
-from workers.cell.cycles import CycleCourse, course_of, tell_in_time
+from workers.cell.cycles import CycleCourse, convert_to_time, course_of
 from workers.cell.measuring import measure
 from workers.cell.observing import observe
 from workers.cell.outcome import end_impact_free, end_stopped
@@ -58,15 +58,15 @@ class Known:
         self.places = np.flatnonzero([attractor.jacobian is not None for attractor in self.attractors])
         self.references = [[a for a in attractors if a.reference is not None] for attractors in of_cells]
         self.cycles = [[a for a in attractors if a.cycle is not None] for attractors in of_cells]
-        some, of_cell = [self.attractors[k] for k in self.places], np.searchsorted(self.places, ends)
+        compared, of_cell = [self.attractors[k] for k in self.places], np.searchsorted(self.places, ends)
         self.orbits = KnownOrbits(
             first=of_cell[:-1],
             last=of_cell[1:],
-            h=np.array([a.h for a in some]).reshape(-1, n, 2),
-            period=np.array([a.period for a in some], dtype=np.int64),
-            jacobian=np.array([a.jacobian for a in some], dtype=np.float64).reshape(-1, 2 * n, 2 * n),
-            contraction=np.array([a.contraction for a in some], dtype=np.float64),
-            norm=np.array([a.norm for a in some], dtype=np.float64).reshape(-1, 2 * n, 2 * n),
+            h=np.array([a.h for a in compared]).reshape(-1, n, 2),
+            period=np.array([a.period for a in compared], dtype=np.int64),
+            jacobian=np.array([a.jacobian for a in compared], dtype=np.float64).reshape(-1, 2 * n, 2 * n),
+            contraction=np.array([a.contraction for a in compared], dtype=np.float64),
+            norm=np.array([a.norm for a in compared], dtype=np.float64).reshape(-1, 2 * n, 2 * n),
         )
 
 
@@ -112,7 +112,7 @@ class Search:
 
     def result(self, r: int) -> dict[str, Any]:
         """The results of one motion."""
-        return {name: values[r].copy() for name, values in self.cells.found.items()}
+        return {name: values[r].copy() for name, values in self.cells.results.items()}
 
     def recognised(self, r: int) -> Attractor | None:
         """The known attractor that one motion has reached."""
@@ -143,7 +143,7 @@ class Search:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = same.REFERENCE) -> tuple[Rows, Array]:
-        """The motions of ``rows`` that last for so many batches, on no orbit; and the batches (rows, batches, 4n)."""
+        """The motions of ``rows`` that reach no orbit in this many batches, and their batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
             rows = self._advance(rows, same.BATCH, look=not self.cells.unforced or k == batches - 1)
@@ -186,9 +186,10 @@ class Search:
         return self.to_compare[rows]
 
     def _advance(self, rows: Rows, periods: Rows | int, look: bool = True) -> Rows:
-        """Advance these motions by some periods; returns those that can go on and, with ``look``, are on no orbit.
+        """Advance these motions by some periods; returns the motions that can continue.
 
-        Without a force ``look`` follows the motion event by event, which takes longer than its periods.
+        With ``look`` motions on an orbit end; without a force they are followed event by event for that, which takes
+        longer than their periods.
         """
         cells, least = self.cells, self.cells.settings.max_periods
         cells.aim(rows, periods)
@@ -220,14 +221,14 @@ class Search:
         measure(self.cells, self.record.definition, self.params)
         observe(self.cells, self.record.definition, self.params)
         if self.cells.unforced:
-            tell_in_time(self.cells, self.variables)
+            convert_to_time(self.cells, self.variables)
 
     def _refer(self) -> None:
         """Continue the motions on unknown chaos or tori to collect their batches.
 
         A motion that comes to an orbit meanwhile belongs to the orbit.
         """
-        arrays = self.cells.found
+        arrays = self.cells.results
         before = {name: values.copy() for name, values in arrays.items()}
         new = np.flatnonzero((self.label < 0) & np.isin(self.regime, STATISTICAL))
         for variable in self.variables:

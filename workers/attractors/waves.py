@@ -128,13 +128,17 @@ class Coexistence:
         The remaining motions of a transient are watched once more.
         """
         for last in (False, True):
-            every = [(c, a, self._missing(cell, a, last)) for c, cell in enumerate(self.cells) for a in cell.attractors]
-            suspects = [(c, suspect, missing) for c, suspect, missing in every if missing > 0]
+            watches = [
+                (c, attractor, self._missing(cell, attractor, last))
+                for c, cell in enumerate(self.cells)
+                for attractor in cell.attractors
+            ]
+            suspects = [(c, suspect, missing) for c, suspect, missing in watches if missing > 0]
             if not suspects:
                 return
-            of = np.repeat(np.arange(len(suspects)), [len(suspect.starts) for _, suspect, _ in suspects])
-            owner = np.array([c for c, _, _ in suspects])[of]
-            periods = np.array([-(-missing // len(suspect.starts)) for _, suspect, missing in suspects])[of]
+            place = np.repeat(np.arange(len(suspects)), [len(suspect.starts) for _, suspect, _ in suspects])
+            owner = np.array([c for c, _, _ in suspects])[place]
+            periods = np.array([-(-missing // len(suspect.starts)) for _, suspect, missing in suspects])[place]
             number = np.concatenate([suspect.starts for _, suspect, _ in suspects])
             search = self.search(
                 owner, *_stacked([state for _, suspect, _ in suspects for state in suspect.last]), STABLE
@@ -142,8 +146,8 @@ class Coexistence:
             search.watch(periods)
             ended = (search.label >= 0) | np.isin(search.regime, STABLE)
             for k, (c, suspect, _) in enumerate(suspects):
-                suspect.seen += int(search.cells.flown[of == k].sum())
-                self._part(self.cells[c], suspect, number, search, np.flatnonzero((of == k) & ~ended), last=last)
+                suspect.seen += int(search.cells.flown[place == k].sum())
+                self._part(self.cells[c], suspect, number, search, np.flatnonzero((place == k) & ~ended), last=last)
             self._put(search, number, np.flatnonzero(ended))
 
     def _missing(self, cell: CellAttractors, suspect: Attractor, last: bool) -> int:

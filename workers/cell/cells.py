@@ -27,8 +27,8 @@ STEPS, SAME_STEP = 16, 1e-7
 least share of the sum."""
 
 ONCE_ROUND, SAME_CYCLE = 1e-8, 1e-6
-"""Distance, relative to the motion, at which a cycle closes in the event loop, and a motion is on it; the same of the
-states of one cycle, found twice, and of its period."""
+"""Largest distances, relative to the motion: of a state on a cycle from its image once round, and of a motion on the
+cycle; of states, and of periods, of one cycle solved twice."""
 
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
 """Evaluations allowed to a cell per period of its budget, and the least for all together. Ordinary cells take 5 to 40 a
@@ -76,8 +76,8 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
 class CellCycle(NamedTuple):
     """A cycle of a machine without a force.
 
-    Its period; its states (p, 2n) as it passes its rarest event; and its states (m, 2n) just after each of its events,
-    with the numbers (m,) of its modes from there on.
+    Its period; its states (p, 2n) at its rarest event; and its states (m, 2n) just after each of its events, with the
+    numbers (m,) of its modes from there on.
     """
 
     period: float
@@ -86,16 +86,16 @@ class CellCycle(NamedTuple):
     numbers: NDArray[np.int64]
 
     def passes(self, states: Array, numbers: NDArray[np.int64]) -> bool:
-        """Whether a motion is on it that is in these states (K, 2n) just after events, in modes (K,) from there on."""
+        """Whether a motion in these states (K, 2n) just after events, in modes (K,) from there on, is on the cycle."""
         near = self._away(states[:, None]) <= ONCE_ROUND
         return bool(np.any(near & (numbers[:, None] == self.numbers)))
 
     def is_through(self, state: Array, period: float) -> bool:
-        """Whether it is the cycle of this period through a state (2n,) just after an event: the same set of states."""
+        """Whether this is the cycle of a period through a state (2n,) just after an event: the same set of states."""
         return bool(self._away(state).min() <= SAME_CYCLE and abs(period - self.period) <= SAME_CYCLE * self.period)
 
     def _away(self, states: Array) -> Array:
-        """Distances (..., m) of states (..., 2n) from those after its events, relative to its size."""
+        """Distances (..., m) of states (..., 2n) from the states after its events, relative to the cycle's size."""
         x, v = np.split(np.abs(self.events), 2, axis=1)
         omega = 2.0 * np.pi / self.period
         size = max(x.max(), v.max() / omega)
@@ -119,7 +119,7 @@ class Cells:
     tallied    (N, TALLIES) counts between ``first`` and ``began``
     directions of the state, 2n; drifts: 1 if one of them is a coordinate that may drift, which has no exponent;
                vectors: number of tangent vectors
-    found      result arrays, written when cells end; contact (N,) of their ``state``
+    results    arrays, written when cells end; contact (N,): of the ``state`` among them
     orbits     of the cells that were proved to converge to one
     unforced   true for machines without a force, whose periods are natural ones; cycles: the proved cycle of each
     far        energy norm from which on a growing motion counts as unbounded; infinite for others
@@ -131,7 +131,7 @@ class Cells:
         reasons: Reasons,
         starts: Array,
         settings: Settings,
-        found: Results,
+        results: Results,
         contact: Rows | None = None,
         unforced: bool = False,
     ) -> None:
@@ -143,13 +143,13 @@ class Cells:
         one = 2 if unforced else 1  # without a force one exponent is 0
         self.vectors = {"none": 0, "largest": one, "spectrum": 2 * n - self.drifts}[settings.exponents]
         self.unforced, self.cycles = unforced, dict[int, CellCycle]()
-        self.oscillators, self.settings, self.found = oscillators, settings, found
+        self.oscillators, self.settings, self.results = oscillators, settings, results
         motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)
         self.batch = batch_of(oscillators, motions, kept)
         without_frames = motions._replace(V=np.zeros((N, 0, n, 2)), growth=np.zeros((N, 0)))
         self.bare = self.batch._replace(motions=without_frames)
         invalid = reasons != NO_REASON
-        found["regime"][invalid], found["reason"][invalid] = INVALID, reasons[invalid]
+        results["regime"][invalid], results["reason"][invalid] = INVALID, reasons[invalid]
         self.going = ~invalid
         budgets = (settings.max_periods, settings.survival), (settings.transient_periods, settings.periods)
         motions.tally[:, WORK] = work_allowed(sum(budgets[0 if adaptive else 1]))

@@ -77,8 +77,8 @@ def part_to_survive(relaxation: Array) -> Array:
     return np.clip((relaxation / LONG_MEMORY) ** 2, LEAST_PART, 1.0)
 
 
-Which = Callable[[Rows], Mask]
-"""Which of some cells something is known of."""
+Property = Callable[[Rows], Mask]
+"""A property of cells: the mask of the cells that have it."""
 
 
 def none_of(rows: Rows) -> Mask:
@@ -104,8 +104,8 @@ class Course:
     def __init__(
         self,
         cells: Cells,
-        is_known: Which = none_of,
-        leaves: Which = none_of,
+        is_known: Property = none_of,
+        leaves: Property = none_of,
         part: Callable[[Array], Array] = part_to_survive,
     ) -> None:
         N = len(cells.used)
@@ -153,7 +153,7 @@ class Course:
         self.watching(rows[stage == WATCHING])
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells proved to converge to an orbit; returns the others that are not known already."""
+        """Write the results of cells proved to converge to an orbit; returns the others that are not known."""
         known = self.is_known(rows)
         self.cells.going[rows[known]] = False
         return end_on_orbits(self.cells, rows[~known], budget, near)
@@ -268,14 +268,14 @@ class Course:
         wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
         self._end(rows[enough & ~changed])
-        self._go_on_changed(rows[enough & changed])
+        self._restart_changed(rows[enough & changed])
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
         """The next stretch of an average that lacks ``missing`` periods: at most as long as the average so far."""
         longest = self.cells.flown[rows] - self.cells.began[rows]
         self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
-    def _go_on_changed(self, rows: Rows) -> None:
+    def _restart_changed(self, rows: Rows) -> None:
         """Keep only the later average of motion that has changed."""
         cells = self.cells
         before, now = cells.earlier.mean[rows], under_way(cells, rows)

@@ -1,9 +1,9 @@
-"""Cells of machines without a force: their cycles, equilibria, tori and chaos, told in units of time.
+"""Cells of machines without a force: their cycles, equilibria, tori and chaos, with results in units of time.
 
-No period is given. The motion is followed over natural periods as any other, and looked at event by event: it may be on
-a cycle where an event comes back in the same mode to nearly the same state. The cycle is then solved by its equations,
-see continuation/cycles.py, and the event loop has to go once round it. From there on the period of the cell is that of
-the cycle, which is an orbit of one period for all that is measured.
+No period is given. The motion is followed over natural periods as any other, and examined event by event: it may be on
+a cycle if an event repeats in the same mode at nearly the same state. The cycle is then solved by its equations, see
+continuation/cycles.py, and the event loop has to close it. From then on the period of the cell is the period of the
+cycle, so that all measures see an orbit of one period.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.cell.cells import ONCE_ROUND, RETURNS, CellCycle, Cells
-from workers.cell.course import TORUS_RETURN, Course, Which, none_of
+from workers.cell.course import TORUS_RETURN, Course, Property, none_of
 from workers.cell.exponents import kaplan_yorke
 from workers.cell.orbits import end_on_orbits
 from workers.cell.outcome import put, put_averaged, put_periodic
@@ -44,22 +44,25 @@ from workers.results import (
 )
 
 LEAST_LOOK = 64
-"""Natural periods over which a motion is looked at, at least: as long as all before, or until it closes."""
+"""Least natural periods over which a motion is examined: as long as all before, or until it closes."""
 
 NEAR = 1e-3
-"""Distance of a return, relative to the motion, from which on it may be that of a cycle."""
+"""Largest distance of a return, relative to the motion, that may be the return of a cycle."""
 
 STABLE = 1e-12
-"""-ln|mu| above which a multiplier is inside the unit circle: rounding is less."""
+"""-ln|mu| above which a multiplier mu is certainly inside the unit circle: its rounding is less."""
 
 STEADY, LEAST_TORUS = 15.0, 3000
-"""Most that the second tangent vector of a torus may have shrunk by, as a logarithm; natural periods that it has to
-have been averaged by then."""
+"""Largest logarithm of the shrinkage of a torus's second tangent vector, over at least this many natural periods of
+averaging."""
 
 
 class Trail(NamedTuple):
-    """The last E events of one motion: their legs (E, columns), see notes.LegRecord; which they are (E,), by number of
-    signal, side and mode after it; their states (E, 2n) after them, over the range of each component."""
+    """The last E events of one motion.
+
+    Their legs (E, columns), see notes.LegRecord; their keys (E,): events have one key if signal, side and next mode
+    are the same; the states (E, 2n) after them, over the range of each component.
+    """
 
     legs: Array
     keys: NDArray[np.int64]
@@ -67,7 +70,7 @@ class Trail(NamedTuple):
 
     @property
     def after(self) -> tuple[Array, NDArray[np.int64]]:
-        """Physical states (E, 2n) after its events, and the numbers (E,) of the modes from there on."""
+        """Physical states (E, 2n) after the events, and the numbers (E,) of the modes from there on."""
         size = self.states.shape[1]
         return self.legs[:, LEG_STATE : LEG_STATE + size], self.legs[:, LEG.number].astype(np.int64)
 
@@ -87,7 +90,7 @@ def trail_of(legs: Array, size: int) -> Trail:
     return Trail(events, keys.reshape(-1).astype(np.int64), states / ranges)
 
 
-def course_of(cells: Cells, is_known: Which = none_of, leaves: Which = none_of) -> Course:
+def course_of(cells: Cells, is_known: Property = none_of, leaves: Property = none_of) -> Course:
     """The adaptive schedule of cells, see Course."""
     return (CycleCourse if cells.unforced else Course)(cells, is_known, leaves)
 
@@ -96,42 +99,42 @@ class CycleCourse(Course):
     """The adaptive schedule for machines without a force."""
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells that fall into a cycle or an equilibrium; of the others those not known already.
+        """Write the results of cells that fall into a cycle or an equilibrium; returns the others that are not known.
 
-        An equilibrium is what orbits of the map over a natural period are where nothing happens.
+        An equilibrium is an orbit of the map over a natural period, without events.
         """
         known = self.is_known(rows)
         self.cells.going[rows[known]] = False
-        rows, found, still = rows[~known], dict[int, tuple[Cycle, Array]](), list[int]()
+        rows, cycles, still = rows[~known], dict[int, tuple[Cycle, Array]](), list[int]()
         for r in rows.tolist():
             cycle, quiet = self._look(r)
             if cycle is not None:
-                found[r] = cycle
+                cycles[r] = cycle
             elif quiet:
                 still.append(r)
         rest = end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
         put_centres(self.cells, np.array([r for r in rest.tolist() if self._repeats(r)], dtype=np.int64))
-        put_cycles(self.cells, found)
+        put_cycles(self.cells, cycles)
         return rows[self.cells.going[rows]]
 
     def _repeats(self, r: int) -> bool:
-        """Whether the sections of one motion, to which nothing happens, are one state over all of its stretch."""
+        """Whether the sections of one motion without events are one state over all of its stretch."""
         kept = self.cells.batch.sections[r, -int(self.cells.kept()[r]) :]
         return len(kept) > 1 and float(np.ptp(kept, axis=0).max()) <= ONCE_ROUND * float(np.abs(kept).max())
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
-        """The cells that go on: all cycles are looked for at every stretch."""
+        """The cells that continue: cycles of any length are sought at every stretch."""
         return rows[self.cells.going[rows]]
 
     def never_closes(self, rows: Rows) -> Mask:
-        """Which of these cells have not come back to their last event in RETURNS passages of it, nor have shrunk."""
+        """Mask of cells that have not returned to their last event in RETURNS passages of it, and have not shrunk."""
         if not len(rows):
             return none_of(rows)
         motions, periods = self.cells.batch.motions, self.cells.flown[rows] - self.cells.began[rows]
-        found = (motions.growth[rows, 1] > -STEADY) & (periods >= LEAST_TORUS)
-        for k in np.flatnonzero(found).tolist():
-            found[k] = self._returns_far(int(rows[k]))
-        return np.asarray(found)
+        endless = (motions.growth[rows, 1] > -STEADY) & (periods >= LEAST_TORUS)
+        for k in np.flatnonzero(endless).tolist():
+            endless[k] = self._returns_far(int(rows[k]))
+        return np.asarray(endless)
 
     def _returns_far(self, r: int) -> bool:
         trail = None
@@ -145,7 +148,7 @@ class CycleCourse(Course):
         return min(trail.back(last, int(k)) for k in same) > TORUS_RETURN
 
     def trails(self, r: int) -> Iterator[Trail]:
-        """The trail of one motion from here on, a natural period longer each time, until it cannot be followed."""
+        """Trails of one motion from its present state, each a natural period longer, until it cannot be followed."""
         cells, one = self.cells, np.array([r])
         machine, size = taken(cells.oscillators, one), cells.directions
         state = physical_states(cells.oscillators, cells.batch.motions, one)[0]
@@ -164,38 +167,42 @@ class CycleCourse(Course):
             return
 
     def _look(self, r: int) -> tuple[tuple[Cycle, Array] | None, bool]:
-        """The cycle that one motion falls into with its passages of the rarest event, if it does; and whether nothing
-        happens to it any more."""
+        """The cycle into which one motion falls, with the times of its rarest event, if any; and whether it has no
+        more events."""
         tried, trail, most = set[int](), None, 4 * self.settings.max_period
         for trail in self.trails(r):
             for m in turns_of(trail):
                 if m in tried:
                     continue
                 tried.add(m)
-                found = cycle_of(taken(self.cells.oscillators, np.array([r])), trail, m)
-                if found is not None:
-                    return found, False
+                cycle = cycle_of(taken(self.cells.oscillators, np.array([r])), trail, m)
+                if cycle is not None:
+                    return cycle, False
             if len(trail.keys) and np.max(np.bincount(trail.keys)) > most:
                 break
         return None, trail is not None and not len(trail.keys)
 
 
 def turns_of(trail: Trail) -> list[int]:
-    """The numbers of events after which a motion has nearly come back, nearer than a turn before; three at most, each
-    ten times nearer than any shorter one."""
-    found, last, record = list[int](), len(trail.keys) - 1, NEAR
+    """The numbers of events in which a motion has nearly returned, nearer than a turn before.
+
+    At most three, each return ten times nearer than any shorter one.
+    """
+    turns, last, record = list[int](), len(trail.keys) - 1, NEAR
     for m in range(1, last // 2 + 1):
         away = trail.back(last, last - m)
         if away < record and np.array_equal(trail.keys[last - m + 1 :], trail.keys[last - 2 * m + 1 : last - m + 1]):
             if away <= trail.back(last - m, last - 2 * m) or away < ONCE_ROUND:
-                found.append(m)
+                turns.append(m)
             record = 0.1 * away
-    return found[:3]
+    return turns[:3]
 
 
 def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] | None:
-    """The stable cycle of the only one of many machines near the last m events of a trail, and the times (p,) of its
-    rarest event: that with the fewest passages, of several the first by signal, side and mode. None if there is none.
+    """The stable cycle near the last m events of a trail of a single machine, in a record of many; None without one.
+
+    With the times (p,) of its rarest event: the event with the fewest passages, of several the first by signal, side
+    and mode.
     """
     rows, keys = trail.legs[-m:].copy(), trail.keys[-m:]
     T = rows[-1, LEG.start] - trail.legs[-1 - m, LEG.start]
@@ -223,9 +230,9 @@ def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] |
 
 
 def once_round(machine: OrbitMachines, cycle: Cycle) -> Cycle | None:
-    """The cycle that one goes round, perhaps several times: a motion may seem to return after two turns first.
+    """One turn of a cycle that may go round several times: a motion may seem to return after two turns first.
 
-    None where Newton's method loses it.
+    None if Newton's method does not converge to it.
     """
     motion, times = cycle.motion, cycle.motion.times[0]
     itinerary, states, span = motion.itinerary, motion.turn.states[0, 1:], float(motion.span[0])
@@ -248,12 +255,12 @@ def put_centres(cells: Cells, rows: Rows) -> None:
         put(cells, rows, regime=UNDETERMINED, error=np.nan, reason=CENTRE)
 
 
-def put_cycles(cells: Cells, found: dict[int, tuple[Cycle, Array]]) -> None:
-    """Write the results of cells that fall into these cycles, each with the times of its rarest event."""
-    if not found:
+def put_cycles(cells: Cells, cycles_of: dict[int, tuple[Cycle, Array]]) -> None:
+    """Write the results of cells that fall into cycles; ``cycles_of`` gives them by row, with their times."""
+    if not cycles_of:
         return
-    rows, every = np.array(list(found), dtype=np.int64), np.arange(len(found))
-    cycles = [cycle for cycle, _ in found.values()]
+    rows, every = np.array(list(cycles_of), dtype=np.int64), np.arange(len(cycles_of))
+    cycles = [cycle for cycle, _ in cycles_of.values()]
     periods = np.array([cycle.period for cycle in cycles])
     natural = cells.oscillators.period[rows].copy()
     set_period(cells.oscillators, rows, periods)
@@ -273,14 +280,14 @@ def put_cycles(cells: Cells, found: dict[int, tuple[Cycle, Array]]) -> None:
     kept = np.flatnonzero(closes)
     rows, orbits = rows[kept], cells.orbits
     for r in rows.tolist():
-        cycle, times = found[r]
+        cycle, times = cycles_of[r]
         cells.cycles[r] = _as_passed(own, cycle, times)
         orbits.exponents[r] = -np.sort(-np.append(cycle.logs, 0.0))
         orbits.symmetric[r], orbits.error[r] = cycle.motion.itinerary.symmetric, 1e-14 * (1.0 + abs(cycle.logs[0]))
     orbits.h[rows], orbits.contact[rows, 0], orbits.period[rows] = start[kept], contact[kept], 1
     orbits.tally[rows] = motions.tally[kept]
     put_periodic(cells, rows)
-    largest = np.array([found[r][0].logs[0] for r in rows.tolist()])
+    largest = np.array([cycles_of[r][0].logs[0] for r in rows.tolist()])
     put(cells, rows, largest=largest)  # beside the 0 along the cycle
     put(cells, rows[np.isneginf(largest)], error=0.0)
 
@@ -295,42 +302,42 @@ def _as_passed(machines: Oscillator, cycle: Cycle, times: Array) -> CellCycle:
     return CellCycle(cycle.period, motion.at(times[None])[0][0], states, numbers)
 
 
-def tell_in_time(cells: Cells, variables: tuple[Variable, ...]) -> None:
-    """Give the results of all cells, so far over their periods, in units of time, and cycles their period.
+def convert_to_time(cells: Cells, variables: tuple[Variable, ...]) -> None:
+    """Convert the results of all cells from periods to units of time, and write the periods of cycles.
 
-    The exponent along a motion is exactly 0: of chaos it is the one nearest to 0, of a torus the second. Sections are
-    the passages of an event.
+    The exponent along a motion is set to 0, its exact value: of chaos the exponent nearest to 0, of a torus the second.
+    Sections are the passages of an event.
     """
-    found = cells.found
+    results = cells.results
     for variable in variables:
         if PER_TIME in variable.long_name:
-            values = found[variable.name]
+            values = results[variable.name]
             values /= cells.oscillators.period.reshape(-1, *[1] * (values.ndim - 1))
     for r, cycle in cells.cycles.items():
-        found["cycle_period"][r], found["period"][r] = cycle.period, len(cycle.section)
-        if "section" in found:
-            found["section"][r] = cycle.section[np.arange(found["section"].shape[1]) % len(cycle.section)]
-    for r in np.flatnonzero(np.isin(found[REGIME.name], (CHAOTIC, QUASIPERIODIC, APERIODIC))).tolist():
-        if "section" in found:
-            found["section"][r] = passages(cells, r, found["section"].shape[1])
-        if "spectrum" in found:
-            spectrum = found["spectrum"][r]
-            torus = found[REGIME.name][r] == QUASIPERIODIC  # whose own 0 is the first
+        results["cycle_period"][r], results["period"][r] = cycle.period, len(cycle.section)
+        if "section" in results:
+            results["section"][r] = cycle.section[np.arange(results["section"].shape[1]) % len(cycle.section)]
+    for r in np.flatnonzero(np.isin(results[REGIME.name], (CHAOTIC, QUASIPERIODIC, APERIODIC))).tolist():
+        if "section" in results:
+            results["section"][r] = passages(cells, r, results["section"].shape[1])
+        if "spectrum" in results:
+            spectrum = results["spectrum"][r]
+            torus = results[REGIME.name][r] == QUASIPERIODIC  # the first exponent of a torus is 0, too
             spectrum[1 if torus else np.argmin(np.abs(spectrum))] = 0.0
             known = np.where(torus & (np.arange(len(spectrum)) == 0), 0.0, spectrum)
-            found["kaplan_yorke"][r] = kaplan_yorke(-np.sort(-known))
+            results["kaplan_yorke"][r] = kaplan_yorke(-np.sort(-known))
 
 
 def passages(cells: Cells, r: int, count: int) -> Array:
-    """The states (count, 2n) of a motion that does not close just after its commonest event, from its result on.
+    """The states (count, 2n) just after the commonest event of a motion that does not close, from its result on.
 
-    NaN from where it cannot be followed.
+    NaN from the event on at which it cannot be followed.
     """
     size, states = cells.directions, list[Array]()
     machine, number = taken(cells.oscillators, np.array([r])), int(cells.contact[r]) - FIRST_NUMBER
     key = None
     with suppress(ValueError):
-        for rows in islice(legs_of_periods(machine, cells.found["state"][r], number), LEAST_LOOK + 4 * count):
+        for rows in islice(legs_of_periods(machine, cells.results["state"][r], number), LEAST_LOOK + 4 * count):
             events = rows[rows[:, LEG.signal] >= 0.0]
             keys = events[:, [LEG.signal, LEG.side, LEG.number]]
             if key is None and len(keys):
@@ -339,6 +346,6 @@ def passages(cells: Cells, r: int, count: int) -> Array:
             states += list(events[np.all(keys == key, axis=1), LEG_STATE : LEG_STATE + size]) if len(keys) else []
             if len(states) >= count:
                 break
-    found = np.full((count, size), np.nan)
-    found[: len(states)] = np.reshape(states[:count], (-1, size))
-    return found
+    passed = np.full((count, size), np.nan)
+    passed[: len(states)] = np.reshape(states[:count], (-1, size))
+    return passed

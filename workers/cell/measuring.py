@@ -45,7 +45,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
     hybrid = cells.oscillators.has_modes
     if not (hybrid or definition.measures):
         return
-    rows = np.flatnonzero(np.isin(cells.found["regime"], KNOWN))
+    rows = np.flatnonzero(np.isin(cells.results["regime"], KNOWN))
     for first in range(0, max(len(rows), hybrid), AT_ONCE):
         some = rows[first : first + AT_ONCE]
         values = {name: value[some] for name, value in params.items()}
@@ -60,7 +60,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
             own = machines.table.machines
             variables |= _of_machine(own, readings, closes, periods)
             variables |= _of_elements(definition, own, readings, closes, periods)
-            counted, lost = cells.found["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
+            counted, lost = cells.results["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
         put(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
 
@@ -72,18 +72,20 @@ def with_modes(cells: Cells, rows: Rows, definition: Definition, values: Mapping
 
 def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
     """Periods (N,) over which these cells are measured, and a mask of cells for which that is a turn of an orbit."""
-    period = cells.found["period"][rows].astype(np.int64)
+    period = cells.results["period"][rows].astype(np.int64)
     closes = period > 0
     if not cells.oscillators.has_modes:  # without damping, impact-free motion need not repeat
         gap = cells.oscillators.gap
-        closes &= (cells.found["regime"][rows] == PERIODIC) | np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)[rows]
+        closes &= (cells.results["regime"][rows] == PERIODIC) | np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)[
+            rows
+        ]
     return np.where(closes, period, WINDOW), closes
 
 
 def starts_of(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
     """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
-    states, contact = cells.found["state"][rows], cells.contact[rows]
-    proved = closes & (cells.oscillators.has_modes | (cells.found["regime"][rows] == PERIODIC))
+    states, contact = cells.results["state"][rows], cells.contact[rows]
+    proved = closes & (cells.oscillators.has_modes | (cells.results["regime"][rows] == PERIODIC))
     orbits = motions_at(cells.orbits.h, cells.orbits.contact)
     states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
     contact[proved] = cells.orbits.contact[rows[proved], 0]

@@ -29,7 +29,7 @@ Values = dict[str, Any]
 def observe(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
     """Write the observables of cells of known class, from parameters (N,) each."""
     observables = observables_of(cells.settings.observe, definition)
-    rows = np.flatnonzero(np.isin(cells.found["regime"], KNOWN))
+    rows = np.flatnonzero(np.isin(cells.results["regime"], KNOWN))
     for first in range(0, len(rows) if observables else 0, AT_ONCE):
         some = rows[first : first + AT_ONCE]
         values = {name: value[some] for name, value in params.items()}

@@ -8,7 +8,7 @@ from workers.cell.cells import Cells
 from workers.cell.outcome import put_periodic
 from workers.cell.stretch import batch_of, run
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
-from workers.orbit.newton import settle_each
+from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
 NEAR = 1e-2
@@ -34,12 +34,12 @@ def end_on_orbits(cells: Cells, rows: Rows, budget: Rows, near: Array) -> Rows:
 
 
 def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
-    """settle_each of these cells; repeated for cells that needed a new mode."""
+    """settle_cells of these cells; repeated for cells that needed a new mode."""
     *asked, orbits, spent = arguments
     proved = np.zeros(len(oscillators.tau), dtype=np.bool_)
 
     def settle(tried: Rows) -> None:
-        proved[tried] = settle_each(oscillators, *asked, tried, orbits, spent)
+        proved[tried] = settle_cells(oscillators, *asked, tried, orbits, spent)
 
     if len(rows):
         oscillators.with_modes(settle, rows)

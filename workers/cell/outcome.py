@@ -36,8 +36,8 @@ REGIME_OF = np.array([reason.regime for reason in results.REASONS])
 def put(cells: Cells, rows: Rows, **values: Any) -> None:
     """Write the requested result variables of these cells. Cells with a regime have ended."""
     for name, value in values.items():
-        if name in cells.found:
-            cells.found[name][rows] = value
+        if name in cells.results:
+            cells.results[name][rows] = value
     if "regime" in values:
         cells.going[rows] = False
 
@@ -153,7 +153,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
 
 
 def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbits, **more: Any) -> None:
-    """Write the results of the orbits of these cells, and some more; ``oscillators`` are those of the rows."""
+    """Write the results of the orbits of these cells, and ``more`` results; ``oscillators`` has a row per cell."""
     exponents, tally, period = orbits.exponents, orbits.tally, orbits.period
     impacts = np.where(rests_on_stop(tally)[:, None], -1.0, tally[:, [motion.UPPER, motion.LOWER]])
     put(
@@ -250,9 +250,9 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
     """Write the results of tori, their largest exponent from weighted averages."""
     put_averaged(cells, rows)
     put(cells, rows, regime=results.QUASIPERIODIC, largest=weighted, error=spread)
-    if "spectrum" in cells.found:
-        spectrum = cells.found["spectrum"][rows]
-        cells.found["spectrum"][rows, 0] = weighted
+    if "spectrum" in cells.results:
+        spectrum = cells.results["spectrum"][rows]
+        cells.results["spectrum"][rows, 0] = weighted
         spectrum[:, 0] = 0.0  # rounding must not decide the dimension of a torus
         put(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
 
@@ -274,17 +274,17 @@ def put_by_average(
     whole, plain = whole_average(cells, rows)
     chaotic, clearly = (clearly_positive(whole.mean, error, whole.periods) for error in (plain, whole.error))
     chaotic, recurs = chaotic & recurs, np.broadcast_to(recurs, rows.shape)
-    unclear_of_each = np.where(recurs, np.int8(unclear), np.int8(results.NEVER_RECURS))
+    unclear_reasons = np.where(recurs, np.int8(unclear), np.int8(results.NEVER_RECURS))
     reasons = np.where(clearly, clear, np.int8(results.NOT_STATIONARY))
     put_chaotic(cells, rows[chaotic], reasons[chaotic])
     put_averaged(cells, rows[~chaotic])
-    put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear_of_each[~chaotic])
+    put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear_reasons[~chaotic])
 
 
 def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, contact: Rows, period: Rows) -> None:
-    """Write the physical state of these cells, given in blocks, and the sections from it on.
+    """Write the physical state of these cells, given in blocks, and the K section states from it on.
 
-    The next K states; an orbit of known ``period`` repeats its own. NaN after the motion cannot be followed.
+    An orbit of known ``period`` repeats its own. NaN after the motion cannot be followed.
     """
     motions, every = motion.motions_at(h, contact), np.arange(len(rows))
     cells.contact[rows] = contact[:, 0]

@@ -41,8 +41,8 @@ def _solve_fixed(cells: Cells) -> None:
     ready = _through(cells, ready, settings.periods)
     recurrence.look(cells, ready, np.full(len(ready), settings.transient_periods > 0))
     put_averaged(cells, ready)
-    kept = {"average", "sum_law_defect", "state", "section"} & cells.found.keys()
-    averaged = {name: cells.found[name].copy() for name in kept}
+    kept = {"average", "sum_law_defect", "state", "section"} & cells.results.keys()
+    averaged = {name: cells.results[name].copy() for name in kept}
     rest = end_impact_free(cells, ready)
     rest = end_on_orbits(cells, rest, np.full_like(cells.used, settings.max_periods), np.full(len(cells.used), NEAR))
     known = np.setdiff1d(ready, rest)
@@ -56,7 +56,7 @@ def _solve_fixed(cells: Cells) -> None:
 
 
 def _through(cells: Cells, ready: Rows, periods: int) -> Rows:
-    """Take these cells through this many periods; returns those that can continue."""
+    """Take these cells through this many periods; returns the cells that can continue."""
     cells.aim(ready, periods)
     cells.run(ready, to_end=True)
     return end_stopped(cells, ready)

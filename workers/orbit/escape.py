@@ -18,12 +18,12 @@ MARGIN = 1.0 + 1e-12
 
 
 REACHED, INSIDE, BEHIND = range(3)
-"""Certain future of a guard: none; it stays between its ends; it moves away from its only end forever."""
+"""Future of a guard: uncertain; it stays between its ends; it moves away from its only end forever."""
 
 
 @kernel
 def future_of(blocks, numbers, h, offset, low, high):
-    """Certain future of a guard plus offset, with ends low and high, from block state h (n, 2) on.
+    """The future of a guard plus offset, with ends low and high, from block state h (n, 2) on.
 
     BEHIND: the fastest growth a e^(r s), r real, moves it away from its only end, and the other terms are at most M
     e^(m s): y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r >= M m.

@@ -86,7 +86,9 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
         r = cells[e]
         osc, start, contact = row_of(oscillators, r), motions.h[r].copy(), motions.contact[r, 0]
         verdicts[e] = UNKNOWN
-        base = np.zeros(start.shape) if osc.table.elements.row.shape[0] == 0 else start  # exact if it is that orbit
+        base = (
+            np.zeros(start.shape) if osc.table.elements.row.shape[0] == 0 else start
+        )  # if that is the orbit, the result is exact
         first, J = map_with_jacobian(osc, base, contact, steps, half)
         if first.tally[STATUS] != RUNNING:
             continue

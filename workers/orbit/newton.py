@@ -43,7 +43,7 @@ motion, one for the error of the multipliers, one last count."""
 
 
 NOTHING, NEAR, SETTLED = range(3)
-"""Outcome of the search for an orbit: no stable one; a stable one that need not attract the motion; one that does."""
+"""Outcomes of the search: no stable orbit; a stable orbit not proved to attract the motion; an orbit that does."""
 
 
 class PeriodicOrbit(NamedTuple):
@@ -77,7 +77,7 @@ def corrected(h, image, J):
 
 @kernel
 def is_hopeless(J):
-    """Whether the spectral radius is HOPELESS or more; the Frobenius norm, a bound of it, mostly tells."""
+    """Whether the spectral radius is HOPELESS or more; mostly its bound, the Frobenius norm, suffices."""
     return not squares(J) < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
 
 
@@ -191,7 +191,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
     periods = 0.5 * unit
     orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, rounding / periods)
-    # otherwise too near a bifurcation for double precision
+    # an exponent within its error is too near a bifurcation for double precision
     return SETTLED if largest < -rounding else NOTHING, orbit, spent
 
 
@@ -240,7 +240,7 @@ def settle(osc, motion, sections, near, longest, budget):
 
     NEAR: its sections recur near a stable orbit, but convergence is not proved.
 
-    The proof: a fixed point (Newton) on the section t = (k + shift) T, minimal (no shorter turn closes), all
+    The proof: a fixed point (Newton's method) on the section t = (k + shift) T, minimal (no shorter turn closes), all
     multipliers inside the unit circle, and the motion either on it or so near that its deviation shrinks: see
     ``orbit.attraction``. Sections recur if the last one has returned within ``near`` of the motion's scale, after at
     most ``longest`` periods. At most ``budget`` periods are spent.
@@ -302,7 +302,7 @@ def no_orbits(count: int, n: int) -> Orbits:
 
 
 @kernel
-def settle_each(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
+def settle_cells(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
     """``settle`` for these cells, with the last ``kept`` (N,) of the sections (N, K, n, 2) known; near (N,).
 
     An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest. Writes the rows of

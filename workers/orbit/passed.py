@@ -31,15 +31,15 @@ RECORD = 512
 """Most events of one period that are recorded."""
 
 AT_REST = 1e-10
-"""Share of the largest displacement or velocity up to which a state is on a stop, or does not slide."""
+"""Share of the largest displacement or velocity up to which a state counts as on a stop, or as not sliding."""
 
 
 class Passed(NamedTuple):
     """The motion in one mode, and the event that begins it.
 
-    Its time after the first section; the signal at an end of its range and which end, -1 and 0 where the phase changes
-    or
-    the motion begins; the rate of the signal; the mode and the beginning of its signals.
+    Its time after the first section; the signal that reaches an end of its range, and the end, -1 or 1: signal -1 and
+    end 0 where the phase changes or the motion begins; the rate of the signal; the mode and the beginning of its
+    signals.
     """
 
     time: float
@@ -63,7 +63,7 @@ def passed(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
 def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
     """``passed`` for one rigid contact: the events of a repeating motion in order of time."""
     start = motion_from(osc, state)
-    # From there on no impact is lost or counted twice.
+    # From a section without impacts nearby none is lost or counted twice.
     shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
     there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
     motion = motion_at(h, contact, record=RECORD)

@@ -52,27 +52,27 @@ def is_followed(osc, h, contact, periods):
 
 @kernel
 def rest_to_rest(oscillators, motions, cells, sections, kept):
-    """Advance these motions of one mass, in place, to a section after a release that they have had before.
+    """Advance these motions of one mass, in place, to a section after a release that repeats an earlier one.
 
     sections (N, K, n, 2) keep the states between the two, ``kept`` (N,) of them at the end of each row; 0 if a motion
     does not reach such a section in K - 1 periods, or if a disturbance grows FOLLOWED times on the way, so that doubles
     cannot decide. Returns the periods flown (N,).
     """
     oscillators, motions = lend(oscillators), lend(motions)
-    gone = np.zeros(len(sections), dtype=np.int64)
+    flown = np.zeros(len(sections), dtype=np.int64)
     K = sections.shape[1]
     for r in cells:
-        osc, moved = row_of(oscillators, r), row_of(motions, r)
-        n, kept[r] = moved.h.shape[0], 0
-        scale = scale_of(osc.gap.blocks, moved.h)
-        motion = motion_with(moved.h, moved.contact[0], axes(n), np.zeros(0), np.zeros((0, 0)))
+        osc, row = row_of(oscillators, r), row_of(motions, r)
+        n, kept[r] = row.h.shape[0], 0
+        scale = scale_of(osc.gap.blocks, row.h)
+        motion = motion_with(row.h, row.contact[0], axes(n), np.zeros(0), np.zeros((0, 0)))
         states, contacts = np.empty((K, n, 2)), np.empty(K, dtype=np.int64)
         releases = np.empty(RELEASES, dtype=np.int64)
         known = count = 0
         rests = False
-        while gone[r] < K - 1 and kept[r] == 0:
+        while flown[r] < K - 1 and kept[r] == 0:
             rests, released = pass_period(osc, borrowed(motion), rests)
-            gone[r] += 1
+            flown[r] += 1
             if motion.tally[STATUS] != RUNNING:
                 break
             copy_into(states[count], motion.h)
@@ -91,6 +91,6 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             count += int(known > 0)
         for k in range(kept[r]):
             copy_into(sections[r, K - kept[r] + k], states[count - kept[r] + k])
-        copy_into(moved.h, motion.h)
-        moved.contact[0] = motion.contact[0]
-    return gone
+        copy_into(row.h, motion.h)
+        row.contact[0] = motion.contact[0]
+    return flown

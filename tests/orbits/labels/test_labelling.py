@@ -49,11 +49,11 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     """The places in the plane of what is labelled, in turn; each gets the rest of its place by LABELS as its label."""
     states_of: list[np.ndarray] = []
 
-    def added(table: Any, states: np.ndarray) -> np.ndarray:
+    def labels_beyond(table: Any, states: np.ndarray) -> np.ndarray:
         states_of.append(states[:, 0].copy())
         return states[:, 0].astype(np.int64) % LABELS
 
-    monkeypatch.setattr(solving, "added", added)
+    monkeypatch.setattr(solving, "labels_beyond", labels_beyond)
     monkeypatch.setattr(solving, "AttractorTable", lambda *_: SimpleNamespace(attractors=[]))
     monkeypatch.setattr(basins, "_columns", lambda *_: {})
     monkeypatch.setattr(basins, "write_table", lambda *_: None)

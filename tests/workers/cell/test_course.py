@@ -41,7 +41,7 @@ class Led:
         self.course, self.put, self.flown_then = Course(self.cells, is_known=self.nothing_known), put, 0
         with np.errstate(all="ignore"):
             self.course.take()
-        self.found: dict[str, Any] = {name: values[0] for name, values in self.cells.found.items()}
+        self.found: dict[str, Any] = {name: values[0] for name, values in self.cells.results.items()}
 
     def nothing_known(self, rows: Rows) -> Mask:
         if len(rows) and not self.flown_then and self.course.stage[0] == AVERAGING:
@@ -196,7 +196,7 @@ def test_no_period_is_averaged_twice() -> None:
             assert not np.any(average.periods > np.maximum(since, 0))
             second |= bool(np.any(cells.earlier.periods[ready] > 0.0))
     assert second
-    assert np.all(cells.found["regime"] == CHAOTIC)
+    assert np.all(cells.results["regime"] == CHAOTIC)
 
 
 @pytest.mark.parametrize("exponents", ["none", "largest"])

@@ -43,15 +43,15 @@ def test_a_motion_that_cannot_go_on_has_a_regime_and_a_reason(
     cells.used[0] = 17
     with np.errstate(all="ignore"):
         assert end_stopped(cells, ONE).tolist() == []
-    assert (cells.found["regime"][0], cells.found["reason"][0]) == (regime, reason)
-    assert cells.found["periods_used"][0] == 17
+    assert (cells.results["regime"][0], cells.results["reason"][0]) == (regime, reason)
+    assert cells.results["periods_used"][0] == 17
 
 
 def test_a_motion_whose_work_is_just_spent_goes_on() -> None:
     cells = one_cell()
     cells.batch.motions.tally[0, WORK] = 0.0
     assert end_stopped(cells, ONE).tolist() == [0]
-    assert cells.found["regime"][0] == PENDING
+    assert cells.results["regime"][0] == PENDING
 
 
 @pytest.mark.parametrize(("exponent", "regime", "reason"), [(1.0, CHAOTIC, NO_REASON), (0.0, UNDETERMINED, WORK_SPENT)])
@@ -65,8 +65,8 @@ def test_a_motion_whose_work_is_spent_is_chaotic_where_its_average_is_clearly_po
     cells.averaging[0], cells.batch.motions.tally[0, WORK] = True, -1.0
     with np.errstate(all="ignore"):
         assert end_stopped(cells, ONE).tolist() == []
-    assert (cells.found["regime"][0], cells.found["reason"][0]) == (regime, reason)
-    assert math.isnan(cells.found["error"][0]) == (regime == UNDETERMINED)
+    assert (cells.results["regime"][0], cells.results["reason"][0]) == (regime, reason)
+    assert math.isnan(cells.results["error"][0]) == (regime == UNDETERMINED)
 
 
 def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None:
@@ -77,7 +77,7 @@ def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None
     cells.batch.motions.tally[0, [STUCK, MIN_SPEED]] = 3.0, 0.0
     with np.errstate(all="ignore"):
         put_averaged(cells, ONE)
-    found = {name: values[0] for name, values in cells.found.items()}
+    found = {name: values[0] for name, values in cells.results.items()}
     assert found["sticks"]
     assert found["stuck_fraction"] == pytest.approx(3.0 * naive.FIGURES[5]["omega"] / (2.0 * math.pi * 10.0), rel=1e-14)
     assert math.isnan(found["impacts_per_period"]) and math.isnan(found["mean_impact_speed"])
@@ -88,8 +88,8 @@ def test_the_turn_that_counts_the_impacts_of_an_orbit_is_counted_too() -> None:
     cells = one_cell()
     cells.used[0], cells.orbits.period[0], cells.orbits.tally[0, [UPPER, MIN_SPEED]] = 20, 3, (6.0, 0.1)
     put_periodic(cells, ONE)
-    assert cells.found["periods_used"][0] == 23
-    assert cells.found["impacts_per_period"][0] == 2.0
+    assert cells.results["periods_used"][0] == 23
+    assert cells.results["impacts_per_period"][0] == 2.0
 
 
 @pytest.mark.parametrize("missed", [-1e-6, 1e-6])
@@ -101,4 +101,4 @@ def test_the_error_of_an_orbit_is_at_least_what_its_exponents_miss_of_the_sum_la
     cells.orbits.tally[0, UPPER], cells.orbits.error[0] = 2.0, 1e-13
     cells.orbits.exponents[0] = 0.25 * (exact + missed)
     put_periodic(cells, ONE)
-    assert cells.found["error"][0] == pytest.approx(1e-6, rel=1e-6)
+    assert cells.results["error"][0] == pytest.approx(1e-6, rel=1e-6)

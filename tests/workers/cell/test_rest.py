@@ -89,7 +89,7 @@ def test_a_rest_that_only_the_watch_has_seen_takes_two_directions_and_its_share_
     cells.run(one, to_end=True)
     with np.errstate(all="ignore"):
         put_averaged(cells, one)
-    found = {name: values[0] for name, values in cells.found.items()}
+    found = {name: values[0] for name, values in cells.results.items()}
     assert found["sticks"] and math.isnan(found["impacts_per_period"]) and math.isnan(found["sum_law_defect"])
     assert found["stuck_fraction"] == pytest.approx(3.0 / (250.0 * cells.oscillators.period[0]), rel=1e-12)
     assert found["spectrum"][2:].tolist() == [-math.inf, -math.inf]

@@ -74,7 +74,7 @@ def test_no_kernel_that_python_calls_returns_a_borrowed_array(monkeypatch: pytes
     solve_tile("bouncing-ball", {}, Settings(max_periods=500, survival=100, exponents="spectrum"))
     solve_attractors("two-mass", {"omega": 4.0, "b": 0.1}, brief, Starts(4))
     solve_tile(System.from_mapping(WITH_MODES), {"omega": [0.8, 1.2]}, brief)
-    assert {"run_batch", "take_along", "settle_each", "start_motions", "physical_states"} <= called
+    assert {"run_batch", "take_along", "settle_cells", "start_motions", "physical_states"} <= called
     assert not LENT & called
 
 

@@ -26,7 +26,7 @@ from workers.orbit.newton import (
     is_hopeless,
     no_orbits,
     recurrence,
-    settle_each,
+    settle_cells,
 )
 from workers.orbit.section import SHIFT, motion_after
 from workers.tile import solve_tile
@@ -48,7 +48,7 @@ def proof(
     sections[0, 0] = sections[0, lag] = h
     sections[0, 0, 0, 1] += away
     orbits, spent = no_orbits(1, len(h)), np.zeros(1, dtype=np.int64)
-    found = settle_each(
+    found = settle_cells(
         many_of(osc), motions_at(h[None], np.array([[contact]])), sections, np.array([lag + 1]), np.array([1e-2]), 64,
         np.array([budget]), np.arange(1), orbits, spent,
     )  # fmt: skip
