@@ -12,6 +12,7 @@ from PIL import Image
 import atlas
 from atlas import render
 from atlas.cell.orbit import SAMPLES, CellOrbit, cell_orbit, describe, modulation
+from atlas.cell.shown import path
 from atlas.errors import InputError
 from tests import naive
 from tests.pictures import orbit
@@ -83,6 +84,13 @@ def test_a_mass_at_rest_stays_on_its_stop(sticking: CellOrbit) -> None:
 def test_a_closed_path_ends_where_it_began(closed: CellOrbit) -> None:
     assert closed.states[-1] == pytest.approx(closed.states[0], abs=1e-9)
     assert len(closed.section) == 1
+
+
+def test_a_path_that_is_shorter_than_the_periods_shown_begins_again(closed: CellOrbit) -> None:
+    own = round(closed.times[-1] / closed.period)
+    times, states = path(closed, 2 * own + 1)
+    assert times[-1] == pytest.approx(3 * own * closed.period)
+    assert np.array_equal(states, np.concatenate([closed.states] * 3))
 
 
 def test_the_running_exponents_approach_the_exact_ones(closed: CellOrbit) -> None:

@@ -97,9 +97,10 @@ def test_a_pushed_mass_is_never_left_beyond_its_stop() -> None:
     assert not np.any(solved["regime"] == INVALID)
 
 
-def test_an_axis_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ValueError, match="axis: found 1, the cells have 1 axes"):
-        solve_lines("two-mass", {"omega": OMEGA}, QUICK, axis=1)
+@pytest.mark.parametrize("axis", [1, -2])
+def test_an_axis_that_does_not_exist_is_refused(axis: int) -> None:
+    with pytest.raises(ValueError, match=f"axis: found {axis}, the cells have 1 axes"):
+        solve_lines("two-mass", {"omega": OMEGA}, QUICK, axis=axis)
 
 
 # The spec

@@ -119,6 +119,17 @@ def test_known_attractors_cost_less_than_new_ones() -> None:
     assert solved(ONE, Starts(16))["periods_used"] < alone
 
 
+def test_a_motion_into_a_known_orbit_is_recognised_from_its_sections() -> None:
+    record = find_system("two-mass")
+    values = {p.name: np.array([ONE.get(p.name, p.default)]) for p in record.parameters}
+    cell = Coexistence(record, values, Settings(), Starts(1))
+    cell.solve()
+    search = cell.search(np.zeros(7, dtype=np.int64), states_of(ONE, Starts(8))[1:])
+    search.solve()
+    assert search.label.tolist() == [0] * 7
+    assert np.all((search.arrival > 0) & (search.arrival <= search.cells.flown))
+
+
 def test_attractors_beyond_those_kept_are_counted() -> None:
     found, all_of_them = solved(SEVERAL, Starts(32, keep=1)), solved(SEVERAL, Starts(32))
     assert found["attractors"] == all_of_them["attractors"] == 4

@@ -48,6 +48,15 @@ def test_the_own_initial_state_is_the_first_and_the_others_lie_in_the_box_betwee
     assert np.all((rest[:, 3] >= 0.1) & (rest[:, 3] <= 0.3))
 
 
+def test_initial_states_lie_between_both_stops_of_two_masses_that_hit_each_other() -> None:
+    """Their gap is a difference, so that no box of coordinates keeps them apart."""
+    system = find_system("impact-damper")
+    oscillators, _ = system.build_many({p.name: np.array([p.default]) for p in system.parameters})
+    states = initial_states(Starts(65), oscillators, system, np.zeros((1, 4)))[0]
+    y = states[:, :2] @ oscillators.gap_row[0]
+    assert np.all((y > oscillators.lower) & (y < oscillators.upper))
+
+
 def test_initial_states_are_the_same_to_the_bit_for_a_seed_and_others_for_another() -> None:
     assert np.array_equal(states_of(Starts(16, seed=3)), states_of(Starts(16, seed=3)))
     assert not np.any(states_of(Starts(16, seed=3))[1:] == states_of(Starts(16, seed=4))[1:])

@@ -10,7 +10,7 @@ from tests import naive
 from workers.kernel.crossing import next_crossing, safe_step
 from workers.kernel.flow import block_flow
 from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import OF_FLOW, OF_GUARD, Mode, make_blocks
+from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Mode, make_blocks
 
 
 def flow(eta: float, lam: float, s: float) -> np.ndarray:
@@ -147,6 +147,26 @@ def test_no_impact_is_missed_or_invented_on_random_flights(blocks: int, flights:
     assert 0.3 * flights < hits < 0.97 * flights
     assert np.mean(evaluations) < 6.0
     assert max(evaluations) < 30
+
+
+@pytest.mark.parametrize(
+    ("eta", "q1", "load", "reach"),
+    [
+        (0.2, 0.6, 0.0, 1.0 + 0.6 / 0.4),  # from 1 to 1 + q' / (2 eta)
+        (0.2, -0.6, 0.0, 1.0),
+        (0.0, 0.0, 0.0, 1.0),
+        (0.0, 0.6, 0.0, math.inf),
+        (0.2, 0.0, 0.3, math.inf),
+    ],
+)
+def test_a_mode_without_stiffness_reaches_as_far_as_its_damper_lets_it(
+    eta: float, q1: float, load: float, reach: float
+) -> None:
+    blocks = make_blocks(np.array([eta]), np.zeros(1))
+    blocks[0, OF_FLOW:OF_GUARD] = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -2.0 * eta]
+    blocks[0, COLUMN.load] = load
+    bounds = derivative_bounds(blocks, np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.array([[1.0, q1]]), np.inf)
+    assert bounds[0] == pytest.approx(reach, rel=1e-14)
 
 
 @pytest.mark.parametrize("count", [500, pytest.param(5000, marks=pytest.mark.slow)])

@@ -47,6 +47,16 @@ def test_a_frame_is_orthonormal_with_the_growth_of_a_qr_factorisation() -> None:
         assert growth == pytest.approx(expected, rel=1e-13)
 
 
+def test_a_zero_vector_within_a_frame_is_a_lost_direction_and_leaves_the_others_alone() -> None:
+    V = np.random.default_rng(3).normal(size=(3, 2, 2))
+    V[1] = 0.0
+    two, growth, alone = V[[0, 2]].copy(), np.zeros(3), np.zeros(2)
+    orthonormalise(BLOCKS, V, growth, np.zeros((0, 0)), 4)
+    orthonormalise(BLOCKS, two, alone, np.zeros((0, 0)), 4)
+    assert growth[1] == -np.inf and np.all(V[1] == 0.0)
+    assert np.array_equal(V[[0, 2]], two) and np.array_equal(growth[[0, 2]], alone)
+
+
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 8])
 def test_frames_side_by_side_are_made_orthonormal_as_each_alone(n: int) -> None:
     """Of full rank, and of the ranks that sticking (2n - 2) and R = 0 (2n - 1) leave, whose last vectors are zero."""

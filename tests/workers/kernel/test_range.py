@@ -7,7 +7,7 @@ import pytest
 
 from tests import naive
 from tests.followed import ball_in_flight, follow, on_attractor
-from workers import Settings, solve_tile
+from workers import Settings, System, solve_tile
 from workers.cell.ranges import FOLLOWED, free_range
 from workers.kernel.cells import excursions
 from workers.model.oscillator import many_of
@@ -28,6 +28,24 @@ def test_motion_without_impact_has_twice_its_amplitude() -> None:
     found = solve_tile("two-mass", p)
     assert found["regime"] == NO_IMPACT
     assert found["peak_to_peak"] == pytest.approx(2.0 * abs(response[0]), rel=1e-13)
+
+
+def test_motion_of_two_harmonics_without_impact_ranges_from_its_lowest_to_its_highest_point() -> None:
+    """Truth: the sum of the forced responses of one mass, a / (1 - w^2 + 2 i zeta w) each, sampled densely."""
+    zeta, omega, phases = 0.05, 0.7, np.linspace(0.0, 2.0 * np.pi, 200_001)
+    first, second = (a / (1.0 - w * w + 2j * zeta * w) for a, w in ((1.0, omega), (0.8, 2.0 * omega)))
+    y = np.imag(first * np.exp(1j * phases) + second * np.exp(2j * phases))
+    system = System.from_mapping(
+        {
+            "name": "two-harmonics", "title": "a mass forced by two harmonics", "coordinates": ["x"],
+            "mass": [[1.0]], "damping": [[2.0 * zeta]], "stiffness": [[1.0]], "force": [1.0],
+            "harmonics": [{"order": 2, "force": [0.8]}], "gap": [1.0], "upper": 9.0, "lower": -9.0,
+            "restitution": 0.8, "parameters": {"omega": {"default": omega}},
+        }
+    )  # fmt: skip
+    found = solve_tile(system, {})
+    assert found["regime"] == NO_IMPACT
+    assert found["peak_to_peak"] == pytest.approx(np.ptp(y), rel=1e-9)
 
 
 def test_turning_points_give_the_same_range_of_motion_without_impact() -> None:

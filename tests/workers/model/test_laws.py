@@ -36,7 +36,7 @@ from workers.model.hybrid import build_hybrid
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.oscillator import Oscillator
 from workers.model.system import SYSTEMS, System, find_system
-from workers.results import NO_IMPACT, NO_REASON, PERIODIC
+from workers.results import INVALID, NO_IMPACT, NO_REASON, PERIODIC
 
 ONE_MASS: dict[str, Any] = {"coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "force": [0.5],
                             "phase": ["pi / 2"]}  # fmt: skip
@@ -508,6 +508,15 @@ def test_a_cell_whose_law_is_none_is_invalid_and_its_neighbours_are_not() -> Non
     alone = solve_tile(system, {"a": [0.5]}, Settings(exponents="none", max_periods=300))
     assert found["regime"][1] == 5
     np.testing.assert_array_equal(found["state"][0], alone["state"][0])
+
+
+def test_a_cell_whose_law_does_not_reach_0_is_invalid() -> None:
+    spring = {"name": "beam", "row": [1.0], "law": "y**3", "within": 1e-3, "range": ["low", 1.0]}
+    system = System.from_mapping(
+        with_law("springs", "y", within=0.1, range=1) | {"springs": [spring], "parameters": {"low": -1.0}}
+    )
+    found = solve_tile(system, {"low": [-1.0, 0.5]}, Settings(exponents="none", max_periods=300))
+    assert (found["regime"] == INVALID).tolist() == [False, True]
 
 
 def test_cells_whose_law_takes_too_many_segments_are_invalid() -> None:

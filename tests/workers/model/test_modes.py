@@ -54,6 +54,19 @@ def test_blocks_of_coupled_damping_move_as_the_machine_does(unit: float) -> None
     assert np.max(np.abs(scaled)) < 1e-12 * np.sqrt(found.lam[0].max())
 
 
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_free_masses_joined_by_springs_have_one_rigid_mode_exactly(n: int) -> None:
+    """Their stiffness is singular; the computed eigenvalue is not 0, but rounding."""
+    rng = np.random.default_rng(n)
+    mass = np.eye(n) * rng.uniform(0.2, 3.0, (200, 1, n))
+    springs = rng.uniform(0.1, 9.0, (200, n - 1))
+    between = np.eye(n - 1, n) - np.eye(n - 1, n, 1)  # the elongations
+    stiffness = between.T @ (springs[:, :, None] * between)
+    modes = split(mass, np.zeros_like(mass), stiffness)
+    assert np.all(modes.rigid == 1)
+    assert np.all(np.sum(modes.lam == 0.0, axis=1) == 1)
+
+
 def flow_error(mass: np.ndarray, damping: np.ndarray, stiffness: np.ndarray, time: float) -> float:
     """The error of the flow of the blocks over a time, in the norm of the energy; truth: eigenvectors of 40 digits."""
     n = len(mass)

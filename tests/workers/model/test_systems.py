@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workers import System
+from workers import System, solve_tile
 from workers.model.entries import DefinitionError
 from workers.model.oscillator import Machines
 from workers.model.soundness import check_at_defaults
 from workers.model.system import find_system, identity, system_names
-from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
+from workers.results import INVALID, NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE, REASONS, RIGID_MODE
 
 each_system = pytest.mark.parametrize("name", system_names())
 
@@ -303,6 +303,21 @@ def test_cells_whose_matrices_are_not_symmetric_make_oscillators() -> None:
 def test_cells_whose_gap_a_push_at_the_stop_does_not_open_make_no_oscillator() -> None:
     system = System.from_mapping(table(mass=[["k - 4.5", 0.0], [0.0, 1.0]]))
     assert reasons(system, k=np.array([5.0, 4.0])) == [NO_REASON, NO_OSCILLATOR]
+
+
+def test_a_cell_that_drifts_in_two_ways_is_invalid_as_the_table_of_reasons_says() -> None:
+    system = System.from_mapping(table(stiffness=[["k", 0.0], [0.0, "k"]], damping=[[0.0, 0.0], [0.0, 0.0]]))
+    assert reasons(system, k=np.array([5.0, 0.0])) == [NO_REASON, RIGID_MODE]
+    free = solve_tile(system, {"k": 0.0})
+    assert (free["regime"], free["reason"]) == (INVALID, RIGID_MODE)
+    assert REASONS[RIGID_MODE].regime == INVALID
+
+
+def test_only_a_machine_with_one_rigid_contact_and_nothing_else_is_solved_without_modes() -> None:
+    rigid = {"bouncing-ball", "chain-3", "impact-damper", "impact-pair", "single-mass", "two-mass"}
+    assert {name for name in system_names() if not find_system(name).has_modes} >= rigid
+    for name in ("belt", "soft-impact", "stick-slip", "two-stops", "gear-mesh"):
+        assert find_system(name).has_modes
 
 
 FREE = "leaves a free motion that the gap does not see"
