@@ -29,6 +29,8 @@ DURATIONS = HERE / "durations.json"
 
 Null where none were measured yet.
 """
+MEMORY, ROOM = Path("/dev/shm"), 4 * 2**30
+"""A folder in memory, and the free bytes that it has to have: a stage keeps up to 1.5 GB there."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -56,6 +58,9 @@ class Durations:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    """Stores are thousands of small files: temporary folders are in memory if it holds them and may run programs."""
+    if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM and not os.statvfs(MEMORY).f_flag & os.ST_NOEXEC:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
     if config.getoption("record_durations") and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Durations(config.option.markexpr))
 
