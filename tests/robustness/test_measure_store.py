@@ -235,10 +235,10 @@ def test_a_store_without_measures_says_how_to_get_them(unmeasured: Path) -> None
 # Margins
 
 
-def test_margins_of_cells_are_those_of_the_closed_form_of_a_line(plane: Path, tmp_path: Path) -> None:
+def test_margins_of_cells_are_those_of_the_closed_form_of_a_line(plane: Path, tmp_path: Path, client: Client) -> None:
     """A vertical line: its distance is that along omega, in units of the scale."""
     path = with_lines(copied(plane, tmp_path), [(3.3, 0.05), (3.3, 0.9)], [(9.0, 0.1), (9.0, 0.2)])
-    measure_attractors(path, margin=True, scale={"omega": 0.1}, workers=1)
+    measure_attractors(path, margin=True, scale={"omega": 0.1}, client=client)
     ds = atlas.open(path)
     assert ds["margin"].dims == ("b", "omega")
     assert ds["margin"].values == pytest.approx(np.array([[13.0, 3.0, 7.0]] * 3))
@@ -247,9 +247,9 @@ def test_margins_of_cells_are_those_of_the_closed_form_of_a_line(plane: Path, tm
     assert ds.atlas.plot("margin") is not None
 
 
-def test_along_a_logarithmic_axis_margins_are_of_the_logarithm(plane: Path, tmp_path: Path) -> None:
+def test_along_a_logarithmic_axis_margins_are_of_the_logarithm(plane: Path, tmp_path: Path, client: Client) -> None:
     path = with_lines(copied(plane, tmp_path), [(-50.0, 0.3), (50.0, 0.3)])
-    measure_attractors(path, margin=True, scale={"b": 0.5}, workers=1)
+    measure_attractors(path, margin=True, scale={"b": 0.5}, client=client)
     ds = atlas.open(path)
     expected = np.abs(np.log(ds["b"].values / 0.3)) / 0.5
     assert ds["margin"].values == pytest.approx(np.repeat(expected[:, None], 3, axis=1))
@@ -261,16 +261,16 @@ def test_without_a_scale_the_width_of_the_plane_is_the_unit(plane: Path, tmp_pat
     assert atlas.open(path)["margin"].values == pytest.approx(np.array([[1.0, 0.0, 1.0]] * 3) / 3.0)
 
 
-def test_a_curve_of_an_unstable_orbit_has_no_margin(plane: Path, tmp_path: Path) -> None:
+def test_a_curve_of_an_unstable_orbit_has_no_margin(plane: Path, tmp_path: Path, client: Client) -> None:
     path = with_lines(copied(plane, tmp_path), [(3.0, 0.1), (3.0, 0.3)], unstable=1)
-    measure_attractors(path, margin=True, workers=1)
+    measure_attractors(path, margin=True, client=client)
     ds = atlas.open(path)
     assert np.isnan(ds["margin"].values).all() and (ds["margin_curve"].values == -1).all()
 
 
-def test_other_curves_make_other_margins(plane: Path, tmp_path: Path) -> None:
+def test_other_curves_make_other_margins(plane: Path, tmp_path: Path, client: Client) -> None:
     path = with_lines(copied(plane, tmp_path), [(3.0, 0.1), (3.0, 0.3)])
-    measure_attractors(path, margin=True, workers=1)
+    measure_attractors(path, margin=True, client=client)
     before = atlas.open(path)["margin"].values
     with_lines(path, [(2.0, 0.1), (2.0, 0.3)])
     again = measure_attractors(path, margin=True)

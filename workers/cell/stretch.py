@@ -99,9 +99,8 @@ def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -
 
 
 def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Array:
-    """Physical section states (N, K, 2n) of motions, advanced in place: the first ``counts`` (N,) <= K of each.
-
-    NaN beyond these, and after a motion cannot be followed.
+    """Physical section states (N, K, 2n) of motions, advanced to the last of them: the first ``counts`` (N,) <= K of
+    each. NaN beyond these, and after a motion cannot be followed.
     """
     N, n = motions.h.shape[:2]
     batch, every = batch_of(oscillators, motions), np.arange(N)
@@ -110,7 +109,8 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
         going = every[(k < counts) & (motions.tally[:, STATUS] == RUNNING)]
         states[going, k] = physical_states(oscillators, motions, going)
         batch.periods[:], batch.done[:], motions.tally[:, WORK] = 1, 0, WORK_OF_A_TRIAL
-        run(batch, going)
+        if len(rest := going[counts[going] > k + 1]):
+            run(batch, rest)
     return states
 
 
