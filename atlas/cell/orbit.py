@@ -42,7 +42,6 @@ SECTION_STATES = 4000
 """Section states of a motion that does not close."""
 CONVERGENCE = (8000, 1000, 100, 10)
 """Forcing periods over which exponents are averaged: as many as in Li & Tan (2011), or fewer where they cost much."""
-_RECORD = 4096
 
 
 @dataclass(frozen=True)
@@ -202,65 +201,47 @@ def _running(system: System, parameters: Mapping[str, float], settings: Settings
 def path_of(
     system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
 ) -> tuple[Array, Array, Array]:
-    """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""
-    from workers.kernel.coordinates import blocks_to_physical, motion_from
-    from workers.kernel.motion import RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
-    from workers.kernel.period import propagate
+    """Times, states and impacts from the parameters' initial state on, in even steps of time.
 
-    if system.has_modes:
-        return _path_through_modes(system, parameters, periods, cycle)
-    osc = system.build(parameters)
-    start = np.array([parameters[name] for name in system.states])
-    motion = motion_from(osc, start, record=_RECORD)
-    times, states, impacts = [0.0], [start], []
-    samples = samples_of(system)
-    piece = osc.period / samples
-    for i in range(periods * samples):
-        # A piece of a period is a short motion from a section at another phase of the force.
-        begins = osc._replace(tau=osc.tau + (i % samples) * piece * osc.gap.omega)
-        ends = osc._replace(tau=osc.tau + (i % samples + 1) * piece * osc.gap.omega)
-        motion.tally[RECORDED], motion.tally[WORK] = 0.0, WORK_OF_A_TRIAL
-        propagate(begins, motion, piece)
-        if motion.tally[STATUS] != RUNNING:
-            raise InputError(f"period {i // samples}: this cell cannot be followed")
-        found = motion.impacts[: int(motion.tally[RECORDED])].copy()
-        before, after = states[-1], blocks_to_physical(ends, motion)
-        for t, side, speed in found[found[:, 2] > 0.0]:
-            mean = before + (after - before) * t / piece
-            for velocity in (side * speed, -osc.R * side * speed):
-                times.append(i * piece + t)
-                states.append(_at_stop(osc, mean, side, velocity))
-        found[:, 0] += i * piece
-        impacts.append(found)
-        times.append((i + 1) * piece)
-        states.append(after)
-    return np.array(times), np.array(states), np.concatenate(impacts)
-
-
-def _path_through_modes(
-    system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
-) -> tuple[Array, Array, Array]:
-    """The same of a machine whose law changes."""
+    Impacts on rigid stops have two more states each, at the velocities before and after it.
+    """
     from workers.history import trace, within_periods
+    from workers.model.hybrid import elements_of
 
-    followed = trace(system, parameters, periods, cycle=cycle)
-    oscillators, _ = system.build_many(_given(system, parameters, cycle))
-    samples = samples_of(system)
+    try:
+        followed = trace(system, parameters, periods, cycle=cycle)
+    except ValueError as error:
+        raise InputError(f"this cell cannot be followed: {error}") from None
+    values, samples = _given(system, parameters, cycle), samples_of(system)
+    oscillators, _ = system.build_many(values)
     since = oscillators.period[0] / samples * np.arange(1.0, samples + 1.0)
     states = within_periods(oscillators, followed.states[:-1], since)
-    times = followed.times[:-1, None] + since
+    times = np.concatenate([followed.times[:1], (followed.times[:-1, None] + since).ravel()])
     states = np.concatenate([followed.states[:1], states.reshape(-1, states.shape[-1])])
-    return np.concatenate([followed.times[:1], times.ravel()]), states, followed.impacts
+    elements, impacts = elements_of(system.definition.hybrid(values)), followed.impacts
+    return *_with_jumps(times, states, impacts, elements), impacts
 
 
-def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
-    """The state with its gap coordinate on a stop and moving with this velocity, all else as it is."""
-    row = np.array(osc.gap_row)
-    n = row.size
-    stop = osc.upper if side > 0 else osc.lower
-    # What an impact changes the velocities along.
-    kick = (np.array(osc.to_physical) @ np.array(osc.gap.kick).ravel())[n:]
-    on_stop = state.copy()
+def _with_jumps(times: Array, states: Array, impacts: Array, elements: Any) -> tuple[Array, Array]:
+    """The path with the states on a rigid stop just before and just after each impact."""
+    contacts = np.abs(impacts[:, 1]).astype(np.int64) - 1
+    rebounds = np.flatnonzero((impacts[:, 2] > 0.0) & (elements.soft[0, contacts] == 0.0))
+    places = np.maximum(np.searchsorted(times, impacts[rebounds, 0]), 1)
+    jumps = np.empty((len(rebounds), 2, states.shape[1]))
+    for i, (k, (t, side, speed), c) in enumerate(zip(places, impacts[rebounds], contacts[rebounds], strict=True)):
+        share = (t - times[k - 1]) / (times[k] - times[k - 1])
+        mean, stop = states[k - 1] + (states[k] - states[k - 1]) * share, elements.stops[0, c, int(side > 0)]
+        row, kick, R = elements.row[0, c], elements.kick[0, c], elements.R[0, c]
+        for j, velocity in enumerate((np.sign(side) * speed, -R * np.sign(side) * speed)):
+            jumps[i, j] = _at_stop(row, kick, stop, mean, velocity)
+    both = np.repeat(places, 2)
+    times = np.insert(times, both, np.repeat(impacts[rebounds, 0], 2))
+    return times, np.insert(states, both, jumps.reshape(-1, states.shape[1]), axis=0)
+
+
+def _at_stop(row: Array, kick: Array, stop: float, state: Array, velocity: float) -> Array:
+    """The state with row . x on a stop and moving with this velocity, all else as it is; impacts act along ``kick``."""
+    n, on_stop = row.size, state.copy()
     on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
     on_stop[n:] += kick * (velocity - row @ state[n:])
     return on_stop

@@ -62,10 +62,7 @@ def energy_norms(metric: Array, h: Array) -> Array:
 def sizes(oscillators: Oscillator, h: Array) -> Array:
     """Energy norms (N,) of block states h (N, n, 2) plus those of forced motion and displacements to stops."""
     own, n, metric = oscillators, h.shape[1], oscillators.gap.metric
-    if own.has_modes:
-        rows, stops = own.table.machines.row, own.table.machines.stops
-    else:
-        rows, stops = own.gap_row[:, None], np.stack([own.lower, own.upper], axis=-1)[:, None]
+    rows, stops, _ = own.contacts
     reach = np.max(np.where(np.isfinite(stops), np.abs(stops), 0.0), axis=-1)
     x = rows * (reach / np.maximum(np.vecdot(rows, rows), 1e-300))[..., None]
     there = (own.to_blocks[:, None, :, :n] @ x[..., None]).reshape(*x.shape[:2], n, 2)

@@ -89,10 +89,9 @@ def starts_of(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
     orbits = motions_at(cells.orbits.h, cells.orbits.contact)
     states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
     contact[proved] = cells.orbits.contact[rows[proved], 0]
-    if cells.oscillators.has_modes:
-        return states, contact[:, None] - FIRST_NUMBER
-    held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])
-    return states, held[np.sign(contact) + 1][:, None]
+    held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])  # of a single rigid contact
+    numbers = np.where(contact < FIRST_NUMBER, held[np.sign(contact) + 1], contact - FIRST_NUMBER)
+    return states, numbers[:, None]
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> Meters:

@@ -11,12 +11,12 @@ from workers.kernel.averages import standard_error
 from workers.kernel.borrow import borrowed, row_of
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
-from workers.kernel.lend import lend
+from workers.kernel.lend import lend, with_phase
 from workers.kernel.motion import FREE, OVERDRAFT, RUNNING, STATUS, WORK, motion_alone, motion_with
 from workers.kernel.period import advance, propagate
 from workers.kernel.signal import derivative_bounds
 from workers.kernel.tangent import reset_frame
-from workers.model.oscillator import COLUMN, HEAD
+from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 
 @kernel
@@ -143,5 +143,6 @@ def states_within(oscillators, r, states, times):
             propagate(osc, borrowed(motion), times[k])
             if motion.tally[STATUS] == RUNNING:
                 reached[i, k] = 0.0
-                leave_blocks(osc, motion.h, motion.contact[0], reached[i, k])
+                then = with_phase(osc, osc.tau + osc.gap.numbers[NUMBER.omega] * times[k])
+                leave_blocks(then, motion.h, motion.contact[0], reached[i, k])
     return reached

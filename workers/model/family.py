@@ -87,7 +87,7 @@ class OrbitMachines:
 
 def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> Callable[[Array], Any]:
     """A function from rows of values (N, free) to machines and the reason against each; other parameters are fixed."""
-    return (_Switching if system.has_modes else _Flying)(system, fixed, free)
+    return (_Over if system.has_modes else _Flying)(system, fixed, free)
 
 
 def with_modes(machines: HybridMachines) -> OrbitMachines:
@@ -106,7 +106,7 @@ def with_modes(machines: HybridMachines) -> OrbitMachines:
 
 
 class _Over:
-    """Machines of a system over some of its parameters, with the others fixed."""
+    """Machines of a system over some of its parameters, with the others fixed. Every mode is built by itself."""
 
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         self.system, self.free = system, free
@@ -119,10 +119,6 @@ class _Over:
     def others(self, rows: Array) -> dict[str, Array]:
         """The values (N,) of each fixed parameter."""
         return {name: np.full(len(rows), value) for name, value in self.fixed.items()}
-
-
-class _Switching(_Over):
-    """Machines over parameters, of a system with any law."""
 
     def __call__(self, rows: Array) -> tuple[OrbitMachines, NDArray[np.int8]]:
         """The machines of rows of values (N, free), and the reason against each."""
@@ -199,7 +195,7 @@ class _Flying(_Over):
 
         def describe() -> HybridMachines:
             load = (machines.mass @ acceleration[..., -1:])[..., 0]
-            return _described(machines, load, elements)
+            return self.system.definition.hybrid(fixed | values)._replace(load=load[:, None], stops=stops)
 
         orbit_machines = OrbitMachines(
             machines.omega, phase_of(machines.tau), elements, rest, {FLYING: mode}.__getitem__, describe,
@@ -234,16 +230,4 @@ def _contact(structure: Structure, machines: Machines) -> Elements:
         np.ascontiguousarray(machines.gap_row[:, None]), kick[:, None], 1.0 / structure.inverse_gap_mass[:, None],
         nothing, nothing, none, rub, rub, nothing, np.zeros((N, 1, 0)), np.zeros((N, 0, 1)),
         np.tile([0.0, 1.0], (N, 1)), none + 1.0, np.zeros((N, 1, 2, 1)), np.zeros((N, 0, 1)),
-    )  # fmt: skip
-
-
-def _described(machines: Machines, load: Array, elements: Elements) -> HybridMachines:
-    """Machines with one rigid contact in the general form, counted from rest: ``load`` (N, n) remains."""
-    N = len(machines.omega)
-    return HybridMachines(
-        machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
-        machines.force_sin[:, None], machines.force_cos[:, None], machines.omega, machines.tau, elements.starts,
-        elements.row, elements.stops, elements.R, elements.soft, np.zeros((N, 1)), np.zeros((N, 1, 1, 3)),
-        elements.slide, elements.belt, np.zeros((N, 1, 0, 3)), np.zeros((N, 1, 2, 1, 3)), np.zeros((N, 0, 1, 3)),
-        elements.counted, np.full(N, -1.0),
     )  # fmt: skip

@@ -104,8 +104,11 @@ class Table(NamedTuple):
 
         Machines with a full table stay without it.
         """
+        rows = rows[self.missing[rows, 0] >= 0]
+        if not len(rows):
+            return rows
         number, used = self.missing[rows, 0], np.sum(self.codes[rows] >= 0, axis=1)
-        rows, number, used = (field[(number >= 0) & (used < self.codes.shape[1])] for field in (rows, number, used))
+        rows, number, used = (field[used < self.codes.shape[1]] for field in (rows, number, used))
         for needed in np.unique(number).tolist():
             some, place = rows[number == needed], used[number == needed]
             code = code_of(needed, *self.machines.sizes[1:], *self.machines.segments)

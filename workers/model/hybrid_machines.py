@@ -88,12 +88,6 @@ class HybridMachines(NamedTuple):
         return self.law.shape[3], self.grip.shape[2]
 
     @property
-    def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
-        """Row (N, n), upper and lower stop (N,) of each rigid contact."""
-        fields = [(self.row[:, c], self.stops[:, c, 1], self.stops[:, c, 0]) for c in np.flatnonzero(~self.soft.any(0))]
-        return [(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)) for a, b, c in fields]
-
-    @property
     def signals(self) -> Rows:
         """Numbers (U,) of the signals that end a mode of any machine, see hybrid_modes.pieces_of; at least one."""
         F = self.sizes[2]

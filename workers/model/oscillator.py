@@ -274,12 +274,19 @@ class Oscillator(NamedTuple):
         return int(np.max(self.table.drifts, initial=0.0))
 
     @property
+    def contacts(self) -> tuple[Array, Array, Mask]:
+        """Rows (N, C, n), lower and upper stops (N, C, 2) of the contacts of many machines; mask (C,) of rigid ones."""
+        if self.has_modes:
+            own = self.table.machines
+            return own.row, own.stops, ~own.soft.any(axis=0)
+        return self.gap_row[:, None], np.stack([self.lower, self.upper], axis=-1)[:, None], np.ones(1, dtype=np.bool_)
+
+    @property
     def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
         """Row (N, n), upper and lower stop (N,) of each rigid contact of many machines."""
-        if self.has_modes:
-            rigid: list[tuple[Array, Array, Array]] = self.table.machines.rigid_stops
-            return rigid
-        return [(self.gap_row, self.upper, self.lower)]
+        rows, stops, rigid = self.contacts
+        fields = [(rows[:, c], stops[:, c, 1], stops[:, c, 0]) for c in np.flatnonzero(rigid)]
+        return [(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)) for a, b, c in fields]
 
     def with_modes(self, act: Callable[[Rows], Any], rows: Rows) -> Any:
         """Do ``act`` for these rows of many machines, and again for rows that missed a mode, after building it.
@@ -288,7 +295,7 @@ class Oscillator(NamedTuple):
         even without rows, which compiles its kernels.
         """
         result = act(rows)
-        while self.has_modes and len(rows := self.table.build_missing(rows)):
+        while len(rows := self.table.build_missing(rows)):
             result = act(rows)
         return result
 
