@@ -26,12 +26,11 @@ CELLS, ATTRACTORS, ORBITS, PATHS, MEASURES, OBSERVED = "", "attractors", "orbits
 MODES = "modes"
 """Parts: kernels that solve cells of machines with one rigid contact; that compare motions with known attractors; of
 orbits as equations of their impacts, for branches, curves and labels; of motion between events, for portraits; that
-measure motions; that observe them; that solve cells of machines with modes, and draw portraits of them. All others
-need the first or the last one."""
+measure motions; that observe them; that solve cells of machines with modes. All others need the first or the last."""
 
-SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 13, PATHS: 2, MEASURES: 20, OBSERVED: 15, MODES: 70}
+SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 13, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}
 """Approximate seconds of each part: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 142, PATHS: 22, MEASURES: 120, OBSERVED: 130, MODES: 330}
+FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 142, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
 """Functions that each part compiles in a process that has compiled nothing else."""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"
@@ -103,7 +102,7 @@ def kernels_for(record: System, *more: str, settings: Settings | None = None) ->
     """
     more = (*more, OBSERVED) if settings is not None and settings.observe else more
     if record.has_modes:
-        return (MODES, *(part for part in more if part != PATHS))
+        return (MODES, *more)
     return (MEASURES, *more) if record.definition.measures else more
 
 
@@ -241,15 +240,13 @@ def warm_up(*parts: str) -> None:
     system, an_orbit = (System.from_mapping(WITH_MODES), {}) if modes else (find_system(DEFAULT), AN_ORBIT)
     solve_tile(system, {}, Settings(max_periods=1))
     _end_no_cells(system)
-    if modes:
-        _move_within_a_period(system)
     if ATTRACTORS in parts:
         _reach_attractors(system, {} if modes else ONE_ORBIT)
     if ORBITS in parts:
         _follow_an_orbit(system, an_orbit)
         _note_impacts(find_system(DEFAULT))
     if PATHS in parts:
-        _move_within_a_period(find_system(DEFAULT))
+        _move_within_a_period(system)
     if MEASURES in parts:
         solve_tile(System.from_mapping(WITH_MEASURES), {}, Settings(max_periods=1))
 
