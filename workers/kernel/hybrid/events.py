@@ -62,9 +62,9 @@ def follow_jumps(table, states, slips, where, z, turn, begun):
 @inlined
 def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
     """Change the element of the first signal of mode k that is beyond its range; returns whether there was one."""
-    C = len(states)
+    C, ends = len(states), pieces.ends[k]
     for g in range(SIGNALS * C + len(slips)):
-        low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
+        low, high = ends[g, 0], ends[g, 1]
         if begun[g] != 0 or (low == -np.inf and high == np.inf):
             continue
         value, size = guard_value(pieces, k, g, z, turn)

@@ -141,7 +141,8 @@ def put_down(to_blocks, omega, motion, trip, more, resets):
     copy_into(motion.tally, trip.tally)
     if resets:
         count_progress(motion, h, omega)
-    copy_into(motion.h, h)
+    for j in range(len(h)):
+        motion.h[j, 0], motion.h[j, 1] = h[j, 0], h[j, 1]
     motion.contact[0] = trip.place[PLACE.number] + FIRST_NUMBER
     for e in range(len(motion.growth)):
         motion.growth[e] = trip.growth[more + e]

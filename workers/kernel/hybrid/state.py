@@ -104,20 +104,21 @@ def guard_value(pieces, k, g, z, turn):
 @inlined
 def guard_rate(pieces, k, g, f, omega, turn):
     """Rate of signal g of mode k for a state with rates f (2n,)."""
+    row = pieces.rows[k, g]
     _, rate = wave(pieces.direct[k, g], turn)
     rate *= omega
     for i in range(len(f)):
-        rate += pieces.rows[k, g, i] * f[i]
+        rate += row[i] * f[i]
     return rate
 
 
 @inlined
 def right_hand_side(pieces, k, z, turn, f):
     """Write z' (2n,) in mode k."""
-    n = len(z) // 2
+    n, drive, acceleration = len(z) // 2, pieces.drive[k], pieces.acceleration[k]
     for i in range(n):
-        total, _ = wave(pieces.drive[k, i], turn)
-        row = pieces.acceleration[k, i]
+        total, _ = wave(drive[i], turn)
+        row = acceleration[i]
         total += row[2 * n]
         for j in range(2 * n):
             total += row[j] * z[j]
@@ -131,8 +132,9 @@ def enter(pieces, k, z, W, turn, h, V):
     size = len(z)
     for i in range(size):
         total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], turn)[0]
+        row = matrix[i]
         for j in range(size):
-            total += matrix[i, j] * z[j]
+            total += row[j] * z[j]
         h[i // 2, i % 2] = total
     enter_frame(matrix, W, V)
 

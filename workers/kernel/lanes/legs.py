@@ -94,7 +94,13 @@ def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
     """
     oscillates, harmonics, n = True, len(turn), len(h)
     for u in range(len(signals)):
-        a, g, offset, numbers = records[u], signals[u], pieces.offset[k, signals[u]], pieces.numbers[k, signals[u]]
+        a, g = records[u], signals[u]
+        offset, numbers, waves, blocks = (
+            pieces.offset[k, g],
+            pieces.numbers[k, g],
+            pieces.waves[k, g],
+            pieces.blocks[k, g],
+        )
         a[LANE.omega + i] = omega
         a[LANE.amplitude + i], a[LANE.swing2 + i] = numbers[NUMBER.amplitude], numbers[NUMBER.swing2]
         a[LANE.swing3 + i], a[LANE.swing4 + i] = numbers[NUMBER.swing3], numbers[NUMBER.swing4]
@@ -102,10 +108,10 @@ def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
         a[LANE.period + i], a[LANE.flight_start + i], a[LANE.flight_phase + i] = H, 0.0, phase
         a[LANE.time + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
         a[LANE.own_stop + i], a[LANE.starts + i], a[LANE.renews + i] = begun[g], 1.0, 1.0
-        a[LANE.sin_part + i], a[LANE.cos_part + i] = pieces.waves[k, g, 0, 0], pieces.waves[k, g, 0, 1]
+        a[LANE.sin_part + i], a[LANE.cos_part + i] = waves[0, 0], waves[0, 1]
         forced, rate, second, third = 0.0, 0.0, 0.0, 0.0
         for w in range(harmonics):
-            fast, sin_part, cos_part = (w + 1.0) * omega, pieces.waves[k, g, w, 0], pieces.waves[k, g, w, 1]
+            fast, sin_part, cos_part = (w + 1.0) * omega, waves[w, 0], waves[w, 1]
             y = fma(sin_part, turn[w, 0], cos_part * turn[w, 1])
             v = fast * fma(sin_part, turn[w, 1], -cos_part * turn[w, 0])
             forced, rate, second, third = forced + y, rate + v, second - fast * fast * y, third - fast * fast * v
@@ -115,11 +121,11 @@ def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
         a[LANE.forced + i], a[LANE.forced_rate + i] = forced, rate
         a[LANE.forced_second + i], a[LANE.forced_third + i] = second, third
         for j in range(n):
-            first = LANE_SIZE + j * BLOCK_SIZE + i
+            first, columns = LANE_SIZE + j * BLOCK_SIZE + i, blocks[j]
             for f in range(COLUMN.k0):
-                a[np.uint64(first + f * STRIDE)] = pieces.blocks[k, g, j, f]
+                a[np.uint64(first + f * STRIDE)] = columns[f]
             a[first + BLOCK.h0], a[first + BLOCK.h1] = h[j, 0], h[j, 1]
-            oscillates = oscillates and pieces.blocks[k, g, j, COLUMN.d] > 0.0
+            oscillates = oscillates and columns[COLUMN.d] > 0.0
     return oscillates
 
 
