@@ -286,6 +286,26 @@ def begin_leg(table, trip, duration):
     return until - t + (AT_SECTION * period if until >= min(duration, period) else 0.0)
 
 
+@kernel
+def end_hop(table, trip, end, s):
+    """(duration, speed at its end) of a hop in a chatter, found to last s; see chatter.hop."""
+    clock, pieces, k, g = trip.clock, table.pieces, trip.place[PLACE.mode], trip.place[PLACE.hit]
+    blocks, waves = pieces.blocks[k, g], pieces.waves[k, g]
+    fastest = fastest_rate(blocks, waves, table.omega)
+    return hop(blocks, waves, table.omega, trip.h, clock[CLOCK.phase], end, clock[CLOCK.hop], s, fastest)
+
+
+@kernel
+def note_leg(trip, legs, s):
+    """Note a leg of duration s, see notes.note."""
+    clock, place = trip.clock, trip.place
+    note(
+        legs[place[PLACE.legs]], clock[CLOCK.time], place[PLACE.hit], place[PLACE.side], clock[CLOCK.rate],
+        place[PLACE.number], place[PLACE.mode], s, clock[CLOCK.chatter], trip.z, trip.begun,
+    )  # fmt: skip
+    place[PLACE.legs] += 1
+
+
 @inlined
 def leave_leg(table, trip, s, reached, end, duration, legs, flown):
     """End a leg after s, with signal ``reached`` at this end of its range, -1 for none; see motion.through_modes.
@@ -294,23 +314,18 @@ def leave_leg(table, trip, s, reached, end, duration, legs, flown):
     """
     clock, place, tally, pieces, h = trip.clock, trip.place, trip.tally, table.pieces, trip.h
     k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
-    phase, hit, last = clock[CLOCK.phase], place[PLACE.hit], until >= min(duration, 2.0 * math.pi / table.omega)
-    searched, again, speed = s, w > 0.0 and reached == hit and end == place[PLACE.side], 0.0
+    last = until >= min(duration, 2.0 * math.pi / table.omega)
+    searched, again, speed = s, w > 0.0 and reached == place[PLACE.hit] and end == place[PLACE.side], 0.0
     if again:
-        blocks, waves = pieces.blocks[k, hit], pieces.waves[k, hit]
-        fastest = fastest_rate(blocks, waves, table.omega)
-        s, speed = hop(blocks, waves, table.omega, h, phase, end, w, s, fastest)
+        s, speed = end_hop(table, trip, end, s)
     else:
         clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     s = min(s, until - t)
-    count, chatter = place[PLACE.legs], clock[CLOCK.chatter]
-    if count < legs.shape[0]:
-        rate, number = clock[CLOCK.rate], place[PLACE.number]
-        note(legs[count], t, hit, place[PLACE.side], rate, number, k, s, chatter, trip.z, trip.begun)
-        place[PLACE.legs] += 1
+    if place[PLACE.legs] < legs.shape[0]:
+        note_leg(trip, legs, s)
     fly(pieces, k, s, trip, table.drifts, flown and s == searched)
     tally[CONTRACTION] -= pieces.trace[k] * s
-    count_rest(table.elements, trip.states, pieces.lost[k], s, chatter, tally)
+    count_rest(table.elements, trip.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
     if s > 0.0:
         trip.begun[:] = 0
     t = until if reached < 0 else min(t + s, until)
