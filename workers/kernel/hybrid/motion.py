@@ -48,7 +48,7 @@ def pass_leg(tables, r, trips, slot, hits, legs, scratch, duration):
     s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, whole(scratch), trip.tally)
     if trip.tally[STATUS] != RUNNING:
         return False
-    return end_leg(table, trip, s, reached, end, duration, whole(hits), whole(legs), np.bool_(False))
+    return end_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, np.bool_(False))
 
 
 @kernel

@@ -4,9 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
-from workers.kernel.apart import WHOLE
+from workers.kernel.apart import FLOATS, WHOLE, apart
 from workers.kernel.chatter import UNKNOWN, chatter_end, fastest_rate, hop, with_estimate
 from workers.kernel.contact import REBOUND, REST
 from workers.kernel.crossing import TINY
@@ -36,6 +37,7 @@ from workers.kernel.hybrid.state import (
     turn_to,
 )
 from workers.kernel.jit import inline_always, inlined, kernel, named_constants
+from workers.kernel.lend import row_in, whole
 from workers.kernel.motion import (
     CONTRACTION,
     ENDLESS_EVENTS,
@@ -50,6 +52,7 @@ from workers.kernel.motion import (
     SIMULTANEOUS,
     STATUS,
     STUCK,
+    TABLES,
     TALLIES,
     count_contact,
     record_type,
@@ -440,19 +443,23 @@ def carry(table, trip, mode):
             trip.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
 
 
-@kernel
-def end_leg(table, trip, s, reached, end, duration, hits, legs, flown):
-    """End a leg after s and pass the event at its end, if any: see leave_leg.
+@apart(
+    TABLES, types.int64, TRIPS, types.int64, types.float64, types.int64, types.int64, types.float64, FLOATS[2],
+    FLOATS[2], types.boolean, result=types.boolean, modes=True,
+)  # fmt: skip
+def end_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, flown):
+    """End the leg of machine r on this trip after s and pass the event at its end, if any: see leave_leg.
 
     Returns whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is the flow over s.
     """
+    table, trip = row_in(tables, r), row_in(trips, slot)
     mode = trip.place[PLACE.mode]
-    over = leave_leg(table, trip, s, reached, end, duration, legs, flown)
+    over = leave_leg(table, trip, s, reached, end, duration, whole(legs), flown)
     if reached >= 0:
         if is_soft(table, reached):
-            strike_soft(table, trip, hits)
+            strike_soft(table, trip, whole(hits))
         else:
-            strike_hard(table, trip, hits)
+            strike_hard(table, trip, whole(hits))
         if trip.tally[STATUS] == RUNNING:
             carry(table, trip, mode)
     return over

@@ -167,12 +167,13 @@ def pass_alone(batch, trips, search, r, slot):
 @inline_always
 def pass_found(batch, trips, search, r, slot, i):
     """Take cell r through the end of the leg that lane i has found; returns whether its period is over."""
-    trip, table, legs = row_in(trips, slot), row_in(batch.oscillators.table, r), search.legs
-    hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / table.omega
+    tables, legs = batch.oscillators.table, search.legs
+    hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
-    read_flow(search.records, i, trip.flow)
-    return end_leg(table, trip, s, reached, end, period, batch.motions.impacts[r], search.none, np.bool_(True))
+    read_flow(search.records, i, row_in(trips, slot).flow)
+    hits, none = batch.motions.impacts[r], search.none
+    return end_leg(tables, r, trips, slot, s, reached, end, period, hits, none, np.bool_(True))
 
 
 @kernel
