@@ -339,9 +339,6 @@ def leave_leg(table, trip, s, reached, end, duration, legs, flown):
     leave(pieces, k, h, trip.V, trip.turn, trip.z, trip.W)
     if reached < 0:
         clock[CLOCK.rate], clock[CLOCK.hop] = 0.0, 0.0
-        if not last:
-            place[PLACE.where] += 1
-            follow(table, trip)
         return last
     right_hand_side(pieces, k, trip.z, trip.turn, trip.before)
     rate = speed if speed > 0.0 else end * guard_rate(pieces, k, reached, trip.before, table.omega, trip.turn)
@@ -370,12 +367,11 @@ def strike_soft(table, trip, hits):
         count_contact(trip.tally, hits, clock[CLOCK.time], side * (1.0 + c), abs(clock[CLOCK.rate]))
     soft_event(g, c, side, trip.states, trip.begun)
     clock[CLOCK.hop] = 0.0
-    follow(table, trip)
 
 
 @inline_always
 def strike_hard(table, trip, hits):
-    """Pass the event of friction or of a rigid contact."""
+    """Pass the event of friction or of a rigid contact; returns whether the next mode is still to be found."""
     elements, clock, place = table.elements, trip.clock, trip.place
     g, side, C = place[PLACE.hit], place[PLACE.side], len(trip.states)
     c = g // SIGNALS
@@ -387,16 +383,16 @@ def strike_hard(table, trip, hits):
         )  # fmt: skip
         if k < 0:
             place[PLACE.mode], place[PLACE.number] = k, number
-            return
+            return False
     elif strikes_while_held(elements, c, trip.states):
         trip.tally[STATUS] = SIMULTANEOUS
-        return
+        return False
     elif trip.states[c] != OPEN:
         release(elements, g, c, place[PLACE.where], trip.states, trip.slips, trip.begun, np.int64(3))
         clock[CLOCK.hop] = 0.0
     else:
         strike_stop(table, trip, g, c, side, hits)
-    follow(table, trip)
+    return True
 
 
 @inline_always
@@ -453,13 +449,17 @@ def end_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, flown
     Returns whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is the flow over s.
     """
     table, trip = row_in(tables, r), row_in(trips, slot)
-    mode = trip.place[PLACE.mode]
+    mode, follows = trip.place[PLACE.mode], True
     over = leave_leg(table, trip, s, reached, end, duration, whole(legs), flown)
-    if reached >= 0:
-        if is_soft(table, reached):
-            strike_soft(table, trip, whole(hits))
-        else:
-            strike_hard(table, trip, whole(hits))
-        if trip.tally[STATUS] == RUNNING:
-            carry(table, trip, mode)
+    if reached < 0:
+        follows = not over
+        trip.place[PLACE.where] += int(follows)
+    elif is_soft(table, reached):
+        strike_soft(table, trip, whole(hits))
+    else:
+        follows = strike_hard(table, trip, whole(hits))
+    if follows:
+        follow(table, trip)
+    if reached >= 0 and trip.tally[STATUS] == RUNNING:
+        carry(table, trip, mode)
     return over
