@@ -448,16 +448,16 @@ def end_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, flown
 
     Returns whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is the flow over s.
     """
-    table, trip = row_in(tables, r), row_in(trips, slot)
+    table, trip, hits, legs = row_in(tables, r), row_in(trips, slot), whole(hits), whole(legs)
     mode, follows = trip.place[PLACE.mode], True
-    over = leave_leg(table, trip, s, reached, end, duration, whole(legs), flown)
+    over = leave_leg(table, trip, s, reached, end, duration, legs, flown)
     if reached < 0:
         follows = not over
         trip.place[PLACE.where] += int(follows)
     elif is_soft(table, reached):
-        strike_soft(table, trip, whole(hits))
+        strike_soft(table, trip, hits)
     else:
-        follows = strike_hard(table, trip, whole(hits))
+        follows = strike_hard(table, trip, hits)
     if follows:
         follow(table, trip)
     if reached >= 0 and trip.tally[STATUS] == RUNNING:
