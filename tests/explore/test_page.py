@@ -169,7 +169,6 @@ def test_a_click_shows_the_portraits_of_all_attractors_and_sets_the_machine_in_m
     """At omega = 4, b = 0.0939 an orbit of period 1 coexists with two mirror images of period 3."""
     with opened(browser, f"{running.url}?omega=3.9:4.1&b=0.09:0.1", 1440, 900) as tab:
         tab.until(tab.image)
-        settled(running, tab)
         click(tab, 0.475, 0.614)
 
         def portraits() -> int:

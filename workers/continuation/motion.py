@@ -216,7 +216,7 @@ class OrbitMotion:
         size = np.maximum(np.maximum(x, v / omega), LEAST * self._pushed[:, None])
         rows = self._rows
         positions, velocities = rows[..., :n].sum(axis=2), rows[..., n:].sum(axis=2)
-        return np.asarray(NO_RATE * omega * size * (positions + omega * velocities))
+        return np.ascontiguousarray(NO_RATE * omega * size * (positions + omega * velocities))
 
     @property
     def _rows(self) -> Array:
