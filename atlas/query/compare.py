@@ -16,7 +16,7 @@ from atlas.query.window import Window, axis_names, axis_values, cell_widths, col
 from atlas.spec.points import POINT
 from atlas.spec.system import stored_name, stored_system
 from workers.model.system import identity
-from workers.results import CHAOTIC, LARGEST, NO_IMPACT, REGIME, REGIMES
+from workers.results import LARGEST, OF_MOTIONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -202,7 +202,7 @@ def differences(
     here: NDArray[np.int8], there: NDArray[np.int8], one: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Exponents there minus here by their regimes; NaN where a class is not known, or an exponent is not finite."""
-    known = (np.minimum(here, there) >= NO_IMPACT) & (np.maximum(here, there) <= CHAOTIC)
+    known = np.isin(here, list(OF_MOTIONS)) & np.isin(there, list(OF_MOTIONS))
     known &= np.isfinite(one) & np.isfinite(other)
     return np.subtract(other, one, where=known, out=np.full(one.shape, np.nan))
 

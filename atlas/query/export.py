@@ -14,7 +14,6 @@ from atlas.arguments import checked_suffix
 from atlas.errors import InputError
 from atlas.query.window import Window, axis_names, within
 from atlas.query.window import columns as columns_of
-from workers.results import REASON, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,10 +36,11 @@ def export(
     """Write the cells of a window to a file, in full and not coarsened, and return their number.
 
     CSV: one row a cell, x fastest: the axes, of a table of points the row's number and its parameters, then every
-    variable, with a column for each component of one that has several (``state_x1``, ``spectrum_1``), regime and reason
-    by name; numbers in their shortest exact form, NaN and -inf as such, an empty field nowhere. netCDF (version 3,
-    64-bit offset): the dataset as it is, fixed parameters as scalar coordinates. The file appears whole or not at all.
-    ``csv_cells`` are read at a time for CSV, one row at least; ``netcdf_bytes`` is the most that a variable may have.
+    variable, with a column for each component of one that has several (``state_x1``, ``spectrum_1``), codes such as
+    regime and reason by name, a code without one as a number; numbers in their shortest exact form, NaN and -inf as
+    such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed parameters as scalar
+    coordinates. The file appears whole or not at all. ``csv_cells`` are read at a time for CSV, one row at least;
+    ``netcdf_bytes`` is the most that a variable may have.
     Raises InputError for another suffix, an unknown axis, a window without a cell or too large for netCDF, and a path
     that cannot be written.
     """
@@ -100,7 +100,7 @@ def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
     dims = tuple(reversed(names))
     ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
     columns = {str(name): _components(ds, str(name), dims) for name in ordered}
-    words = {variable.name: {code.code: code.name for code in variable.codes} for variable in (REGIME, REASON)}
+    words = {name: code_names(ds[name]) for name in columns}
     rows = max(1, cells_at_a_time // ds.sizes[names[0]])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -113,8 +113,14 @@ def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
                 table = block[name].transpose(*dims, ...).values.reshape(at[0].size, len(several))
                 for i in range(len(several)):
                     values = table[:, i].tolist()
-                    fields.append([words[name][code] for code in values] if name in words else values)
+                    fields.append([words[name].get(code, code) for code in values] if words[name] else values)
             writer.writerows(zip(*fields, strict=True))
+
+
+def code_names(variable: "xr.DataArray") -> dict[int, str]:
+    """The names of the codes of a variable, by code; empty for one that holds numbers."""
+    codes, names = variable.attrs.get("flag_values", ()), variable.attrs.get("flag_meanings", "")
+    return dict(zip((int(code) for code in codes), names.split(), strict=True))
 
 
 def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.Dataset"]:

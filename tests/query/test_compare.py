@@ -22,7 +22,7 @@ from tests.interface.test_cli import call
 from tests.pictures import labels
 from tests.query.test_query import plane, spec
 from tests.synthetic import fill, keep, spec_of
-from workers.results import CHAOTIC, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
+from workers.results import CHAOTIC, LOCKING, NO_IMPACT, OF_MOTIONS, PENDING, PERIODIC, UNDETERMINED
 
 P, C, N, Q, U = PERIODIC, CHAOTIC, NO_IMPACT, PENDING, UNDETERMINED
 
@@ -54,6 +54,12 @@ def test_a_difference_is_there_minus_here_and_none_where_a_class_is_not_known() 
     other = plane([1, 2], [0.1, 0.2], [[C, C], [P, Q]])
     found = Comparison.of(one, other.assign(largest=other.largest + 0.5)).difference
     np.testing.assert_array_equal(found, [[0.5, 0.5], [np.nan, np.nan]])
+
+
+def test_a_locking_cell_has_a_difference_since_it_has_exponents() -> None:
+    one, other = plane([1], [0.1], [[LOCKING]]), plane([1], [0.1], [[LOCKING]])
+    compared = Comparison.of(one, other.assign(largest=other.largest + 0.5))
+    np.testing.assert_allclose(compared.difference, [[0.5]])
 
 
 def test_an_infinite_exponent_has_no_difference() -> None:
@@ -92,7 +98,8 @@ def test_an_atlas_compared_with_itself_differs_nowhere(folder: Path) -> None:
 def test_numbers_of_two_stores_are_those_of_their_cells(folder: Path) -> None:
     one, other = (atlas.open(folder / name).load() for name in ("a.zarr", "b.zarr"))
     found = atlas.open(folder / "a.zarr").atlas.compare(atlas.open(folder / "b.zarr"))
-    known = (one.regime <= C) & (other.regime <= C) & np.isfinite(one.largest) & np.isfinite(other.largest)
+    known = one.regime.isin(list(OF_MOTIONS)) & other.regime.isin(list(OF_MOTIONS))
+    known &= np.isfinite(one.largest) & np.isfinite(other.largest)
     difference = (other.largest - one.largest).where(known)
     np.testing.assert_array_equal(found.difference, difference)
     assert found.numbers.compared == int(known.sum())

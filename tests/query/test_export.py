@@ -49,6 +49,16 @@ def test_a_csv_holds_exact_numbers_and_regimes_by_name(ds: xr.Dataset, tmp_path:
     assert [int(row["period"]) for row in rows] == ds.period.values.ravel().tolist()
 
 
+def test_a_csv_holds_the_codes_of_a_measure_by_name_and_one_without_a_name_as_a_number(
+    ds: xr.Dataset, tmp_path: Path
+) -> None:
+    attrs = {"flag_values": [0, 1], "flag_meanings": "fold flip"}
+    codes = (np.arange(240) % 3 - 1).astype(np.int8).reshape(12, 20)
+    kinds = xr.DataArray(codes, ds.regime.coords, ds.regime.dims)
+    export(ds[["regime"]].assign(margin_kind=kinds.assign_attrs(attrs)), tmp_path / "a.csv")
+    assert [row["margin_kind"] for row in rows_of(tmp_path / "a.csv")] == ["-1", "fold", "flip"] * 80
+
+
 def test_a_csv_has_a_column_for_each_component(ds: xr.Dataset, tmp_path: Path) -> None:
     export(ds, tmp_path / "a.csv", WINDOW)
     columns = rows_of(tmp_path / "a.csv")[0].keys()
